@@ -1,0 +1,43 @@
+# Everything here runs from a fresh checkout: each target first sets up what it needs (scripts/setup.sh).
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help setup demo test lint types samples clean
+
+BIN := .venv/bin
+# The demo's commands run inside demo/.
+KINECTBENCH := ../$(BIN)/kinectbench
+
+help: ## this list
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /make \1\t/' | expand -t 16
+
+setup: ## install what is needed: system libraries, .venv, pinned packages
+	@scripts/setup.sh
+
+demo: setup ## a whole benchmark from simulated recordings: build, publish, score, report (about 3 minutes)
+	@echo "demo: writing four further small simulated recordings to demo/recordings"
+	@$(BIN)/kinectbench simulate --demo demo/recordings
+	@cd demo && echo "demo: building the pairs, publishing them, and checking the release" && \
+	  $(KINECTBENCH) build --jobs 2 && $(KINECTBENCH) publish && $(KINECTBENCH) verify
+	@cd demo && echo "demo: predicting with the trivial baselines, and scoring them" && \
+	  $(KINECTBENCH) baseline && $(KINECTBENCH) score predictions/ && $(KINECTBENCH) report
+
+test: setup lint types ## all checks: ruff, mypy, pytest
+	@$(BIN)/pytest -n 2
+
+lint: setup ## style and formatting
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+
+types: setup ## static types
+	@$(BIN)/mypy
+
+samples: setup ## write the sample recordings again (simulated, same bytes)
+	@$(BIN)/kinectbench simulate --samples recordings
+
+clean: ## remove .venv, caches and everything built
+	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis kinectbench.egg-info
+	rm -rf build benchmark predictions scores
+	rm -rf demo/recordings demo/build demo/benchmark demo/predictions demo/scores
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

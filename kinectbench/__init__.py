@@ -1,0 +1,3 @@
+"""kinectbench: real RGB-D recordings in, a benchmark for single-view shape completion out."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,89 @@
+"""Aligning the full shape to a view: the trajectory's pose, corrected by the view's own depth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.geometry import Camera, transform_points
+from kinectbench.segmentation.render import DepthRenderer
+from kinectbench.tracking.icp import (
+    OrientedPoints,
+    normal_equations,
+    oriented_points,
+    rigid_from_twist,
+    turn_rad,
+)
+
+ITERATIONS = 6
+STRIDE_PX = 3
+MIN_POINTS = 200
+NEAR_M = 0.06
+MAX_MOVE_M = 0.05
+MAX_TURN_RAD = 0.05
+PRIOR_SIGMA_M = 0.02
+PRIOR_SIGMA_RAD = 0.015
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The pose of a view.
+
+    Attributes:
+        T_world_camera: (4, 4), corrected where that helped, else as the trajectory says.
+        moved_m: how far the view's points on the object moved, median, metres; 0 if not corrected.
+        turned_rad: by how much the camera turned, radians.
+    """
+
+    T_world_camera: NDArray[np.float64]
+    moved_m: float
+    turned_rad: float
+
+
+def align_view(
+    depth_m: NDArray[np.float32],
+    camera: Camera,
+    T_world_camera: NDArray[np.float64],
+    renderer: DepthRenderer,
+) -> Alignment:
+    """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
+
+    Half of the view's points on the object are fitted; the correction is kept only if the residual of
+    the other half falls too, and if it moves by no more than 50 mm and 0.05 rad. The trajectory's pose
+    is a prior of 20 mm and 0.015 rad, so motion that the object does not constrain stays at zero.
+
+    Args:
+        depth_m: (height, width) float32, metres, 0 = none.
+        camera: intrinsics.
+        T_world_camera: (4, 4) as the trajectory says.
+        renderer: of the object's closed mesh.
+    """
+    given = Alignment(T_world_camera, 0.0, 0.0)
+    rendered_m = renderer.depth_m(camera, T_world_camera)
+    near = (rendered_m > 0) & (np.abs(depth_m - rendered_m) < NEAR_M)
+    points = oriented_points(np.where(near, depth_m, np.float32(0)), camera, STRIDE_PX)
+    fitted, held_out = points.every_second(0), points.every_second(1)
+    if len(held_out.points) < MIN_POINTS:
+        return given
+    prior = np.diag([PRIOR_SIGMA_RAD**-2] * 3 + [PRIOR_SIGMA_M**-2] * 3)
+    motion = np.eye(4)
+    for _ in range(ITERATIONS):
+        A, b, _ = normal_equations(fitted, rendered_m, motion, camera)
+        motion = motion @ rigid_from_twist(np.linalg.solve(A + prior, b))
+    moved_m = float(
+        np.median(np.linalg.norm(transform_points(motion, points.points) - points.points, axis=1))
+    )
+    turned_rad = turn_rad(motion)
+    helps = _residual_m(held_out, rendered_m, motion, camera) < _residual_m(
+        held_out, rendered_m, np.eye(4), camera
+    )
+    if not helps or moved_m > MAX_MOVE_M or turned_rad > MAX_TURN_RAD:
+        return given
+    return Alignment(T_world_camera @ motion, moved_m, turned_rad)
+
+
+def _residual_m(
+    points: OrientedPoints, rendered_m: NDArray[np.float32], motion: NDArray[np.float64], camera: Camera
+) -> float:
+    residuals = normal_equations(points, rendered_m, motion, camera)[2]
+    return float(np.median(np.abs(residuals))) if len(residuals) else np.inf

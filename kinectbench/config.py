@@ -1,0 +1,171 @@
+"""Typed settings of a benchmark. Every default has its home here; unknown keys are refused at every depth."""
+
+import re
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from kinectbench.geometry import OrientedBox
+
+Split = Literal["train", "validation", "test"]
+TrajectoryMode = Literal["trust", "refine", "ignore"]
+Framing = Literal["object", "view"]
+PartialRule = Literal["any", "majority"]
+Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+Size3 = Annotated[tuple[float, float, float], Field(strict=False)]
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+
+
+def check_name(value: str) -> str:
+    """Accept names that are safe as file names: letters, digits, `.`, `_`, `-`, at most 80."""
+    if not NAME.fullmatch(value):
+        raise ValueError("use letters, digits, '.', '_' and '-' only (at most 80, not starting with '.')")
+    return value
+
+
+class Settings(BaseModel):
+    """Base of all settings: immutable, strictly typed, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class CameraSettings(Settings):
+    """Intrinsics that the recording does not say; what is given here wins over what it says."""
+
+    width: int | None = Field(None, ge=16, le=8192, description="depth image width, pixels")
+    height: int | None = Field(None, ge=16, le=8192, description="depth image height, pixels")
+    fx: float | None = Field(None, gt=0, description="focal length in x, pixels")
+    fy: float | None = Field(None, gt=0, description="focal length in y, pixels")
+    cx: float | None = Field(None, description="principal point in x, pixels")
+    cy: float | None = Field(None, description="principal point in y, pixels")
+    depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
+
+
+class BoxSettings(Settings):
+    """An upright box around the object, in the floor frame (z up, floor at z = 0)."""
+
+    center_m: Vector3 = Field(description="centre, metres")
+    size_m: Size3 = Field(description="edge lengths, metres")
+    yaw_rad: float = Field(0.0, description="turn about the vertical, radians")
+
+    @field_validator("size_m")
+    @classmethod
+    def _positive(cls, size_m: tuple[float, float, float]) -> tuple[float, float, float]:
+        if min(size_m) <= 0:
+            raise ValueError("every edge must be longer than 0")
+        return size_m
+
+    def box(self) -> OrientedBox:
+        """The box as a value."""
+        return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
+
+
+class RecordingSettings(Settings):
+    """One recording of the benchmark."""
+
+    id: str = Field(description="name of the recording, unique in the file")
+    path: str = Field(description="folder or bag, relative to benchmark.yaml")
+    category: str = Field(description="such as chair or table")
+    object: str | None = Field(None, description="the thing itself, where it is recorded more than once")
+    split: Split = Field("test", description="train, validation or test")
+    trajectory: TrajectoryMode | None = Field(None, description="default: trust if the recording has one")
+    camera: CameraSettings | None = Field(None, description="only what the recording does not say")
+    box: BoxSettings | None = Field(None, description="only where objects touch")
+    masks: str | None = Field(None, description="folder of per-view PNG masks, relative to benchmark.yaml")
+
+    _names = field_validator("id", "category", "object")(
+        lambda value: value if value is None else check_name(value)
+    )
+
+    @property
+    def object_name(self) -> str:
+        """The object recorded: `object`, or else the recording's id."""
+        return self.object or self.id
+
+
+class TrackingSettings(Settings):
+    """Camera trajectory: checks against the depth."""
+
+    check_stride_px: int = Field(8, ge=1, le=64, description="every n-th pixel is compared")
+    check_neighbours: int = Field(6, ge=1, le=50, description="frames each frame is compared with")
+    max_disagreement_m: float = Field(0.025, gt=0, le=1, description="a frame farther off is left out")
+    max_stamp_gap_s: float = Field(0.1, gt=0, le=10, description="longest gap in a given trajectory")
+
+
+class FusionSettings(Settings):
+    """TSDF fusion."""
+
+    voxel_size_m: float = Field(0.005, ge=0.001, le=0.05, description="edge of a voxel of the object")
+    scene_voxel_size_m: float = Field(0.01, ge=0.002, le=0.1, description="edge of a voxel of the scene")
+    truncation_voxels: float = Field(4.0, ge=2, le=20, description="TSDF truncation, in voxels")
+    min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")
+    max_depth_m: float = Field(3.0, gt=0.1, le=20, description="farther depth is not fused")
+
+
+class SegmentationSettings(Settings):
+    """Floor plane and object selection."""
+
+    seed: int = Field(0, ge=0, description="seed of RANSAC")
+    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="points lower than this are floor")
+    mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
+
+
+class ViewSettings(Settings):
+    """Sampling of the views."""
+
+    count: int = Field(50, ge=1, le=1000, description="views per recording")
+    seed: int = Field(0, ge=0, description="seed of the draw")
+    strategy: Literal["random"] = Field("random", description="random: uniform over the good frames (paper)")
+    min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
+
+
+class PairSettings(Settings):
+    """Pairs of partial view and full shape."""
+
+    framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
+    partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
+    min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
+    max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
+
+
+class PublishSettings(Settings):
+    """The release."""
+
+    color: bool = Field(False, description="publish colour images (faces and people cannot be ruled out)")
+
+
+class BenchmarkSettings(Settings):
+    """All of benchmark.yaml."""
+
+    name: str = Field(description="name of the benchmark")
+    license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
+    recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
+    tracking: TrackingSettings = TrackingSettings()
+    fusion: FusionSettings = FusionSettings()
+    segmentation: SegmentationSettings = SegmentationSettings()
+    views: ViewSettings = ViewSettings()
+    pairs: PairSettings = PairSettings()
+    publish: PublishSettings = PublishSettings()
+
+    _name = field_validator("name")(check_name)
+
+    @model_validator(mode="after")
+    def _unique(self) -> "BenchmarkSettings":
+        seen: dict[str, RecordingSettings] = {}
+        split_of: dict[str, RecordingSettings] = {}
+        for recording in self.recordings:
+            if recording.id in seen:
+                raise ValueError(f"two recordings have the id '{recording.id}': give each its own")
+            seen[recording.id] = recording
+            first = split_of.setdefault(recording.object_name, recording)
+            if first.split != recording.split:
+                raise ValueError(
+                    f"object '{recording.object_name}' is in two splits: '{first.split}' ({first.id}) and "
+                    f"'{recording.split}' ({recording.id}); an object belongs to one"
+                )
+        return self
+
+    def recording(self, recording_id: str) -> RecordingSettings:
+        """The recording of that id; KeyError if there is none."""
+        return {r.id: r for r in self.recordings}[recording_id]

@@ -1,0 +1,57 @@
+"""Every error a user can meet. Only `cli.py` turns one into a line and an exit status.
+
+KinectBenchError                 exit status 1: the data cannot be used
+├── SettingsError                exit status 2: wrong settings in benchmark.yaml or on the command line
+├── RecordingError               a recording cannot be read, or is not what it says
+├── TrackingError                no usable trajectory
+├── SegmentationError            no floor, no object, an impossible box or mask
+├── ShapeError                   no solid shape can be made
+├── PairError                    a pair or a grid file cannot be made or read
+├── PredictionError              a submitted prediction is missing or unacceptable
+├── ReleaseError                 a published benchmark is damaged or incomplete
+└── StorageError                 an artefact cannot be written or read (disk full, read-only, locked)
+"""
+
+
+class KinectBenchError(Exception):
+    """Base of all errors with a one-line message: what, where, what to do."""
+
+    exit_status = 1
+
+
+class SettingsError(KinectBenchError):
+    """Wrong settings, in benchmark.yaml or on the command line."""
+
+    exit_status = 2
+
+
+class RecordingError(KinectBenchError):
+    """A recording cannot be read, or is not what it says."""
+
+
+class TrackingError(KinectBenchError):
+    """No usable trajectory."""
+
+
+class SegmentationError(KinectBenchError):
+    """No floor, no object, or an impossible box or mask."""
+
+
+class ShapeError(KinectBenchError):
+    """No solid shape can be made from the recording."""
+
+
+class PairError(KinectBenchError):
+    """A pair or a grid file cannot be made or read."""
+
+
+class PredictionError(KinectBenchError):
+    """A submitted prediction is missing or unacceptable."""
+
+
+class ReleaseError(KinectBenchError):
+    """A published benchmark is damaged or incomplete."""
+
+
+class StorageError(KinectBenchError):
+    """An artefact cannot be written or read: disk full, read-only, or in use."""

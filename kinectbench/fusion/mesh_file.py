@@ -1,0 +1,32 @@
+"""Triangle meshes as binary PLY, by trimesh."""
+
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.errors import StorageError
+from kinectbench.fusion.mesh import TriangleMesh
+
+
+def write_ply(mesh: TriangleMesh, path: Path) -> None:
+    """Write vertices (float32, metres), faces and colours; the same bytes for the same mesh."""
+    import trimesh
+
+    shell = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
+    path.write_bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=False))
+
+
+def read_ply(path: Path) -> TriangleMesh:
+    """Read a mesh that `write_ply` wrote; colours are left out.
+
+    Raises:
+        StorageError: the file is missing or damaged.
+    """
+    import trimesh
+
+    try:
+        loaded = trimesh.load(path, process=False, force="mesh")
+        vertices = np.asarray(loaded.vertices, dtype=np.float64)
+        return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32))
+    except (OSError, ValueError, KeyError, IndexError, AttributeError) as error:
+        raise StorageError(f"{path}: not a readable mesh ({error}); use --force to make it again") from error

@@ -1,0 +1,152 @@
+"""The stage `fuse`: all good frames into one surface of the whole scene."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import FusionSettings
+from kinectbench.errors import TrackingError
+from kinectbench.fusion.blocks import (
+    BlockVolume,
+    blocks_near_surface,
+    blocks_of_grid,
+    dense_grid,
+    empty_volume,
+    unique_blocks,
+)
+from kinectbench.fusion.color import color_vertices
+from kinectbench.fusion.integrate import integrate
+from kinectbench.fusion.mesh import TriangleMesh, extract_mesh
+from kinectbench.geometry import Grid
+from kinectbench.geometry.depth_noise import depth_sigma_m
+from kinectbench.sequence import Sequence
+from kinectbench.tracking.trajectory import Trajectory
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The fused scene.
+
+    Attributes:
+        volume: TSDF, weights and votes near the surfaces; its frame is the world.
+        mesh: the surface, world frame, metres, coloured where colour is registered to depth.
+    """
+
+    volume: BlockVolume
+    mesh: TriangleMesh
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What the frames say about every voxel of a dense grid; arrays have the grid's shape.
+
+    Attributes:
+        grid: the voxels.
+        tsdf: float32, metres, positive in front of the surface; 0 where weight is 0.
+        weight: float32, 1/mm^2; 0 = never observed.
+        free: uint16, frames that saw through.
+        surface: uint16, frames that measured a surface.
+    """
+
+    grid: Grid
+    tsdf: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    free: NDArray[np.uint16]
+    surface: NDArray[np.uint16]
+
+
+def fuse(
+    sequence: Sequence, trajectory: Trajectory, settings: FusionSettings, progress: Progress | None = None
+) -> Reconstruction:
+    """Fuse every good frame (Curless & Levoy 1996, block-sparse) and extract the surface.
+
+    Raises:
+        TrackingError: no frame has a pose.
+    """
+    frames = trajectory.good_frames
+    if len(frames) == 0:
+        raise TrackingError("no frame has a pose: nothing to fuse; trajectory/health.json has the reasons")
+    voxel_size_m = settings.scene_voxel_size_m
+    truncation_m = settings.truncation_voxels * voxel_size_m
+    found = []
+    for index in frames:
+        depth_m = usable_depth_m(sequence, int(index), settings)
+        T_world_camera = trajectory.T_world_camera[index]
+        found.append(
+            blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
+        )
+    blocks = unique_blocks(np.concatenate(found).astype(np.int64))
+    volume = empty_volume(blocks, voxel_size_m, np.eye(4))
+    _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
+    mesh = extract_mesh(volume, min_weight=2.0 * one_view_weight(settings.max_depth_m))
+    return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))
+
+
+def observe(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    frames: Iterable[int],
+    grid: Grid,
+    settings: FusionSettings,
+    progress: Progress | None = None,
+) -> Observation:
+    """Fuse frames into a dense grid, so that empty space has votes, too.
+
+    Args:
+        sequence: the recording.
+        trajectory: poses.
+        frames: which frames.
+        grid: sides must be multiples of 16 cells.
+        settings: depth range, truncation (in voxels of this grid).
+        progress: called with (done, total).
+    """
+    volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
+    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress)
+    return Observation(
+        grid,
+        tsdf=dense_grid(volume.tsdf, grid.shape),
+        weight=dense_grid(volume.weight, grid.shape),
+        free=dense_grid(volume.free, grid.shape),
+        surface=dense_grid(volume.surface, grid.shape),
+    )
+
+
+def merge(first: Observation, second: Observation) -> Observation:
+    """What two disjoint sets of frames say together: weighted mean of the TSDFs, sums of the votes."""
+    weight = first.weight + second.weight
+    total = first.tsdf * first.weight + second.tsdf * second.weight
+    tsdf = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
+    return Observation(first.grid, tsdf, weight, first.free + second.free, first.surface + second.surface)
+
+
+def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings) -> NDArray[np.float32]:
+    """Depth of a frame in metres, 0 outside the depth range that is fused."""
+    depth_m = sequence.depth_m(index)
+    depth_m[(depth_m < settings.min_depth_m) | (depth_m > settings.max_depth_m)] = 0.0
+    return depth_m
+
+
+def one_view_weight(depth_m: float) -> float:
+    """Weight (1/mm^2) that one measurement at this depth gives to a voxel."""
+    return float(1e-6 / depth_sigma_m(depth_m) ** 2)
+
+
+def _integrate_frames(
+    volume: BlockVolume,
+    sequence: Sequence,
+    trajectory: Trajectory,
+    frames: Iterable[int],
+    settings: FusionSettings,
+    progress: Progress | None,
+) -> None:
+    truncation_m = settings.truncation_voxels * volume.voxel_size_m
+    chosen = list(frames)
+    for done, index in enumerate(chosen, start=1):
+        depth_m = usable_depth_m(sequence, int(index), settings)
+        integrate(volume, depth_m, sequence.camera, trajectory.T_world_camera[index], truncation_m)
+        if progress:
+            progress(done, len(chosen))

@@ -1,0 +1,30 @@
+"""How a Reconstruction is stored: mesh.ply and volume.npz."""
+
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.fusion.mesh_file import write_ply
+from kinectbench.fusion.reconstruction import Reconstruction
+from kinectbench.voxels.npz import npz_bytes
+
+
+def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
+    """Write the surface and the blocks of the volume.
+
+    volume.npz: `blocks` (n, 3) int32, `tsdf` and `weight` (n, 16, 16, 16) float16 in metres and 1/mm^2,
+    `free` and `surface` (n, 16, 16, 16) uint16 votes, `voxel_size_m`, `T_world_grid` (4, 4).
+    """
+    volume = reconstruction.volume
+    write_ply(reconstruction.mesh, folder / "mesh.ply")
+    arrays = {
+        "format_version": np.asarray(1),
+        "blocks": volume.blocks,
+        "tsdf": volume.tsdf.astype(np.float16),
+        "weight": np.minimum(volume.weight, 6e4).astype(np.float16),
+        "free": volume.free,
+        "surface": volume.surface,
+        "voxel_size_m": np.asarray(volume.voxel_size_m),
+        "T_world_grid": volume.T_world_grid,
+    }
+    (folder / "volume.npz").write_bytes(npz_bytes(arrays, level=1))

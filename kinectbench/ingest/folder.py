@@ -1,0 +1,152 @@
+"""Plain folders: `depth/` and `color/` images with an intrinsics file, as Open3D and Redwood use them."""
+
+import re
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import CameraSettings
+from kinectbench.errors import RecordingError
+from kinectbench.ingest.images import DamagedImageError, image_header
+from kinectbench.ingest.intrinsics import Intrinsics, read_intrinsics_json, read_intrinsics_matrix
+from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size, read_image_file
+from kinectbench.ingest.stamps import NS_PER_S
+from kinectbench.ingest.text_rows import parse_floats, text_rows
+from kinectbench.ingest.trajectory_file import read_trajectory, trajectory_from_matrices
+from kinectbench.sequence import GivenTrajectory
+
+DEPTH_SCALE = 1000.0
+COLOR_FOLDERS = ("color", "rgb", "image")
+COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json")
+# Longer numbers are stamps of an unknown unit, not frame numbers.
+FRAME_NUMBER = re.compile(r"\d{1,9}")
+
+
+class FolderRecording(FileRecording):
+    """A folder with `depth/`, maybe `color/` (or rgb/, image/), intrinsics and maybe a trajectory.
+
+    It has no stamps: a file name that is a number counts seconds, or else the order does.
+    """
+
+    format: ClassVar[str] = "folder"
+    looks_for: ClassVar[str] = "a folder with depth/*.png (and color/, intrinsics.json, trajectory.log)"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has a subfolder depth/ with PNG images."""
+        depth = path / "depth"
+        return depth.is_dir() and any(file.suffix.lower() == ".png" for file in depth.iterdir())
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings | None) -> Self:
+        """List the images, pair them by name or else by order, and read intrinsics and trajectory."""
+        depth = _images(path / "depth", frozenset({".png"}))
+        color = next(
+            (_images(path / name, COLOR_SUFFIXES) for name in COLOR_FOLDERS if (path / name).is_dir()), []
+        )
+        stamps_ns = _stamps_ns(depth)
+        partners = _partners(depth, color, path)
+        files = tuple(
+            FrameFiles(stamp_ns, file, partner)
+            for stamp_ns, file, partner in zip(stamps_ns, depth, partners, strict=True)
+        )
+        intrinsics = _read_intrinsics(path).overridden_by(settings)
+        size_px = first_depth_size(files)
+        registered = intrinsics.color_registered
+        trajectory, warnings = _read_trajectory(path, stamps_ns)
+        return cls(
+            path=path,
+            files=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=_same_size(files, size_px) if registered is None else registered,
+            given_trajectory=trajectory,
+            warnings=tuple(warnings),
+        )
+
+
+def _images(folder: Path, suffixes: frozenset[str]) -> list[Path]:
+    """The images of a folder in the order people count: 2 before 10."""
+    files = (f for f in folder.iterdir() if f.suffix.lower() in suffixes and not f.name.startswith("."))
+    return sorted(files, key=lambda file: (_counting_key(file.stem), file.name))
+
+
+def _counting_key(stem: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", stem)]
+
+
+def _key(file: Path) -> str:
+    """What must agree for depth and colour to be one frame: the stem, without leading zeros of a number."""
+    return str(int(file.stem)) if FRAME_NUMBER.fullmatch(file.stem) else file.stem
+
+
+def _stamps_ns(depth: list[Path]) -> list[int]:
+    keys = [_key(file) for file in depth]
+    numbered = all(FRAME_NUMBER.fullmatch(key) for key in keys) and len(set(keys)) == len(keys)
+    return [(int(key) if numbered else index) * NS_PER_S for index, key in enumerate(keys)]
+
+
+def _partners(depth: list[Path], color: list[Path], path: Path) -> list[Path | None]:
+    """The colour image of each depth image: the same name, or the same place if no name agrees."""
+    by_key = {_key(file): file for file in color}
+    partners = [by_key.get(_key(file)) for file in depth]
+    if not color or any(partners):
+        return partners
+    if len(color) != len(depth):
+        raise RecordingError(
+            f"{path}: {len(depth)} depth and {len(color)} colour images, and no names agree: give images of "
+            "one frame the same name, or remove those that have no partner"
+        )
+    return list(color)
+
+
+def _same_size(files: tuple[FrameFiles, ...], size_px: tuple[int, int]) -> bool:
+    """Whether the first readable colour image is as large as the depth images."""
+    for frame in files:
+        if frame.color is not None:
+            try:
+                return image_header(read_image_file(frame.color), str(frame.color))[1:] == size_px
+            except DamagedImageError:
+                continue
+    return False
+
+
+def _read_intrinsics(path: Path) -> Intrinsics:
+    for name in JSON_FILES:
+        if (path / name).is_file():
+            return read_intrinsics_json(path / name)
+    matrix_file = path / "intrinsics.txt"
+    return read_intrinsics_matrix(matrix_file) if matrix_file.is_file() else Intrinsics()
+
+
+def _read_trajectory(path: Path, stamps_ns: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
+    if (path / "trajectory.txt").is_file():
+        return read_trajectory(path / "trajectory.txt")
+    file = path / "trajectory.log"
+    if not file.is_file():
+        return None, []
+    matrices = _read_log(file, len(stamps_ns))
+    return trajectory_from_matrices(stamps_ns, matrices, str(file))
+
+
+def _read_log(file: Path, frames: int) -> list[NDArray[np.float64] | None]:
+    """Redwood log, `i j k` and four matrix rows, camera to world: the matrix of the i-th frame, or None."""
+    rows = text_rows(file)
+    if len(rows) % 5:
+        raise RecordingError(f"{file}: holds {len(rows)} rows, not a multiple of 5 ('i j k' and four rows)")
+    matrices: list[NDArray[np.float64] | None] = [None] * frames
+    for start in range(0, len(rows), 5):
+        where, head = rows[start]
+        index = head.split()[0]
+        if not index.isdecimal() or int(index) >= frames:
+            raise RecordingError(
+                f"{where}: '{head}' does not name one of the {frames} frames (0-{frames - 1})"
+            )
+        values = [parse_floats(row.split(), row_where) for row_where, row in rows[start + 1 : start + 5]]
+        if any(len(row) != 4 for row in values):
+            raise RecordingError(f"{where}: the four rows after it are not four numbers each")
+        matrices[int(index)] = np.array(values)
+    return matrices

@@ -1,0 +1,150 @@
+"""Intrinsics: what a recording says, what the settings say instead, and whether that fits the images."""
+
+import json
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import CameraSettings
+from kinectbench.errors import RecordingError
+from kinectbench.geometry import Camera
+from kinectbench.ingest.text_rows import read_matrix, read_text
+
+NEEDED = ("fx", "fy", "cx", "cy")
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What is known about a depth camera; None = not said. Pixels; depth_scale in native units per metre."""
+
+    width: int | None = None
+    height: int | None = None
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    depth_scale: float | None = None
+    color_registered: bool | None = None
+
+    def overridden_by(self, settings: CameraSettings | None) -> "Intrinsics":
+        """The same with every value that the settings give in place of its own.
+
+        Where they give all of fx, fy, cx and cy, the recording's image size no longer counts: it belongs to
+        the intrinsics that are replaced.
+        """
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        given = settings.model_dump(exclude_none=True) if settings else {}
+        if all(name in given for name in NEEDED):
+            values |= {"width": None, "height": None}
+        return Intrinsics(**{**values, **given})
+
+    def camera(self, size_px: tuple[int, int], path: Path) -> Camera:
+        """The camera, once it is complete and fits the images.
+
+        Args:
+            size_px: width and height of the depth images.
+            path: the recording, for messages.
+
+        Raises:
+            RecordingError: a value is missing, or another image size is declared or implied.
+        """
+        width, height = size_px
+        missing = [name for name in NEEDED if getattr(self, name) is None]
+        if missing:
+            raise RecordingError(
+                f"{path}: the recording does not say its intrinsics ({', '.join(missing)}): give them in "
+                "benchmark.yaml as `camera: {fx: ..., fy: ..., cx: ..., cy: ...}` (pixels)"
+            )
+        declared = (self.width or width, self.height or height)
+        if declared != size_px:
+            raise RecordingError(
+                f"{path}: the intrinsics are for {declared[0]}x{declared[1]} images, but the depth images "
+                f"are {width}x{height}: give those of the depth images under `camera:` in benchmark.yaml"
+            )
+        fx, fy, cx, cy = (float(getattr(self, name)) for name in NEEDED)
+        if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
+            raise RecordingError(f"{path}: the focal lengths {fx:g}, {fy:g} are not positive numbers")
+        if not (0 <= cx < width and 0 <= cy < height):
+            raise RecordingError(
+                f"{path}: the principal point ({cx:g}, {cy:g}) lies outside the {width}x{height} depth "
+                "images: these intrinsics belong to another image size"
+            )
+        return Camera(width, height, fx, fy, cx, cy)
+
+
+def read_intrinsics_json(path: Path) -> Intrinsics:
+    """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
+
+    Keys: width, height, fx, fy, cx, cy, depth_scale or depth_factor, color_registered; or
+    `intrinsic_matrix` (nine numbers, column by column, as Open3D writes it) in place of fx ... cy.
+
+    Raises:
+        RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
+    """
+    try:
+        raw = json.loads(read_text(path))
+    except ValueError as error:
+        raise RecordingError(f"{path}: is not valid JSON ({error})") from error
+    if not isinstance(raw, dict):
+        raise RecordingError(f"{path}: must hold an object with width, height, fx, fy, cx, cy")
+    known = {key: value for key, value in raw.items() if value is not None}
+    if "depth_factor" in known:
+        known.setdefault("depth_scale", known["depth_factor"])
+    values: dict[str, Any] = {}
+    for key in (*NEEDED, "depth_scale"):
+        if key in known:
+            values[key] = _number(known[key], f"{path}: '{key}'")
+    for key in ("width", "height"):
+        if key in known:
+            values[key] = int(_number(known[key], f"{path}: '{key}'"))
+    if values.get("depth_scale", 1.0) <= 0:
+        raise RecordingError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
+    if "color_registered" in known:
+        if not isinstance(known["color_registered"], bool):
+            raise RecordingError(f"{path}: 'color_registered' must be true or false")
+        values["color_registered"] = known["color_registered"]
+    if "intrinsic_matrix" in known:
+        matrix = _pinhole(_open3d_matrix(known["intrinsic_matrix"], path), path)
+        values = {**{name: getattr(matrix, name) for name in NEEDED}, **values}
+    return Intrinsics(**values)
+
+
+def read_intrinsics_matrix(path: Path) -> Intrinsics:
+    """Read a text file with the 3x3 intrinsic matrix, row by row.
+
+    Raises:
+        RecordingError: not nine numbers, or no pinhole matrix.
+    """
+    return _pinhole(read_matrix(path, 3), path)
+
+
+def _number(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise RecordingError(f"{where} must be a number, not {value!r}")
+    return float(value)
+
+
+def _open3d_matrix(value: object, path: Path) -> NDArray[np.float64]:
+    """Nine numbers by column (by row if only that makes a pinhole matrix), or three rows of three."""
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{path}: 'intrinsic_matrix' must hold nine numbers") from error
+    if numbers.shape == (3, 3):
+        return numbers
+    if numbers.shape != (9,):
+        raise RecordingError(f"{path}: 'intrinsic_matrix' must hold nine numbers")
+    by_row = not numbers[6:8].any()
+    return numbers.reshape(3, 3) if by_row else numbers.reshape(3, 3).T
+
+
+def _pinhole(K: NDArray[np.float64], path: Path) -> Intrinsics:
+    if not np.isfinite(K).all() or K[0, 1] or K[1, 0] or K[2].tolist() != [0, 0, 1]:
+        raise RecordingError(
+            f"{path}: {K.tolist()} is not a pinhole matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
+    return Intrinsics(fx=float(K[0, 0]), fy=float(K[1, 1]), cx=float(K[0, 2]), cy=float(K[1, 2]))

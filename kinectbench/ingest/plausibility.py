@@ -1,0 +1,152 @@
+"""What every recording must satisfy, checked frame by frame while it is written."""
+
+import math
+
+import numpy as np
+
+from kinectbench.errors import RecordingError
+from kinectbench.ingest.images import image_header
+from kinectbench.ingest.recording import RawFrame, Recording
+from kinectbench.ingest.stamps import format_stamp
+
+MIN_FRAMES = 3
+# A recording may lose fewer than this share of its frames to damage.
+MAX_DAMAGED = 0.05
+# The median depth of an indoor recording lies in between, metres; typical is the centre of the logarithms.
+NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
+COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
+SAMPLED_FRAMES = 50
+SAMPLED_EVERY_PX = 4
+
+
+class Tally:
+    """Counts the frames that are left out because they are damaged."""
+
+    def __init__(self, recording: Recording) -> None:
+        """Start before the first frame."""
+        self._path = recording.path
+        self._frames = len(recording)
+        self._reasons: list[str] = []
+
+    def leave_out(self, why: str) -> None:
+        """Leave out one frame; `why` names it and the damage."""
+        self._reasons.append(why)
+
+    def verdict(self) -> list[str]:
+        """One warning per frame left out.
+
+        Raises:
+            RecordingError: they are 5 % or more of the recording, or fewer than three frames are left.
+        """
+        lost = len(self._reasons)
+        if lost and lost >= MAX_DAMAGED * self._frames:
+            raise RecordingError(
+                f"{self._reasons[0]} ({lost} of {self._frames} frames cannot be used; "
+                f"fewer than {MAX_DAMAGED:.0%} may be left out)"
+            )
+        if self._frames - lost < MIN_FRAMES:
+            raise RecordingError(
+                f"{self._path}: has {self._frames - lost} usable frames, and at least {MIN_FRAMES} are needed"
+            )
+        return [f"frame left out: {why}" for why in self._reasons]
+
+
+class FrameChecks:
+    """Checks each frame against the recording's camera and gathers what can be judged at the end only."""
+
+    def __init__(self, recording: Recording) -> None:
+        """Start before the first frame."""
+        self._recording = recording
+        self._size_px = (recording.camera.width, recording.camera.height)
+        self._every = max(1, len(recording) // SAMPLED_FRAMES)
+        self._seen = 0
+        self._empty: list[str] = []
+        self._medians: list[float] = []
+        self._last_stamp_ns: int | None = None
+
+    def check(self, frame: RawFrame) -> str | None:
+        """Check one frame; the suffix that its colour image should have, None if it has no colour.
+
+        Raises:
+            DamagedImageError: the colour image is damaged.
+            RecordingError: an image has the wrong size, or stamps do not increase.
+        """
+        height, width = frame.depth.shape
+        if (width, height) != self._size_px:
+            raise RecordingError(
+                f"{frame.name}: depth is {width}x{height}, but the first frame's is "
+                f"{self._size_px[0]}x{self._size_px[1]}: a recording must keep one size"
+            )
+        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
+            raise RecordingError(
+                f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase"
+            )
+        suffix = self._check_color(frame)
+        self._last_stamp_ns = frame.stamp_ns
+        self._look_at_depth(frame)
+        return suffix
+
+    def verdict(self, stamps_ns: list[int]) -> list[str]:
+        """Judge the recording as a whole, after the last frame with these stamps; returns warnings.
+
+        Raises:
+            RecordingError: no depth at all, an absurd depth scale, or a trajectory of another time.
+        """
+        if len(self._empty) == self._seen:
+            raise RecordingError(
+                f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)"
+            )
+        self._check_scale()
+        self._check_trajectory(stamps_ns)
+        if not self._empty:
+            return []
+        return [f"{len(self._empty)} depth images are empty, the first is {self._empty[0]}"]
+
+    def _check_color(self, frame: RawFrame) -> str | None:
+        if frame.color is None:
+            return None
+        suffix, width, height = image_header(frame.color[1], f"colour of {frame.name}")
+        if self._recording.color_registered and (width, height) != self._size_px:
+            raise RecordingError(
+                f"{frame.name}: its colour is {width}x{height}, but its depth is {self._size_px[0]}x"
+                f"{self._size_px[1]}; in a recording whose colour is registered to depth "
+                f"(format {self._recording.format}) the sizes must agree"
+            )
+        return suffix
+
+    def _look_at_depth(self, frame: RawFrame) -> None:
+        if not frame.depth.any():
+            self._empty.append(frame.name)
+        elif (self._seen - len(self._empty)) % self._every == 0:
+            sample = frame.depth[::SAMPLED_EVERY_PX, ::SAMPLED_EVERY_PX]
+            valid = sample[sample > 0] if sample.any() else frame.depth[frame.depth > 0]
+            self._medians.append(float(np.median(valid)))
+        self._seen += 1
+
+    def _check_scale(self) -> None:
+        native = float(np.median(self._medians))
+        scale = self._recording.depth_scale
+        if NEAREST_M <= native / scale <= FARTHEST_M:
+            return
+        better = min(COMMON_SCALES, key=lambda s: abs(math.log(native / s / TYPICAL_M)))
+        raise RecordingError(
+            f"{self._recording.path}: the median depth is {native / scale:.3g} m at {scale:g} native units "
+            f"per metre, which no room has; with `camera: {{depth_scale: {better:g}}}` in benchmark.yaml "
+            f"it is {native / better:.3g} m"
+        )
+
+    def _check_trajectory(self, stamps_ns: list[int]) -> None:
+        trajectory = self._recording.given_trajectory
+        if trajectory is None:
+            return
+        first_ns, last_ns = int(trajectory.stamps_ns[0]), int(trajectory.stamps_ns[-1])
+        if first_ns > stamps_ns[-1] or last_ns < stamps_ns[0]:
+            raise RecordingError(
+                f"{self._recording.path}: the trajectory ({_span(first_ns, last_ns)}) shares no time with "
+                f"the frames ({_span(stamps_ns[0], stamps_ns[-1])}): it is of another recording or clock; "
+                "correct it, or remove it from the recording"
+            )
+
+
+def _span(first_ns: int, last_ns: int) -> str:
+    return f"{format_stamp(first_ns)} to {format_stamp(last_ns)} s"

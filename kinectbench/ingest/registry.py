@@ -1,0 +1,93 @@
+"""The formats that can be read, and which of them a folder or file is in."""
+
+import importlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from kinectbench.config import CameraSettings
+from kinectbench.errors import RecordingError
+from kinectbench.ingest.recording import Recording
+
+# name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
+FORMATS = {
+    "rosbag1": "kinectbench.ingest.rosbag1:Rosbag1Recording",
+    "tum": "kinectbench.ingest.tum:TumRecording",
+    "7scenes": "kinectbench.ingest.seven_scenes:SevenScenesRecording",
+    "folder": "kinectbench.ingest.folder:FolderRecording",
+}
+
+
+def reader_of(name: str) -> type[Recording]:
+    """The class that reads the format of that name in FORMATS."""
+    module, _, class_name = FORMATS[name].partition(":")
+    reader: type[Recording] = getattr(importlib.import_module(module), class_name)
+    return reader
+
+
+def format_of(path: Path) -> str | None:
+    """The name of the format that a folder or file is in, by layout and first bytes; None if unknown."""
+    return next((name for name in FORMATS if reader_of(name).recognises(path)), None)
+
+
+def open_recording(path: Path, camera: CameraSettings | None = None) -> Recording:
+    """Open a recording of any known format.
+
+    Args:
+        path: folder or file.
+        camera: values that win over what the recording says.
+
+    Raises:
+        RecordingError: it is not there, its format is unknown, or it cannot be used.
+    """
+    if not path.exists():
+        raise RecordingError(f"{path}: there is no such file or folder; correct the recording's `path:`")
+    try:
+        name = format_of(path)
+        if name is None:
+            raise RecordingError(_unknown(path))
+        return reader_of(name).open(path, camera)
+    except OSError as error:
+        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
+
+
+def source_files(path: Path) -> list[Path]:
+    """Every file of a recording, sorted: the path itself, or all in the folder that are not hidden."""
+    return [path] if path.is_file() else sorted(_walk(path))
+
+
+def find_recordings(folder: Path) -> list[tuple[Path, str]]:
+    """Every recording in a folder and below, as (path, format), sorted; none lies inside another.
+
+    A folder that cannot be read, or that begins with a dot, is passed over.
+    """
+    try:
+        name = format_of(folder)
+        if name is not None:
+            return [(folder, name)]
+        children = sorted(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []
+    except OSError:
+        return []
+    found = [find_recordings(child) for child in children if not child.name.startswith(".")]
+    return [recording for recordings in found for recording in recordings]
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    seen: set[str] = set()
+    for root, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(root)
+        if real in seen:  # a link to a folder above would go round for ever
+            folders.clear()
+            continue
+        seen.add(real)
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(root) / name for name in files if not name.startswith("."))
+
+
+def _unknown(path: Path) -> str:
+    layouts = "; ".join(f"{name}: {reader_of(name).looks_for}" for name in FORMATS)
+    if path.is_dir() and not any(path.iterdir()):
+        return f"{path}: the folder is empty; a recording is one of {layouts}"
+    inside = find_recordings(path) if path.is_dir() else []
+    hint = f" Did you mean {inside[0][0]}?" if inside else ""
+    return f"{path}: not a recording of a known format, which are {layouts}.{hint}"

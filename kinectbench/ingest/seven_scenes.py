@@ -1,0 +1,83 @@
+"""7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`; depth in mm, not registered."""
+
+import re
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import CameraSettings
+from kinectbench.ingest.intrinsics import Intrinsics, read_intrinsics_matrix
+from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size
+from kinectbench.ingest.stamps import NS_PER_S
+from kinectbench.ingest.text_rows import read_matrix
+from kinectbench.ingest.trajectory_file import trajectory_from_matrices
+
+DEPTH_SCALE = 1000.0
+INVALID = 65535
+# The dataset's own intrinsics, for its own image size.
+KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.depth\.png")
+
+
+class SevenScenesRecording(FileRecording):
+    """One sequence of Microsoft 7-Scenes, or another in its layout.
+
+    It has no stamps: a frame's number counts seconds. Its poses are 4x4, camera to world, and are
+    projected onto the rigid transforms.
+    """
+
+    format: ClassVar[str] = "7scenes"
+    looks_for: ClassVar[str] = "a folder with frame-000000.depth.png (and .color.png, .pose.txt)"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder holds a frame-XXXXXX.depth.png."""
+        return path.is_dir() and any(DEPTH_NAME.fullmatch(file.name) for file in path.iterdir())
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings | None) -> Self:
+        """List the frames and read their poses."""
+        numbered = {int(m[1]): f for f in path.iterdir() if (m := DEPTH_NAME.fullmatch(f.name))}
+        stamps_ns = [number * NS_PER_S for number in sorted(numbered)]
+        depth = [numbered[number] for number in sorted(numbered)]
+        files = tuple(
+            FrameFiles(stamp_ns, file, _color_beside(file))
+            for stamp_ns, file in zip(stamps_ns, depth, strict=True)
+        )
+        size_px = first_depth_size(files)
+        matrices = [_pose_beside(file) for file in depth]
+        has_poses = any(matrix is not None for matrix in matrices)
+        trajectory, warnings = (
+            trajectory_from_matrices(stamps_ns, matrices, str(path)) if has_poses else (None, [])
+        )
+        matrix_file = path / "camera-intrinsics.txt"
+        default = KINECT if size_px == (KINECT.width, KINECT.height) else Intrinsics()
+        said = read_intrinsics_matrix(matrix_file) if matrix_file.is_file() else default
+        intrinsics = said.overridden_by(settings)
+        return cls(
+            path=path,
+            files=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=False,
+            given_trajectory=trajectory,
+            warnings=tuple(warnings),
+        )
+
+    def clean_depth(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Turn 65535 (invalid) into 0."""
+        invalid = depth == INVALID
+        return np.where(invalid, np.uint16(0), depth) if invalid.any() else depth
+
+
+def _color_beside(depth: Path) -> Path | None:
+    stem = depth.name.removesuffix(".depth.png")
+    candidates = (depth.with_name(f"{stem}.color.{suffix}") for suffix in ("png", "jpg", "jpeg"))
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _pose_beside(depth: Path) -> NDArray[np.float64] | None:
+    file = depth.with_name(depth.name.removesuffix(".depth.png") + ".pose.txt")
+    return read_matrix(file, 4) if file.is_file() else None

@@ -1,0 +1,104 @@
+"""benchmark.json: what a release says of itself, as a typed value."""
+
+import json
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from kinectbench.config import Framing, PartialRule, Split
+from kinectbench.errors import ReleaseError
+from kinectbench.release.layout import BENCHMARK_JSON, FORMAT_VERSION
+
+
+class _Open(BaseModel):
+    """Typed where this package reads it; other keys are kept as they are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class RecordingInfo(_Open):
+    """One recording of a release."""
+
+    object: str = Field(description="the thing recorded")
+    category: str = Field(description="such as chair")
+    split: Split = Field(description="train, validation or test")
+    pairs: int = Field(description="pairs published")
+    refused: int = Field(description="views whose pair failed the checks and was left out")
+    quality: dict[str, Any] = Field(description="quality.json of the recording's object")
+
+
+class PairChecks(_Open):
+    """The settings of the pairs."""
+
+    min_containment: float = Field(description="least share of a partial inside its shape")
+
+
+class SettingsInfo(_Open):
+    """The settings the release was built with."""
+
+    pairs: PairChecks
+
+
+class ReleaseInfo(_Open):
+    """All of benchmark.json."""
+
+    name: str = Field(description="of the benchmark")
+    license: str = Field(description="of the data")
+    format_version: int = Field(description="of the release's layout")
+    package_version: str = Field(description="kinectbench that published it")
+    benchmark_sha256: str = Field(pattern="^[0-9a-f]{64}$", description="see layout.py")
+    framing: Framing = Field(description="of every pair")
+    partial_rule: PartialRule = Field(description="of every pair")
+    settings: SettingsInfo
+    packages: dict[str, str] = Field(description="versions of what the data was computed with")
+    recordings: dict[str, RecordingInfo]
+
+
+def read_metadata(folder: Path) -> ReleaseInfo:
+    """Read benchmark.json of a release.
+
+    Raises:
+        ReleaseError: it is missing, malformed, or of another format version.
+    """
+    path = folder / BENCHMARK_JSON
+    content = strict_json(read_text(path), str(path))
+    version = content.get("format_version") if isinstance(content, dict) else None
+    if version != FORMAT_VERSION:
+        raise ReleaseError(f"{path}: format version {version}; this package reads {FORMAT_VERSION}")
+    try:
+        return ReleaseInfo.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ReleaseError(f"{path}: '{key}': {first['msg']}; download the release again") from error
+
+
+def read_text(path: Path) -> str:
+    """A UTF-8 text file of a release or a build.
+
+    Raises:
+        ReleaseError: it cannot be read.
+    """
+    try:
+        return path.read_bytes().decode()
+    except FileNotFoundError:
+        raise ReleaseError(f"{path}: missing; make or download it again") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReleaseError(f"{path}: cannot be read ({error}); make or download it again") from error
+
+
+def strict_json(text: str, where: str) -> Any:
+    """Parse JSON without NaN and infinities.
+
+    Raises:
+        ReleaseError: it is malformed; the line begins with `where`.
+    """
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not JSON")
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise ReleaseError(f"{where}: not valid JSON ({error}); make or download it again") from error

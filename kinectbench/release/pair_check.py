@@ -1,0 +1,78 @@
+"""Re-check one published pair: that its grids and matrices are what the format page says."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.voxels.pair_file import BLOCK, Pair, unpack
+from kinectbench.voxels.resample import reduce_blocks
+
+ORTHONORMAL_TOLERANCE = 1e-6
+
+
+def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_rule: str) -> Iterator[str]:
+    """Yield what is wrong with a pair, a clause each, without the file's name.
+
+    Args:
+        pair: read by `read_pair`, which has checked keys, shapes and dtypes.
+        min_containment: least share of the partial inside the shape, as the benchmark's settings say.
+        framing: the benchmark's.
+        partial_rule: the benchmark's.
+    """
+    for name in ("T_world_grid", "T_world_camera"):
+        if not _is_rigid(getattr(pair, name)):
+            yield f"{name} is not a rotation and a shift"
+    if not np.allclose(pair.T_world_grid[:3, :3], pair.T_world_camera[:3, :3], atol=ORTHONORMAL_TOLERANCE):
+        yield "the grid's axes are not the view's"
+    if not (pair.K[0, 0] > 0 and pair.K[1, 1] > 0):
+        yield "the focal lengths in K are not positive"
+    if not (np.isfinite(pair.voxel_size_m) and pair.voxel_size_m > 0):
+        yield f"voxel_size_m is {pair.voxel_size_m}, not positive"
+    if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
+        yield f"surface_sigma_m is {pair.surface_sigma_m}, not a standard deviation"
+    for name, expected in (("framing", framing), ("partial_rule", partial_rule)):
+        if getattr(pair, name) != expected:
+            yield f"{name} is '{getattr(pair, name)}' where the benchmark has '{expected}'"
+    yield from _grid_problems(pair, min_containment)
+
+
+def _grid_problems(pair: Pair, min_containment: float) -> Iterator[str]:
+    """What is wrong with the grids."""
+    partial = unpack(pair.partial)
+    for name in ("partial", "full"):
+        if not getattr(pair, name).any():
+            yield f"'{name}' is empty"
+    if pair.partial_rule in ("any", "majority"):
+        reduced = reduce_blocks(unpack(pair.partial_256), pair.partial_rule)
+        differ = int(np.count_nonzero(reduced != partial))
+        if differ:
+            yield f"{differ} cells of 'partial' are not 'partial_256' reduced by '{pair.partial_rule}'"
+    outside = int(np.count_nonzero(unpack(pair.shell & ~pair.full)))
+    if outside:
+        yield f"{outside} cells of 'shell' lie outside 'full'"
+    inside = _containment(pair)
+    if inside < min_containment:
+        yield f"containment is {inside:.3f}, below {min_containment}"
+
+
+def _containment(pair: Pair) -> float:
+    """Share of the 64-cells that the view touches whose block of `full`, dilated once, holds anything.
+
+    Taken before the partial rule thins them out; cells that fell outside the cube are no longer in the file.
+    """
+    from kinectbench.voxels.morphology import blocks_touched
+
+    touched = reduce_blocks(unpack(pair.partial_256), "any")
+    cells = int(np.count_nonzero(touched))
+    return int(np.count_nonzero(touched & blocks_touched(unpack(pair.full), BLOCK))) / cells if cells else 1.0
+
+
+def _is_rigid(T: NDArray[np.float64]) -> bool:
+    """Whether a (4, 4) matrix is a rotation (orthonormal, determinant +1) and a shift."""
+    R = T[:3, :3]
+    return bool(
+        np.allclose(R @ R.T, np.eye(3), rtol=0, atol=ORTHONORMAL_TOLERANCE)
+        and np.linalg.det(R) > 0
+        and np.array_equal(T[3], [0, 0, 0, 1])
+    )

@@ -1,0 +1,86 @@
+"""An object and its pairs as they are looked at: from which side, in which colours."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.report import images, pictures
+from kinectbench.report.pictures import Mesh
+from kinectbench.voxels.pair_file import BLOCK, unpack
+
+Float64 = NDArray[np.float64]
+
+OBJECT_PX = 280
+TILE_PX = 120
+UP = np.array([0.0, 0.0, 1.0])
+# Three looks at the object, about the vertical, from a person's height: degrees.
+OBJECT_AZIMUTHS_DEG = (-50.0, 70.0, 190.0)
+OBJECT_ELEVATION_DEG = 24.0
+# A pair is seen from beside and above its camera, so that the partial's empty back shows.
+TILE_AZIMUTH_DEG = 32.0
+TILE_RAISED_DEG = 10.0
+TILE_ELEVATIONS_DEG = (12.0, 50.0)
+STEEP_SINE = 0.97
+# Of the smoothed grids; below a half, so that a part thinner than a cell of 64 does not vanish.
+FULL_LEVEL = 0.25
+PARTIAL_LEVEL = 0.15
+
+
+def outlines(mesh_floor: Mesh) -> list[Float64]:
+    """The object from above: closed polygons (n, 2), x and y of the floor frame."""
+    # Looking down with the floor's y away from the viewer's feet: right is x, down is -y.
+    R_floor_view = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
+    viewpoint = pictures.fit_viewpoint(mesh_floor.vertices_m, R_floor_view)
+    center = viewpoint.center_m[:2]
+    return [center + o * np.array([1, -1]) for o in pictures.silhouette(mesh_floor, viewpoint, 256)]
+
+
+def object_pictures(mesh_floor: Mesh) -> tuple[str, ...]:
+    """Draw the object from three sides, as `data:` addresses; the floor's z points up."""
+    elevation = np.deg2rad(OBJECT_ELEVATION_DEG)
+    drawn = []
+    for azimuth in np.deg2rad(OBJECT_AZIMUTHS_DEG):
+        across = np.cos(elevation) * np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
+        R_floor_view = pictures.look_along(across - np.sin(elevation) * UP, UP)
+        viewpoint = pictures.fit_viewpoint(mesh_floor.vertices_m, R_floor_view)
+        drawn.append(images.data_uri(pictures.render(mesh_floor, viewpoint, OBJECT_PX)))
+    return tuple(drawn)
+
+
+def pair_picture(
+    partial: NDArray[np.uint8], full: NDArray[np.uint8], voxel_size_m: float, up_grid: Float64
+) -> NDArray[np.uint8]:
+    """Draw a pair: partial on the left, full on the right, from beside and above the view's camera.
+
+    Args:
+        partial: (64, 64, 8), packed.
+        full: (256, 256, 32), packed.
+        voxel_size_m: edge of a cell of `full`, metres.
+        up_grid: (3,) unit vector that points up in the picture, in the grid's axes.
+
+    Returns:
+        (TILE_PX, 2 * TILE_PX, 3) uint8 RGB.
+    """
+    cell_m = voxel_size_m * BLOCK
+    shown = pictures.voxel_mesh(pictures.smoothed(unpack(partial).astype(np.float32)), cell_m, PARTIAL_LEVEL)
+    whole = pictures.voxel_mesh(pictures.smoothed(pictures.block_density(full)), cell_m, FULL_LEVEL)
+    points = np.concatenate([shown.vertices_m, whole.vertices_m])
+    if not len(points):
+        points = np.array([[0.0, 0, 0], [1.0, 1, 1]]) * cell_m * partial.shape[0]
+    viewpoint = pictures.fit_viewpoint(points, _beside_the_camera(up_grid))
+    left = pictures.render(shown, viewpoint, TILE_PX, pictures.BLUE)
+    right = pictures.render(whole, viewpoint, TILE_PX, pictures.CLAY)
+    return np.concatenate([left, right], axis=1)
+
+
+def _beside_the_camera(up_grid: Float64) -> Float64:
+    """Rotation (3, 3) of a viewer who stands to the camera's right and somewhat above it, upright."""
+    sine = float(-up_grid[2])
+    # A camera that looks straight down or up has no level direction ahead: the top of its picture serves.
+    ahead = np.array([0.0, 0, 1]) if abs(sine) < STEEP_SINE else np.array([0.0, -1, 0])
+    level = ahead - (ahead @ up_grid) * up_grid
+    level /= np.linalg.norm(level)
+    azimuth = np.deg2rad(TILE_AZIMUTH_DEG)
+    turned = np.cos(azimuth) * level + np.sin(azimuth) * np.cross(up_grid, level)
+    low, high = np.deg2rad(TILE_ELEVATIONS_DEG)
+    elevation = np.clip(np.arcsin(np.clip(sine, -1, 1)) + np.deg2rad(TILE_RAISED_DEG), low, high)
+    return pictures.look_along(np.cos(elevation) * turned - np.sin(elevation) * up_grid, up_grid)

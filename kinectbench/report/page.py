@@ -1,0 +1,122 @@
+"""The page of a whole benchmark: one file that opens from disk, with every picture inside."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from kinectbench import __version__
+from kinectbench.config import BenchmarkSettings
+from kinectbench.report import tables
+from kinectbench.report.recording import RecordingPart, collect
+from kinectbench.scoring.published import SOURCE
+from kinectbench.workspace import replaced_file
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Page:
+    """Everything that the template shows.
+
+    Attributes:
+        settings: the benchmark's settings; `settings_yaml` is their text.
+        package_version: of this package.
+        hashes: SHA-256 of the benchmark that the predictions were scored against; one, if all is well.
+        recordings: a section each.
+        score_tables: one for each protocol, the primary first.
+        published: the paper's own figures; `published_source` is the paper.
+        details: every other figure of the scores.
+        methods: how each method was scored.
+    """
+
+    settings: BenchmarkSettings
+    settings_yaml: str
+    package_version: str
+    hashes: tuple[str, ...]
+    recordings: tuple[RecordingPart, ...]
+    score_tables: tuple[tables.Table, ...]
+    published: tables.Table
+    published_source: str
+    details: tuple[tables.Detail, ...]
+    methods: tuple[tables.Method, ...]
+
+    @property
+    def n_pairs(self) -> int:
+        """Pairs of all recordings."""
+        return sum(len(part.tiles) for part in self.recordings)
+
+
+def make_page(
+    settings: BenchmarkSettings, recordings: Sequence[RecordingPart], scores: Sequence[Mapping[str, Any]]
+) -> str:
+    """Lay out the page from its parts: HTML text, the same for the same input.
+
+    Raises:
+        StorageError: a score table is not what scores.json should hold.
+    """
+    parsed = tables.parse_scores(scores)
+    plain = settings.model_dump(mode="json", exclude_none=True)
+    page = Page(
+        settings=settings,
+        settings_yaml=yaml.safe_dump(plain, sort_keys=False, allow_unicode=True),
+        package_version=__version__,
+        hashes=tuple(sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256})),
+        recordings=tuple(recordings),
+        score_tables=tuple(tables.score_table(parsed, p) for p in tables.protocols(parsed)),
+        published=tables.published_table(),
+        published_source=SOURCE,
+        details=tables.details(parsed),
+        methods=tables.methods(parsed),
+    )
+    # Names and reasons come from strangers: all text is escaped but this style sheet of ours.
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    style = Markup(_packaged("page.css"))
+    return environment.from_string(_packaged("page.html")).render(page=page, style=style)
+
+
+def write_report(
+    settings: BenchmarkSettings,
+    build: Path,
+    scores: Sequence[Mapping[str, Any]],
+    out: Path,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the page of a benchmark.
+
+    Args:
+        settings: the benchmark.
+        build: folder that holds a folder for each recording; what is not built yet is noted on the page.
+        scores: score tables as in scores.json, one for each method; may be empty.
+        out: the HTML file to write, in whole or not at all.
+        progress: told (recording, done, total) before each recording, and ("", total, total) at the end.
+
+    Returns:
+        The file written: `out`.
+
+    Raises:
+        StorageError: a file in `build` or a score table is damaged, or `out` cannot be written.
+        PairError: a pair file is missing or damaged.
+    """
+    report = progress or (lambda _recording, _done, _total: None)
+    total = len(settings.recordings)
+    parts = []
+    for done, recording in enumerate(settings.recordings):
+        report(recording.id, done, total)
+        parts.append(collect(recording, build / recording.id))
+    report("", total, total)
+    text = make_page(settings, parts, scores)
+    with replaced_file(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return out
+
+
+def _packaged(name: str) -> str:
+    return resources.files("kinectbench.report").joinpath(name).read_text(encoding="utf-8")

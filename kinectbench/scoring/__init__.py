@@ -1,0 +1,1 @@
+"""Metrics, protocols, thresholds, submissions, tables."""

@@ -1,0 +1,60 @@
+"""The score to beat for nothing: a constant, the share of a category's voxels that is occupied."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.release.release import Release
+from kinectbench.scoring.truth import read_grids
+from kinectbench.scoring.workers import run_tasks
+
+# Truth that a method may have learnt from comes first; test truth makes an oracle.
+SOURCES = {"validation": "validation", "train": "train", "test": "test (oracle)"}
+
+_ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class BaseRate:
+    """The base rate of one category.
+
+    Attributes:
+        value: mean share of occupied voxels over all 256**3, in [0, 1].
+        source: "validation", "train" or "test (oracle)": the split whose truth it was taken from.
+    """
+
+    value: float
+    source: str
+
+
+def base_rates(release: Release, jobs: int = 1) -> dict[str, BaseRate]:
+    """The base rate of every category, from the first of validation, train and test that has it.
+
+    Args:
+        release: its truth is read.
+        jobs: number of processes.
+
+    Raises:
+        ReleaseError: a pair file is missing or changed.
+    """
+    chosen = {}
+    for category in release.categories:
+        of_split = {
+            split: [target for target in release.split(split) if target.category == category]
+            for split in SOURCES
+        }
+        split = next(split for split in SOURCES if of_split[split])
+        chosen[category] = (split, of_split[split])
+    tasks = [(release.pair_path(t), t.sha256) for _, targets in chosen.values() for t in targets]
+    shares = iter(run_tasks(_occupied_share, tasks, jobs))
+    return {
+        category: BaseRate(float(np.mean([next(shares) for _ in targets])), SOURCES[split])
+        for category, (split, targets) in chosen.items()
+    }
+
+
+def _occupied_share(task: tuple[Path, str]) -> float:
+    """Share of a pair's voxels that is occupied."""
+    (full,) = read_grids(*task, ("full",))
+    return float(_ONES[full].sum()) / (8 * full.size)

@@ -1,0 +1,138 @@
+"""Numba kernels that count a prediction against the truth in one pass. Import late: numba is slow to load.
+
+Every voxel has a code 0 to 7: 1 if it is occupied in the truth, + 2 if the truth is known there, + 4 if the
+input view saw it. What is counted is kept apart by code, so that one pass serves every protocol.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Packed = NDArray[np.uint8]
+Words = NDArray[np.uint64]
+Int64 = NDArray[np.int64]
+Float64 = NDArray[np.float64]
+
+CODES = 8
+HALF_PATTERNS = 0x3C01  # bit patterns of the float16 values 0 to 1
+
+_BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
+# Bit i of a packed byte as byte i of a word: eight codes are put together by two shifts and two ors.
+_SPREAD = (_BITS.astype(np.uint64) << (np.arange(8, dtype=np.uint64) * np.uint64(8))).sum(
+    axis=1, dtype=np.uint64
+)
+_FLUSH = 1e-200
+
+
+@njit(cache=True, error_model="numpy")
+def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Packed) -> Int64:
+    """Histogram a float16 prediction.
+
+    Args:
+        bits: (v,) bit patterns of values in [0, 1], -0 allowed.
+        full: (v / 8,) packed truth.
+        known: (v / 8,) packed.
+        seen: (v / 8,) packed.
+
+    Returns:
+        (0x3C01, 8) how many voxels have each pattern and code.
+    """
+    # Two tables in turn: increments of one cell in a row would wait for each other.
+    even = np.zeros(HALF_PATTERNS * CODES, np.uint32)
+    odd = np.zeros(HALF_PATTERNS * CODES, np.uint32)
+    for byte in range(len(full)):
+        codes = (
+            _SPREAD[full[byte]] | _SPREAD[known[byte]] << np.uint64(1) | _SPREAD[seen[byte]] << np.uint64(2)
+        )
+        for i in range(0, 8, 2):
+            first = np.uint64(bits[8 * byte + i] & 0x7FFF) << np.uint64(3)
+            even[first | (codes >> np.uint64(8 * i)) & np.uint64(7)] += np.uint32(1)
+            second = np.uint64(bits[8 * byte + i + 1] & 0x7FFF) << np.uint64(3)
+            odd[second | (codes >> np.uint64(8 * i + 8)) & np.uint64(7)] += np.uint32(1)
+    counts = even.astype(np.int64) + odd
+    return counts.reshape(HALF_PATTERNS, CODES)
+
+
+@njit(cache=True, error_model="numpy")
+def _ones(word: np.uint64) -> np.uint64:
+    """Number of set bits (the usual sideways addition; LLVM makes it vector code)."""
+    word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
+
+
+@njit(cache=True, error_model="numpy")
+def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
+    """Histogram a packed boolean prediction: (2, 8), how many voxels have each value and code.
+
+    Args:
+        occupied: (v / 64,) uint64, packed prediction.
+        full: (v / 64,) uint64, packed truth.
+        known: (v / 64,) uint64, packed.
+        seen: (v / 64,) uint64, packed.
+    """
+    counts = np.zeros((2, CODES), np.int64)
+    for code in range(CODES):
+        flip_full = np.uint64(0) if code & 1 else ~np.uint64(0)
+        flip_known = np.uint64(0) if code & 2 else ~np.uint64(0)
+        flip_seen = np.uint64(0) if code & 4 else ~np.uint64(0)
+        voxels = above = np.uint64(0)
+        for word in range(len(full)):
+            here = (full[word] ^ flip_full) & (known[word] ^ flip_known) & (seen[word] ^ flip_seen)
+            voxels += _ones(here)
+            above += _ones(here & occupied[word])
+        counts[0, code], counts[1, code] = voxels - above, above
+    return counts
+
+
+@njit(cache=True, error_model="numpy")
+def count_reals(
+    values: NDArray[np.floating],
+    full: Packed,
+    known: Packed,
+    seen: Packed,
+    thresholds: Float64,
+    clip: float,
+    bins: Int64,
+    ce_sum: Float64,
+) -> None:
+    """Count a float32 or float64 prediction, or a part of one, adding to `bins` and `ce_sum`.
+
+    Args:
+        values: (v,) in [0, 1]; every one is used as float64.
+        full: (v / 8,) packed truth.
+        known: (v / 8,) packed.
+        seen: (v / 8,) packed.
+        thresholds: (21,) k / 20 for k = 0 to 20.
+        clip: cross-entropy clips values to [clip, 1 - clip].
+        bins: (21, 8) int64; row k counts the values above k / 20 and not above (k + 1) / 20, and row 0
+            those not above any.
+        ce_sum: (8,) sum of -log(y) or -log(1 - y) per code.
+    """
+    # A sum of logarithms is the logarithm of a product: one logarithm for some thirty voxels. Two lanes
+    # in turn, as above.
+    product = np.ones(2 * CODES)
+    lanes = np.zeros((2, len(thresholds), CODES), np.int64)
+    for byte in range(len(full)):
+        codes = (
+            _SPREAD[full[byte]] | _SPREAD[known[byte]] << np.uint64(1) | _SPREAD[seen[byte]] << np.uint64(2)
+        )
+        for i in range(8):
+            y = np.float64(values[8 * byte + i])
+            code = (codes >> np.uint64(8 * i)) & np.uint64(7)
+            # right, or one too high where y is k / 20 itself or a hair below
+            k = int(y * (len(thresholds) - 1))
+            k -= y <= thresholds[k] and k > 0
+            lanes[i & 1, k, code] += 1
+            y = np.float64(min(max(y, clip), 1.0 - clip))
+            cell = code + np.uint64(CODES * (i & 1))
+            factor = product[cell] * (y if code & np.uint64(1) else 1.0 - y)
+            if factor < _FLUSH:
+                ce_sum[code] -= np.log(factor)
+                product[cell] = 1.0
+            else:
+                product[cell] = factor
+    bins += lanes[0] + lanes[1]
+    for cell in range(2 * CODES):
+        ce_sum[cell % CODES] -= np.log(product[cell])

@@ -1,0 +1,88 @@
+"""The paper's metrics, as pure functions of counts. Ratios have no unit; cross-entropy is in nats a voxel.
+
+Source: the paper's definitions; what it leaves open (nothing predicted, nothing there) is an own rule and
+stated at each function.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.scoring.counts import CE_CLIP, ProtocolCounts
+
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """One pair's metrics at one threshold.
+
+    Attributes:
+        iou: in [0, 1].
+        ce: mean cross-entropy, nats a voxel; does not depend on the threshold.
+        precision: in [0, 1].
+        recall: in [0, 1].
+        f1: in [0, 1].
+    """
+
+    iou: float
+    ce: float
+    precision: float
+    recall: float
+    f1: float
+
+
+def metrics(counts: ProtocolCounts, step: int) -> Metrics:
+    """All metrics at the threshold of index `step` (0 to 16)."""
+    predicted, hit = int(counts.predicted[step]), int(counts.hit[step])
+    return Metrics(
+        iou=iou(predicted, counts.occupied, hit),
+        ce=cross_entropy(counts),
+        precision=_share(hit, predicted, other=counts.occupied),
+        recall=_share(hit, counts.occupied, other=predicted),
+        f1=f1(predicted, counts.occupied, hit),
+    )
+
+
+def iou(predicted: int, occupied: int, hit: int) -> float:
+    """Intersection over union, `hit / (predicted + occupied - hit)`; 1 if the union is empty."""
+    union = predicted + occupied - hit
+    return hit / union if union else 1.0
+
+
+def ious(counts: ProtocolCounts) -> Float64:
+    """`iou` at every threshold: (17,) float64."""
+    return np.array(
+        [iou(int(p), counts.occupied, int(h)) for p, h in zip(counts.predicted, counts.hit, strict=True)]
+    )
+
+
+def f1(predicted: int, occupied: int, hit: int) -> float:
+    """Harmonic mean of precision and recall, `2 hit / (predicted + occupied)`; 1 if both are empty."""
+    return 2 * hit / (predicted + occupied) if predicted + occupied else 1.0
+
+
+def cross_entropy(counts: ProtocolCounts) -> float:
+    """Mean binary cross-entropy of the clipped prediction, nats a voxel; 0 if no voxel is counted."""
+    return counts.ce_sum / counts.voxels if counts.voxels else 0.0
+
+
+def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float:
+    """Mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 if no voxel is counted.
+
+    Args:
+        occupied: number of voxels occupied in the truth.
+        voxels: number of voxels counted.
+        constant: in [0, 1]; clipped as a prediction is.
+    """
+    y = min(max(constant, CE_CLIP), 1 - CE_CLIP)
+    loss = -occupied * np.log(y) - (voxels - occupied) * np.log(1 - y)
+    return float(loss) / voxels if voxels else 0.0
+
+
+def _share(hit: int, total: int, *, other: int) -> float:
+    """`hit / total`; of an empty total 1 if the other set is empty too, else 0."""
+    if total:
+        return hit / total
+    return 0.0 if other else 1.0

@@ -1,0 +1,156 @@
+"""Load one submitted prediction. The file is untrusted: its claims are checked before they are believed."""
+
+import contextlib
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import PredictionError
+from kinectbench.scoring.counts import Prediction
+from kinectbench.scoring.npy_header import NpyHeader, read_npy_header
+from kinectbench.voxels.resample import MAX_CELLS
+
+MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # the largest array, its header, and what a zip adds
+HALF_ONE = 0x3C00
+HALF_MINUS_ZERO = 0x8000
+ACCEPTED = "save float16 or float32 in [0, 1], or bool"
+
+
+def load_prediction(path: Path, name: str | None = None) -> Prediction:
+    """Load and check one prediction.
+
+    Args:
+        path: an .npy file, or an .npz file of exactly one array.
+        name: what error lines call it (default: the path).
+
+    Returns:
+        (n, n, n) bool, float16 or float32, 1 <= n <= 512, C order, native bytes, every value in [0, 1].
+        uint8 of 0 and 1 is returned as bool.
+
+    Raises:
+        PredictionError: the file is unacceptable; one line.
+    """
+    try:
+        with _open(path) as (file, size):
+            array = _read(file, size)
+        return _checked(array)
+    except PredictionError as error:
+        raise PredictionError(f"{name or path}: {error}") from None
+    except OSError as error:
+        raise PredictionError(f"{name or path}: cannot be read ({error.strerror or error})") from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+        raise PredictionError(f"{name or path}: a damaged npz ({error}); write it again") from error
+
+
+@contextlib.contextmanager
+def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
+    """Yield the npy stream of a file and the number of bytes in it."""
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        raise PredictionError(f"a {'folder' if stat.S_ISDIR(mode) else 'special file'}, not a file")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise PredictionError(f"{size} bytes; {MAX_BYTES} is the most accepted")
+    if size == 0:
+        raise PredictionError("the file is empty")
+    if path.suffix == ".npy":
+        with path.open("rb") as file:
+            yield file, size
+        return
+    with zipfile.ZipFile(path) as archive:
+        entry = _only_entry(archive)
+        with archive.open(entry) as stream:
+            yield stream, entry.file_size
+
+
+def _only_entry(archive: zipfile.ZipFile) -> zipfile.ZipInfo:
+    """The one array of an npz. Its name is never used as a path."""
+    entries = archive.infolist()
+    if len(entries) != 1:
+        raise PredictionError(f"{len(entries)} arrays in the npz: it must hold exactly one")
+    entry = entries[0]
+    if not entry.filename.endswith(".npy"):
+        raise PredictionError("its only entry is not an array; write it with np.savez")
+    if entry.flag_bits & 1:
+        raise PredictionError("the npz is encrypted; write it with np.savez")
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise PredictionError("an uncommon compression; write it with np.savez_compressed")
+    if entry.file_size > MAX_BYTES:
+        raise PredictionError(
+            f"claims to unpack to {entry.file_size} bytes; {MAX_BYTES} is the most accepted"
+        )
+    return entry
+
+
+def _read(file: IO[bytes], size: int) -> NDArray[np.generic]:
+    """Read an npy stream whose length must be what its header claims."""
+    header = read_npy_header(file)
+    _check_claims(header)
+    count = int(np.prod(header.shape))
+    claimed = header.data_offset + count * header.dtype.itemsize
+    if size != claimed:
+        what = "cut short" if size < claimed else "longer than it claims"
+        raise PredictionError(f"{what}: {size} bytes where its header claims {claimed}; write it again")
+    data = np.empty(count, header.dtype)
+    raw, done = data.view(np.uint8), 0
+    while done < len(raw):
+        chunk = file.read(min(1 << 20, len(raw) - done))
+        if not chunk:
+            raise PredictionError(f"cut short: {done} bytes of data, {len(raw)} are claimed; write it again")
+        raw[done : done + len(chunk)] = np.frombuffer(chunk, np.uint8)
+        done += len(chunk)
+    if file.read(1):  # reaching the end also checks the archive's CRC
+        raise PredictionError("longer than it claims; write it again")
+    return data.reshape(header.shape, order="F" if header.fortran_order else "C")
+
+
+def _check_claims(header: NpyHeader) -> None:
+    """Refuse shapes and dtypes before anything is allocated."""
+    shape, dtype = header.shape, header.dtype
+    if len(shape) != 3 or len(set(shape)) != 1 or not 1 <= shape[0] <= MAX_CELLS:
+        raise PredictionError(f"shape {_short(shape)}: it must be (n, n, n) with n from 1 to {MAX_CELLS}")
+    if dtype.newbyteorder("=") not in (np.bool_, np.uint8, np.float16, np.float32):
+        raise PredictionError(f"dtype {dtype.name} is not accepted: {ACCEPTED}")
+
+
+def _short(shape: tuple[int, ...]) -> str:
+    text = str(shape)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _checked(array: NDArray[np.generic]) -> Prediction:
+    """The array in native bytes and C order, once every value is known to be in [0, 1]."""
+    array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+    if array.dtype == np.float16:
+        if array.view(np.uint16).max() > HALF_ONE:  # rare: negative zeros, or something wrong
+            bits = array.view(np.uint16)
+            _refuse_first(array, (bits > HALF_ONE) & (bits != HALF_MINUS_ZERO))
+        return array.view(np.float16)
+    if array.dtype == np.float32:
+        reals = array.view(np.float32)
+        if not (reals.min() >= 0 and reals.max() <= 1):  # false for NaN too
+            _refuse_first(array, ~((reals >= 0) & (reals <= 1)))
+        return reals
+    raw = array.view(np.uint8)
+    if raw.max() > 1:
+        index = _first(raw > 1)
+        kind = "uint8 is accepted" if array.dtype == np.uint8 else "a bool is"
+        raise PredictionError(f"{raw[index]} at {index}: {kind} only as 0 and 1; {ACCEPTED}")
+    return raw.view(np.bool_)
+
+
+def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:
+    """Name the first bad value, if there is one."""
+    if bad.any():
+        index = _first(bad)
+        raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]")
+
+
+def _first(bad: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))

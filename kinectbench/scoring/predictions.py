@@ -1,0 +1,111 @@
+"""A folder of submitted predictions: which file answers which target. No file is opened here."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench.errors import PredictionError
+from kinectbench.release.release import Target
+
+SUFFIXES = (".npy", ".npz")
+
+
+@dataclass(frozen=True)
+class FoundPredictions:
+    """What a method's folder holds.
+
+    Attributes:
+        files: the file of each target that has one.
+        missing: targets without a file.
+        problems: targets whose file is ambiguous or unsafe, and why.
+        stray: files that answer no target, relative to the folder, sorted.
+    """
+
+    files: dict[Target, Path]
+    missing: tuple[Target, ...]
+    problems: dict[Target, str]
+    stray: tuple[str, ...]
+
+
+def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
+    """Match `<recording>/<view>.npy` or `.npz` to the targets.
+
+    Args:
+        folder: one method's predictions.
+        targets: names are safe (see `parse_targets`).
+
+    Raises:
+        PredictionError: the folder is missing.
+    """
+    if not folder.is_dir():
+        raise PredictionError(f"{folder}: no such folder of predictions")
+    root = folder.resolve()
+    files: dict[Target, Path] = {}
+    missing: list[Target] = []
+    problems: dict[Target, str] = {}
+    expected: set[Path] = set()
+    for target in targets:
+        candidates = [folder / target.recording / (target.view + suffix) for suffix in SUFFIXES]
+        expected.update(candidates)
+        present = [path for path in candidates if path.is_symlink() or path.exists()]
+        if not present:
+            missing.append(target)
+        elif len(present) > 1:
+            problems[target] = f"{target.name}: both .npy and .npz are there; keep one"
+        elif not _inside(present[0], root):
+            problems[target] = (
+                f"{target.name}{present[0].suffix}: a link out of the folder; put the file itself"
+            )
+        else:
+            files[target] = present[0]
+    return FoundPredictions(files, tuple(missing), problems, _stray(folder, expected))
+
+
+def _inside(path: Path, root: Path) -> bool:
+    """Whether a path, its links followed, lies below `root`."""
+    try:
+        return path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError):  # links that lead to each other
+        return False
+
+
+def _stray(folder: Path, expected: set[Path]) -> tuple[str, ...]:
+    """Files that nothing asks for; what begins with a dot is the system's."""
+    found = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
+    return tuple(
+        str(path.relative_to(folder))
+        for path in found
+        if path not in expected and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
+
+
+def missing_line(target: Target) -> str:
+    """One line that says which file is missing."""
+    return f"{target.name}: no prediction; expected {target.name}.npy or .npz"
+
+
+def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
+    """Tell one method's folder (its subfolders are recordings) from a folder of several methods.
+
+    Returns:
+        The folder of each method by name, sorted; a single method is called by its folder's name.
+
+    Raises:
+        PredictionError: the folder is missing, holds neither, or a method is a link out of it.
+    """
+    if not folder.is_dir():
+        raise PredictionError(f"{folder}: no such folder of predictions")
+    recordings = {target.recording for target in targets}
+    subfolders = sorted(path for path in folder.iterdir() if path.is_dir())
+    if any(path.name in recordings for path in subfolders):
+        return {folder.resolve().name: folder}
+    methods = [path for path in subfolders if any((path / recording).is_dir() for recording in recordings)]
+    if not methods:
+        raise PredictionError(
+            f"{folder}: no predictions there; expected <recording>/<view>.npy or .npz, or a folder of these "
+            "per method"
+        )
+    for path in methods:
+        if not _inside(path, folder.resolve()):
+            raise PredictionError(f"{path}: a link out of the folder; put the predictions themselves there")
+    return {path.name: path for path in methods}

@@ -1,0 +1,62 @@
+"""The table that people see in the terminal: methods by categories."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.table import ScoreTable
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+SHOWN_PROTOCOLS = (PRIMARY, "paper")
+
+
+def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table":
+    """One line per method: IoU and CE (nats a voxel) per category, then overall, under `known` and `paper`.
+
+    Args:
+        tables: the methods; one that is incomplete shows how many predictions failed instead of numbers.
+        published: add the paper's own figures where a category has its name, labelled as not comparable.
+    """
+    from rich.table import Table
+
+    protocols = [p for p in SHOWN_PROTOCOLS if any(p in table.settings["protocols"] for table in tables)]
+    categories = sorted({category for table in tables for category in table.thresholds})
+    columns = [*categories, "all"] if len(categories) > 1 else categories
+    result = Table(title="IoU (higher is better) / cross-entropy (lower is better)", title_justify="left")
+    result.add_column("method")
+    for protocol in protocols:
+        for column in columns:
+            result.add_column(f"{column}\n{protocol}", justify="right")
+    for table in tables:
+        result.add_row(table.method, *_cells(table, protocols, columns))
+    if published:
+        for entry in PUBLISHED:
+            values = dict(zip(CATEGORIES, zip(entry.iou, entry.ce, strict=True), strict=True))
+            cells = [
+                _cell(*values[column]) if protocol == "paper" and column in values else ""
+                for protocol in protocols
+                for column in columns
+            ]
+            result.add_row(f"{entry.method} ({LABEL})", *cells, style="dim")
+    return result
+
+
+def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) -> list[str]:
+    """The cells of one method."""
+    if table.by_category is None or table.overall is None:
+        cells = [f"{len(table.failures)} failed"] + [""] * (len(protocols) * len(columns) - 1)
+        return cells[: len(protocols) * len(columns)]
+    cells = []
+    for protocol in protocols:
+        averages = dict(table.by_category.get(protocol, {}))
+        if protocol in table.overall:
+            averages["all"] = table.overall[protocol]
+        cells += [_cell(averages[c]["iou"], averages[c]["ce"]) if c in averages else "" for c in columns]
+    return cells
+
+
+def _cell(iou: float, ce: float) -> str:
+    return f"{iou:.3f} / {ce:.3f}"

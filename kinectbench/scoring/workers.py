@@ -1,0 +1,54 @@
+"""Run independent tasks in one process or several; results come in the order of the tasks either way."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import TypeVar
+
+from kinectbench.errors import KinectBenchError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Progress = Callable[[int, int], None]
+
+
+def run_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[Result]:
+    """Apply a module-level function to every task.
+
+    Args:
+        function: must not depend on the order of the tasks.
+        tasks: picklable values.
+        jobs: number of processes; 1 runs in this one.
+        progress: called with (tasks done, tasks in all).
+
+    Raises:
+        KinectBenchError: what a task raises, or a process was killed, as by lack of memory.
+    """
+    results: list[Result] = []
+    if jobs <= 1 or len(tasks) <= 1:
+        for task in tasks:
+            results.append(function(task))
+            if progress:
+                progress(len(results), len(tasks))
+        return results
+    # fork after numba has started threads hangs or dies
+    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
+        try:
+            for result in pool.map(function, tasks):
+                results.append(result)
+                if progress:
+                    progress(len(results), len(tasks))
+        except BrokenProcessPool as error:
+            raise KinectBenchError(
+                "a worker process was killed, perhaps for lack of memory; run again with --jobs 1"
+            ) from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return results

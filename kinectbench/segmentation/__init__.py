@@ -1,0 +1,1 @@
+"""Floor plane, object selection, and the masks of views."""

@@ -1,0 +1,73 @@
+"""Masks of a view: the rendered object where the measured depth agrees with it, or a person's PNG."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import SegmentationError
+from kinectbench.geometry.depth_noise import depth_sigma_m
+
+Bools = NDArray[np.bool_]
+Depth = NDArray[np.float32]
+
+AGREEMENT_SIGMAS = 5.0
+ERODE_PX = 2
+
+
+def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float) -> Bools:
+    """Pixels whose depth agrees with the rendered object within max(5 sigma, tolerance).
+
+    Generous on purpose: a tight mask would delete the sensor's noise from the input and leak the truth
+    into it.
+
+    Args:
+        measured_m: (height, width) metres, 0 = none.
+        rendered_m: (height, width) metres, 0 = not on the object.
+        tolerance_m: least difference allowed, metres.
+    """
+    allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m)
+    agrees: Bools = (measured_m > 0) & (rendered_m > 0) & (np.abs(measured_m - rendered_m) <= allowed_m)
+    return agrees
+
+
+def inner_silhouette(rendered_m: Depth) -> Bools:
+    """The rendered silhouette, eroded by 2 pixels: where depth should be the object's."""
+    import cv2
+
+    silhouette = (rendered_m > 0).astype(np.uint8)
+    kernel = np.ones((2 * ERODE_PX + 1,) * 2, np.uint8)
+    return np.asarray(cv2.erode(silhouette, kernel), dtype=np.bool_)
+
+
+def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
+    """Apply a person's PNGs, if there are any, to the automatic mask of a view.
+
+    `<view>.png` replaces the mask; `<view>.include.png` adds its pixels, `<view>.exclude.png` takes its
+    pixels away. Non-zero = the pixel counts.
+
+    Raises:
+        SegmentationError: a PNG cannot be read, or is not of the depth image's size.
+    """
+    result = mask
+    for suffix in ("", ".include", ".exclude"):
+        path = folder / f"{view}{suffix}.png"
+        if not path.exists():
+            continue
+        given = _read(path, mask.shape)
+        result = {"": given, ".include": result | given, ".exclude": result & ~given}[suffix]
+    return result
+
+
+def _read(path: Path, shape: tuple[int, ...]) -> Bools:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise SegmentationError(f"{path}: not a readable PNG; save the mask again")
+    if image.shape != shape:
+        raise SegmentationError(
+            f"{path}: the mask is {image.shape[1]}x{image.shape[0]}, the depth image {shape[1]}x{shape[0]}; "
+            "draw it in depth pixels"
+        )
+    return np.asarray(image, dtype=np.uint8) > 0

@@ -1,0 +1,123 @@
+"""Floor and object of a fused scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import SegmentationSettings
+from kinectbench.errors import SegmentationError
+from kinectbench.fusion.mesh import TriangleMesh
+from kinectbench.geometry import Grid, OrientedBox, transform_points
+from kinectbench.segmentation.floor import Floor, find_floor
+from kinectbench.segmentation.select import (
+    CELL_M,
+    convergence_point,
+    fit_box,
+    select_object,
+    surface_points,
+)
+from kinectbench.tracking.trajectory import Trajectory
+
+MIN_BOX_POINTS = 20
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """Which part of the scene is the object.
+
+    Attributes:
+        floor: the floor.
+        box: upright box around the object (or the given one), floor frame.
+        object_cells: (n, 3) int64, cells of 30 mm in the floor frame that hold its surface.
+        other_cells: (m, 3) int64, the same for everything else that stands on the floor.
+        how: "automatic" or "box".
+    """
+
+    floor: Floor
+    box: OrientedBox
+    object_cells: NDArray[np.int64]
+    other_cells: NDArray[np.int64]
+    how: str
+
+    def excluded(self, grid: Grid, given_box: OrientedBox | None) -> NDArray[np.bool_]:
+        """Voxels of an upright grid that cannot be the object: bool of the grid's shape.
+
+        Outside the given box, or, without one, where a neighbour's surface is and the object's is not.
+        """
+        T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
+        axes = [np.arange(n) + 0.5 for n in grid.shape]
+        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) * grid.voxel_size_m
+        points_floor = transform_points(T_floor_grid, centres)
+        if given_box is not None:
+            return ~given_box.contains(points_floor)
+        cells = np.floor(points_floor / CELL_M).astype(np.int32)
+        first = cells.reshape(-1, 3).min(axis=0) - 2
+        shape = cells.reshape(-1, 3).max(axis=0) + 3 - first
+        other = _dilated(self.other_cells, first, shape)
+        own = _dilated(self.object_cells, first, shape)
+        at = tuple(np.moveaxis(cells - first, -1, 0))
+        excluded: NDArray[np.bool_] = other[at] & ~own[at]
+        return excluded
+
+
+def segment(
+    mesh: TriangleMesh,
+    trajectory: Trajectory,
+    given_box: OrientedBox | None,
+    settings: SegmentationSettings,
+) -> Segmentation:
+    """Find the floor, and on it the object: the piece the cameras look at, or what a given box holds.
+
+    Args:
+        mesh: the fused scene, world frame.
+        trajectory: poses of the frames.
+        given_box: floor frame, or None.
+        settings: seed and floor cut.
+
+    Raises:
+        SegmentationError: no floor, no object, or nothing in the box.
+    """
+    T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
+    surface = surface_points(mesh)
+    if len(surface.points) == 0:
+        raise SegmentationError("no object found: the fused scene is empty; is the depth within max_depth_m?")
+    focus_world = convergence_point(T_world_camera)
+    floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, settings.seed)
+    points_floor = transform_points(floor.T_floor_world, surface.points)
+    above = points_floor[:, 2] > settings.floor_cut_m
+    if given_box is None:
+        chosen = select_object(
+            points_floor, settings.floor_cut_m, transform_points(floor.T_floor_world, focus_world)
+        )
+        box = fit_box(points_floor[chosen])
+    else:
+        chosen = above & given_box.contains(points_floor)
+        box = given_box
+        if chosen.sum() < MIN_BOX_POINTS:
+            low, high = points_floor[above].min(axis=0), points_floor[above].max(axis=0)
+            raise SegmentationError(
+                f"the box in benchmark.yaml holds nothing of the scene, which reaches from {_text(low)} to "
+                f"{_text(high)} m in the floor frame; correct center_m and size_m"
+            )
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    how = "automatic" if given_box is None else "box"
+    return Segmentation(floor, box, cells[chosen], cells[above & ~chosen], how)
+
+
+def _dilated(
+    cells: NDArray[np.int64], first: NDArray[np.int64], shape: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """A dense grid with the cells and their 26 neighbours set."""
+    from scipy import ndimage
+
+    local = cells - first
+    inside = np.all((local >= 0) & (local < shape), axis=1)
+    dense = np.zeros(shape, dtype=bool)
+    dense[tuple(local[inside].T)] = True
+    dilated: NDArray[np.bool_] = ndimage.binary_dilation(dense, np.ones((3, 3, 3)))
+    return dilated
+
+
+def _text(point: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in point) + ")"

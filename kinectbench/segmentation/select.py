@@ -1,0 +1,128 @@
+"""Which part of the fused surface is the object."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import SegmentationError
+from kinectbench.fusion.mesh import TriangleMesh
+from kinectbench.geometry import OrientedBox
+from kinectbench.geometry.box import yaw_rotation
+
+CELL_M = 0.03
+MIN_CELLS = 30
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points spread evenly over a surface: one per cubic cell that it passes through.
+
+    Attributes:
+        points: (n, 3) float64, metres: mean of the mesh vertices in the cell.
+        normals: (n, 3) float64, unit: their mean normal.
+        cells: (n, 3) int64, the cell each lies in.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    cells: NDArray[np.int64]
+
+
+def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
+    """Thin a mesh out to one point per cell, so that area counts and vertex density does not."""
+    corners = mesh.vertices[mesh.faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(mesh.vertices)
+    for corner in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(
+                mesh.faces[:, corner], weights=face_normals[:, axis], minlength=len(mesh.vertices)
+            )
+    cells, owner, counts = np.unique(
+        np.floor(mesh.vertices / cell_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    owner = owner.reshape(-1)
+    points, mean_normals = np.zeros((len(cells), 3)), np.zeros((len(cells), 3))
+    for axis in range(3):
+        points[:, axis] = np.bincount(owner, weights=mesh.vertices[:, axis], minlength=len(cells)) / counts
+        mean_normals[:, axis] = np.bincount(owner, weights=normals[:, axis], minlength=len(cells))
+    mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
+    return SurfacePoints(points, mean_normals, cells)
+
+
+def convergence_point(T_world_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The point (3,) in the world nearest to all optical axes, in the least-squares sense."""
+    axes = T_world_camera[:, :3, 2]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    # Axes that are nearly parallel leave the distance open: a weak pull towards 1.5 m ahead closes it.
+    ahead = (T_world_camera[:, :3, 3] + 1.5 * axes).mean(axis=0)
+    weak = 1e-3 * len(axes)
+    normal_matrix = across.sum(axis=0) + weak * np.eye(3)
+    return np.linalg.solve(
+        normal_matrix, (across @ T_world_camera[:, :3, 3, None]).sum(axis=0)[:, 0] + weak * ahead
+    )
+
+
+def select_object(
+    points_floor: NDArray[np.float64], floor_cut_m: float, target_floor: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Choose the connected piece above the floor that lies nearest to a target point.
+
+    Args:
+        points_floor: (n, 3) evenly spread surface points, floor frame, metres.
+        floor_cut_m: lower points belong to the floor.
+        target_floor: (3,) where the optical axes converge, floor frame.
+
+    Returns:
+        (n,) bool, the points of the object.
+
+    Raises:
+        SegmentationError: nothing stands on the floor.
+    """
+    from scipy import ndimage
+
+    above = np.flatnonzero(points_floor[:, 2] > floor_cut_m)
+    if len(above) < MIN_CELLS:
+        raise SegmentationError("no object found: nothing stands on the floor; is the object in view?")
+    cells = np.floor(points_floor[above] / CELL_M).astype(np.int64)
+    cells -= cells.min(axis=0)
+    occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    occupied[tuple(cells.T)] = True
+    labels, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
+    label = labels[tuple(cells.T)]
+    sizes = np.bincount(label, minlength=count + 1)
+    distance_m = np.full(count + 1, np.inf)
+    np.minimum.at(distance_m, label, np.linalg.norm(points_floor[above] - target_floor, axis=1))
+    distance_m[sizes < MIN_CELLS] = np.inf
+    if not np.isfinite(distance_m).any():
+        raise SegmentationError(
+            "no object found: only specks stand on the floor; record closer, or give a box in benchmark.yaml"
+        )
+    chosen = np.zeros(len(points_floor), dtype=bool)
+    chosen[above[label == np.argmin(distance_m)]] = True
+    return chosen
+
+
+def fit_box(points_floor: NDArray[np.float64], yaw_rad: float | None = None) -> OrientedBox:
+    """The upright box around points (n, 3), from the floor to their top.
+
+    Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. The
+    outermost 0.05 % on every side are left out, so that single specks do not move a side.
+    """
+    import cv2
+
+    if yaw_rad is None:
+        (_, _, angle_deg) = cv2.minAreaRect(points_floor[:, :2].astype(np.float32))
+        yaw_rad = float(np.radians((angle_deg + 45.0) % 90.0 - 45.0))
+    turned = points_floor @ yaw_rotation(yaw_rad)
+    low, high = np.quantile(turned, [0.0005, 0.9995], axis=0)
+    low[2] = 0.0
+    center = yaw_rotation(yaw_rad) @ ((low + high) / 2)
+    size = np.maximum(high - low, 1e-3)
+    return OrientedBox(_triple(center), _triple(size), yaw_rad)
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

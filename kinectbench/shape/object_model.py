@@ -1,0 +1,139 @@
+"""The stage `segment`: floor, object, solid, labels and quality of one recording."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import FusionSettings, SegmentationSettings
+from kinectbench.errors import SegmentationError
+from kinectbench.fusion.blocks import BLOCK_VOXELS
+from kinectbench.fusion.mesh import TriangleMesh
+from kinectbench.fusion.reconstruction import Observation, merge, observe
+from kinectbench.geometry import Grid, OrientedBox, rigid, transform_points
+from kinectbench.geometry.box import yaw_rotation
+from kinectbench.segmentation.floor import Floor
+from kinectbench.segmentation.segment import Segmentation, segment
+from kinectbench.sequence import Sequence
+from kinectbench.shape.labels import Label
+from kinectbench.shape.quality import measure_quality, surface_sigma_m
+from kinectbench.shape.solid import SolidShape, solidify
+from kinectbench.tracking.trajectory import Trajectory
+
+MARGIN_M = 0.05
+FLOOR_LAYERS = 4
+SURROUND_FACTOR = 4
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """The object, as every view will be compared with it.
+
+    Attributes:
+        floor: the floor and frame `floor`.
+        box: upright box around the object, floor frame.
+        shape: solid, labels, probability and closed mesh on a fine grid around the object.
+        surround: coarse grid around that, as far as any pair's cube can reach.
+        surround_labels: uint8 of the coarse grid's shape: FREE, OTHER or UNKNOWN.
+        surface_sigma_m: standard deviation of the fused surface, metres.
+        quality: figures about it, plain JSON values, as stored in quality.json.
+    """
+
+    floor: Floor
+    box: OrientedBox
+    shape: SolidShape
+    surround: Grid
+    surround_labels: NDArray[np.uint8]
+    surface_sigma_m: float
+    quality: dict[str, Any]
+
+
+def build_object(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    scene: TriangleMesh,
+    given_box: OrientedBox | None,
+    segmentation: SegmentationSettings,
+    fusion: FusionSettings,
+    progress: Progress | None = None,
+) -> ObjectModel:
+    """Find the object in the fused scene and make it solid.
+
+    The odd and the even frames are fused apart and then together, so that the shape's repeatability
+    costs no further pass over the frames.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses.
+        scene: the fused scene's surface, world frame.
+        given_box: a person's box (floor frame), or None to choose the object automatically.
+        segmentation: floor and object settings.
+        fusion: voxel size and depth range.
+        progress: called with (done, total).
+
+    Raises:
+        SegmentationError: no floor, no object, or a box with nothing in it.
+        ShapeError: no solid can be made.
+    """
+    chosen = segment(scene, trajectory, given_box, segmentation)
+    grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m)
+    frames = trajectory.good_frames
+    halves = [observe(sequence, trajectory, frames[start::2], grid, fusion, progress) for start in (0, 1)]
+    together = merge(*halves)
+    excluded = chosen.excluded(grid, given_box)
+    cut_layers = max(1, round(segmentation.floor_cut_m / fusion.voxel_size_m))
+    whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers) for o in (together, *halves))
+    sigma_m = surface_sigma_m(*halves)
+    quality = measure_quality(chosen, (whole, odd, even), sigma_m)
+    surround = surround_grid(grid, chosen)
+    around = observe(sequence, trajectory, frames, surround, fusion)
+    labels = surround_labels(around, chosen.floor)
+    return ObjectModel(chosen.floor, quality.box, whole, surround, labels, sigma_m, quality.figures)
+
+
+def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float) -> Grid:
+    """The fine grid around a box: aligned with it, standing four cells below the floor.
+
+    Raises:
+        SegmentationError: it would take more than 2^28 voxels.
+    """
+    size_m = np.array(box.size_m) + 2 * MARGIN_M
+    size_m[2] = box.center_m[2] + box.size_m[2] / 2 + MARGIN_M + FLOOR_LAYERS * voxel_size_m
+    blocks = np.ceil(size_m / (voxel_size_m * BLOCK_VOXELS)).astype(int)
+    if blocks.prod() > (1 << 28) // BLOCK_VOXELS**3:
+        raise SegmentationError(
+            f"the object is {size_m[0]:.1f} x {size_m[1]:.1f} x {size_m[2]:.1f} m: too large for voxels of "
+            f"{voxel_size_m * 1000:.0f} mm; give a box around the object in benchmark.yaml, or larger voxels"
+        )
+    nx, ny, nz = (int(n) * BLOCK_VOXELS for n in blocks)
+    turn = yaw_rotation(box.yaw_rad)
+    corner = turn @ np.array([-nx / 2, -ny / 2, 0.0]) * voxel_size_m
+    corner += [box.center_m[0], box.center_m[1], -FLOOR_LAYERS * voxel_size_m]
+    return Grid((nx, ny, nz), voxel_size_m, floor.T_world_floor @ rigid(turn, corner))
+
+
+def surround_grid(grid: Grid, chosen: Segmentation) -> Grid:
+    """A coarse grid that holds every cube a pair in framing `object` can have, whatever its orientation."""
+    radius_m = 0.5 * float(np.linalg.norm(grid.size_m))
+    half_m = 1.1 * np.sqrt(3.0) * radius_m
+    voxel_m = SURROUND_FACTOR * grid.voxel_size_m
+    side = int(np.ceil(2 * half_m / (voxel_m * BLOCK_VOXELS))) * BLOCK_VOXELS
+    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
+    rotation = chosen.floor.T_world_floor[:3, :3]
+    corner = middle_world - rotation @ np.full(3, side * voxel_m / 2)
+    return Grid((side, side, side), voxel_m, rigid(rotation, corner))
+
+
+def surround_labels(around: Observation, floor: Floor) -> NDArray[np.uint8]:
+    """FREE where frames saw through, OTHER at measured surfaces and below the floor, else UNKNOWN."""
+    labels = np.full(around.grid.shape, Label.UNKNOWN, np.uint8)
+    labels[(around.weight > 0) & (around.tsdf <= 0)] = Label.OTHER
+    labels[((around.weight > 0) & (around.tsdf > 0)) | (around.free >= 2)] = Label.FREE
+    # The grid is upright: heights depend on the last axis only.
+    origin_floor = transform_points(floor.T_floor_world, around.grid.T_world_grid[:3, 3])
+    heights_m = origin_floor[2] + (np.arange(around.grid.shape[2]) + 0.5) * around.grid.voxel_size_m
+    labels[:, :, heights_m < 0] = Label.OTHER
+    return labels

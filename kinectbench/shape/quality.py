@@ -1,0 +1,92 @@
+"""What the recording itself says about how good its ground truth is."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kinectbench.fusion.mesh import TriangleMesh
+from kinectbench.fusion.reconstruction import Observation
+from kinectbench.geometry import OrientedBox, transform_points
+from kinectbench.segmentation.segment import Segmentation
+from kinectbench.segmentation.select import fit_box
+from kinectbench.shape.labels import Label
+from kinectbench.shape.solid import METHOD, SolidShape
+
+GOOD_REPEATABILITY = 0.90
+MAX_UNKNOWN_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The object's box and the figures of quality.json."""
+
+    box: OrientedBox
+    figures: dict[str, Any]
+
+
+def surface_sigma_m(odd: Observation, even: Observation) -> float:
+    """Standard deviation of the surface fused from all frames, metres.
+
+    The two halves' signed distances differ by twice the deviation of their mean, if their errors are
+    independent: robust deviation of the difference near the surface, halved. One voxel where the
+    halves have no surface in common.
+    """
+    near = (odd.weight > 0) & (even.weight > 0)
+    near &= np.abs(odd.tsdf + even.tsdf) < 2 * odd.grid.voxel_size_m
+    if not near.any():
+        return odd.grid.voxel_size_m
+    return float(1.4826 * np.median(np.abs(odd.tsdf[near] - even.tsdf[near])) / 2)
+
+
+def measure_quality(
+    chosen: Segmentation, shapes: tuple[SolidShape, SolidShape, SolidShape], sigma_m: float
+) -> Quality:
+    """Repeatability (IoU of the solids from odd and from even frames), boxes, coverage, warnings.
+
+    Args:
+        chosen: floor and object.
+        shapes: the solid from all, from the odd and from the even frames.
+        sigma_m: standard deviation of the surface, metres.
+    """
+    together, odd, even = shapes
+    union = int((odd.solid | even.solid).sum())
+    repeatability = int((odd.solid & even.solid).sum()) / union
+    unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / int(together.solid.sum())
+    box = _box(together.mesh, chosen)
+    warnings = []
+    if repeatability < GOOD_REPEATABILITY:
+        warnings.append(
+            f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh"
+        )
+    if unknown > MAX_UNKNOWN_SHARE:
+        warnings.append(f"{unknown:.0%} of the solid was never measured nor enclosed: walk around the object")
+    figures = {
+        "format_version": 1,
+        "verdict": "good" if not warnings else "look at the warnings",
+        "warnings": warnings,
+        "repeatability_iou": round(repeatability, 4),
+        "surface_sigma_m": sigma_m,
+        "unknown_share": round(unknown, 4),
+        "volume_m3": round(int(together.solid.sum()) * together.grid.voxel_size_m**3, 6),
+        "labels": {label.name.lower(): int((together.labels == label).sum()) for label in Label},
+        "box": box_json(box),
+        "box_odd": box_json(_box(odd.mesh, chosen, box.yaw_rad)),
+        "box_even": box_json(_box(even.mesh, chosen, box.yaw_rad)),
+        "selection": chosen.how,
+        "method": METHOD,
+    }
+    return Quality(box, figures)
+
+
+def box_json(box: OrientedBox) -> dict[str, Any]:
+    """A box as benchmark.yaml writes it: floor frame, metres, radians."""
+    return {
+        "center_m": [round(value, 4) for value in box.center_m],
+        "size_m": [round(value, 4) for value in box.size_m],
+        "yaw_rad": round(box.yaw_rad, 5),
+    }
+
+
+def _box(mesh: TriangleMesh, chosen: Segmentation, yaw_rad: float | None = None) -> OrientedBox:
+    return fit_box(transform_points(chosen.floor.T_floor_world, mesh.vertices), yaw_rad)

@@ -1,0 +1,1 @@
+"""Furniture, scenes, camera paths, the Kinect noise model, writers of recordings."""

@@ -1,0 +1,30 @@
+"""The camera's trajectory: one pose per frame, or the reason why there is none."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """`T_world_camera` per frame of a sequence.
+
+    Attributes:
+        stamps_ns: (n,) int64, the sequence's depth stamps.
+        T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
+        source: "trust" or "odometry": where the poses come from.
+        health: figures about it, plain JSON values, as stored in health.json.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    T_world_camera: NDArray[np.float64]
+    source: str
+    health: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def good_frames(self) -> NDArray[np.int64]:
+        """Indices of the frames that have a pose, ascending."""
+        return np.flatnonzero(np.isfinite(self.T_world_camera).all(axis=(1, 2)))

@@ -1,0 +1,41 @@
+"""How a Trajectory is stored: trajectory.txt (TUM text) and health.json."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import StorageError
+from kinectbench.ingest.trajectory_file import read_trajectory as read_tum
+from kinectbench.ingest.trajectory_file import trajectory_text
+from kinectbench.sequence import GivenTrajectory
+from kinectbench.tracking.trajectory import Trajectory
+from kinectbench.workspace import pretty_json
+
+
+def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
+    """Write the poses of the good frames (t = depth stamp in s) and the health figures."""
+    good = trajectory.good_frames
+    posed = GivenTrajectory(trajectory.stamps_ns[good], trajectory.T_world_camera[good])
+    (folder / "trajectory.txt").write_text(trajectory_text(posed))
+    (folder / "health.json").write_text(pretty_json(trajectory.health))
+
+
+def read_trajectory(folder: Path, stamps_ns: NDArray[np.int64]) -> Trajectory:
+    """Read a stored trajectory back for the frames with these stamps (n,).
+
+    Raises:
+        StorageError: the files do not belong to these frames, or are damaged.
+    """
+    try:
+        posed, _ = read_tum(folder / "trajectory.txt")
+        health = json.loads((folder / "health.json").read_text())
+    except (OSError, ValueError) as error:
+        raise StorageError(f"{folder}: the stored trajectory is damaged ({error}); use --force") from error
+    rows = np.searchsorted(stamps_ns, posed.stamps_ns)
+    if rows.max() >= len(stamps_ns) or (stamps_ns[rows] != posed.stamps_ns).any():
+        raise StorageError(f"{folder}: the stored trajectory is of other frames; use --force")
+    poses = np.full((len(stamps_ns), 4, 4), np.nan)
+    poses[rows] = posed.T_world_camera
+    return Trajectory(stamps_ns, poses, health["source"], health)

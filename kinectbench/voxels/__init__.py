@@ -1,0 +1,1 @@
+"""Voxel grids: mesh to solid, depth to partial, resampling, packing."""

@@ -1,0 +1,114 @@
+"""The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis."""
+
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import PairError
+from kinectbench.geometry import Grid
+from kinectbench.voxels.npz import npz_bytes as npz_bytes
+
+FORMAT_VERSION = 1
+FULL_CELLS = 256
+PARTIAL_CELLS = 64
+BLOCK = FULL_CELLS // PARTIAL_CELLS
+# Deflate level: higher ones take twice the time for a few per cent.
+PAIR_LEVEL = 3
+
+Bools = NDArray[np.bool_]
+Packed = NDArray[np.uint8]
+
+PACKED_256 = ("partial_256", "full", "shell", "known", "seen")
+PACKED_SHAPES = {
+    "partial": (PARTIAL_CELLS, PARTIAL_CELLS, PARTIAL_CELLS // 8),
+    **dict.fromkeys(PACKED_256, (FULL_CELLS, FULL_CELLS, FULL_CELLS // 8)),
+}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One single-view completion problem and its truth. Grid axes are the view's optical axes.
+
+    Attributes:
+        partial: (64, 64, 8) uint8, packed; the view's depth on the object, the input.
+        partial_256: (256, 256, 32) uint8, packed; the same before reduction.
+        full: (256, 256, 32) packed; the solid shape.
+        shell: (256, 256, 32) packed; the surface of `full` only.
+        known: (256, 256, 32) packed; the truth is trusted there.
+        seen: (256, 256, 32) packed; in the view's frustum and not behind its depth.
+        T_world_grid: (4, 4) float64; cell (i, j, k) of `full` has its centre at
+            `T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)`.
+        T_world_camera: (4, 4) float64, the view's camera.
+        K: (3, 3) float64, its intrinsics in pixels.
+        voxel_size_m: edge of a cell of the 256-grid, metres.
+        surface_sigma_m: standard deviation of the truth's surface, metres.
+        framing: "object" or "view".
+        partial_rule: "any" or "majority".
+    """
+
+    partial: Packed
+    partial_256: Packed
+    full: Packed
+    shell: Packed
+    known: Packed
+    seen: Packed
+    T_world_grid: NDArray[np.float64]
+    T_world_camera: NDArray[np.float64]
+    K: NDArray[np.float64]
+    voxel_size_m: float
+    surface_sigma_m: float
+    framing: str
+    partial_rule: str
+
+    @property
+    def grid(self) -> Grid:
+        """The 256-grid in the world."""
+        return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
+
+
+def pack(occupancy: Bools) -> Packed:
+    """Pack booleans (..., n) into bytes (..., n / 8), most significant bit first."""
+    return np.packbits(occupancy, axis=-1)
+
+
+def unpack(packed: Packed) -> Bools:
+    """Unpack bytes (..., n / 8) into booleans (..., n)."""
+    return np.unpackbits(packed, axis=-1).view(np.bool_)
+
+
+def pair_bytes(pair: Pair) -> bytes:
+    """Serialise a pair as a compressed npz, the same bytes every time (np.savez stamps the time of day)."""
+    arrays: dict[str, NDArray[np.generic]] = {f.name: np.asarray(getattr(pair, f.name)) for f in fields(pair)}
+    arrays["format_version"] = np.asarray(FORMAT_VERSION)
+    return npz_bytes(arrays, level=PAIR_LEVEL)
+
+
+def read_pair(path: Path) -> Pair:
+    """Read a pair file and check every key, shape and dtype.
+
+    Raises:
+        PairError: the file is missing, damaged, or not a pair of a known format version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            values = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
+    missing = [f.name for f in fields(Pair) if f.name not in values]
+    if missing:
+        raise PairError(f"{path}: not a pair file: the keys {', '.join(missing)} are missing")
+    if int(values.pop("format_version", 0)) != FORMAT_VERSION:
+        raise PairError(f"{path}: written in another format version; this package reads {FORMAT_VERSION}")
+    for name, shape in PACKED_SHAPES.items():
+        if values[name].shape != shape or values[name].dtype != np.uint8:
+            raise PairError(f"{path}: '{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}")
+    for name, side in {"T_world_grid": 4, "T_world_camera": 4, "K": 3}.items():
+        if values[name].shape != (side, side) or not np.isfinite(values[name]).all():
+            raise PairError(f"{path}: '{name}' is not a finite {side}x{side} matrix")
+    scalars = {
+        name: values[name].item() for name in ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule")
+    }
+    return Pair(**{f.name: scalars.get(f.name, values[f.name]) for f in fields(Pair)})

@@ -1,0 +1,94 @@
+"""Resampling of cubes: predictions up to the 256-grid, occupancy down to the 64-grid."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import PairError, PredictionError
+from kinectbench.voxels.pair_file import BLOCK, FULL_CELLS, Bools
+
+MAX_CELLS = 512
+
+Float64 = NDArray[np.float64]
+Values = NDArray[np.bool_] | NDArray[np.uint8] | NDArray[np.floating]
+
+
+def upsample(values: Values, side: int = FULL_CELLS) -> Float64:
+    """Resample a cube trilinearly, cell centres to cell centres (half-pixel), edges clamped.
+
+    The same as `scipy.ndimage.zoom(order=1, grid_mode=True, mode="nearest")` where the cube grows; a cube
+    that shrinks is sampled by the same formula, without smoothing.
+
+    Args:
+        values: (n, n, n), n at most 512, any real dtype or bool; converted to float64 first.
+        side: cells along each axis of the result.
+
+    Returns:
+        (side, side, side) float64.
+
+    Raises:
+        PredictionError: `values` is not a cube of 1 to 512 cells a side.
+
+    Source: the paper upsamples by trilinear interpolation; the half-pixel convention is an own rule.
+    """
+    out = np.empty((side, side, side))
+    for i, plane in enumerate(upsampled_planes(values, side)):
+        out[i] = plane
+    return out
+
+
+def upsampled_planes(values: Values, side: int = FULL_CELLS) -> Iterator[Float64]:
+    """Yield what `upsample` returns plane by plane along x: `side` times (side, side) float64.
+
+    The planes share one buffer: use each before asking for the next. Memory does not grow with `side`**3.
+
+    Raises:
+        PredictionError: as `upsample`.
+    """
+    from kinectbench.voxels.resample_kernels import blend, expand
+
+    if values.ndim != 3 or len(set(values.shape)) != 1 or not 1 <= len(values) <= MAX_CELLS:
+        raise PredictionError(f"a grid of {values.shape} cells: it must be a cube of 1 to {MAX_CELLS} a side")
+    lower, upper, weight = _taps(len(values), side)
+    expanded: dict[int, Float64] = {}
+    plane = np.empty((side, side))
+    for i in range(side):
+        wanted = (int(lower[i]), int(upper[i]))
+        expanded = {k: plane_k for k, plane_k in expanded.items() if k in wanted}
+        for k in wanted:
+            if k not in expanded:
+                expanded[k] = expand(np.ascontiguousarray(values[k], dtype=np.float64), lower, upper, weight)
+        blend(expanded[wanted[0]], expanded[wanted[1]], weight[i], plane)
+        yield plane
+
+
+def _taps(n: int, side: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
+    """For each output cell: the two input cells it lies between, and the weight of the second."""
+    position = np.clip((np.arange(side) + 0.5) * (n / side) - 0.5, 0.0, n - 1.0)
+    lower = np.floor(position).astype(np.int64)
+    return lower, np.minimum(lower + 1, n - 1), position - lower
+
+
+def reduce_blocks(occupancy: Bools, rule: str) -> Bools:
+    """Reduce each 4x4x4 block to one cell.
+
+    Args:
+        occupancy: bool, every side a multiple of 4, such as (256, 256, 256).
+        rule: "any": set if any cell is (the paper's block maximum); "majority": if more than half are.
+
+    Returns:
+        bool, a quarter as many cells along each axis, such as (64, 64, 64).
+
+    Raises:
+        PairError: there is no such rule.
+    """
+    if rule not in ("any", "majority"):
+        raise PairError(f"no partial rule '{rule}': it is any or majority")
+    counts = occupancy.view(np.uint8)  # up to 64 a block: fits
+    # x first: its slices are whole planes; z, whose slices stride over bytes, when least is left
+    counts = counts[0::4] + counts[1::4] + counts[2::4] + counts[3::4]
+    counts = counts[:, 0::4] + counts[:, 1::4] + counts[:, 2::4] + counts[:, 3::4]
+    counts = counts[:, :, 0::4] + counts[:, :, 1::4] + counts[:, :, 2::4] + counts[:, :, 3::4]
+    reduced: Bools = counts > (0 if rule == "any" else BLOCK**3 // 2)
+    return reduced

@@ -1,0 +1,172 @@
+"""Where artefacts live, their fingerprints, and how they come to be on disk whole or not at all."""
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kinectbench import __version__
+from kinectbench.errors import StorageError
+
+MANIFEST = "manifest.json"
+FORMAT_VERSION = 1
+
+
+def canonical_json(value: Any) -> str:
+    """JSON with sorted keys and no spaces: the same text for the same value."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def pretty_json(value: Any) -> str:
+    """JSON for people and files: indented, keys in the order given, ends in a newline."""
+    return json.dumps(value, indent=1, allow_nan=False) + "\n"
+
+
+def sha256_text(text: str) -> str:
+    """SHA-256 of a text's UTF-8 bytes, as hex."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, as hex, in streaming."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def fingerprint(stage: str, settings: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
+    """Fingerprint of what a stage makes from these settings and inputs with this package version."""
+    return sha256_text(canonical_json([FORMAT_VERSION, __version__, stage, settings, inputs]))
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """A folder that one stage makes.
+
+    Attributes:
+        folder: where it lies.
+        stage: name of the stage.
+        settings: the settings it depends on, as plain JSON values.
+        inputs: fingerprint of each thing it is made from.
+    """
+
+    folder: Path
+    stage: str
+    settings: Mapping[str, Any]
+    inputs: Mapping[str, str]
+
+    @property
+    def fingerprint(self) -> str:
+        """What the manifest must hold for the folder to be this artefact."""
+        return fingerprint(self.stage, self.settings, self.inputs)
+
+    def is_current(self) -> bool:
+        """Whether the folder holds this very artefact, with every file present at its size."""
+        try:
+            manifest = json.loads((self.folder / MANIFEST).read_text())
+            return manifest["fingerprint"] == self.fingerprint and all(
+                (self.folder / name).stat().st_size == size for name, size in manifest["files"].items()
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return False
+
+    @contextlib.contextmanager
+    def write(self) -> Iterator[Path]:
+        """Yield an empty folder to fill; on success it takes the artefact's place, on failure it goes.
+
+        Raises:
+            StorageError: the disk is full or read-only.
+        """
+        with replaced_folder(self.folder) as temporary:
+            yield temporary
+            files = {
+                str(path.relative_to(temporary)): path.stat().st_size
+                for path in sorted(temporary.rglob("*"))
+                if path.is_file() and path.name != "timing.json"
+            }
+            manifest = {
+                "format_version": FORMAT_VERSION,
+                "package_version": __version__,
+                "stage": self.stage,
+                "fingerprint": self.fingerprint,
+                "settings": self.settings,
+                "inputs": self.inputs,
+                "files": files,
+            }
+            (temporary / MANIFEST).write_text(pretty_json(manifest))
+
+
+@contextlib.contextmanager
+def storage_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's complaints about a full or read-only disk into one clear line."""
+    try:
+        yield
+    except OSError as error:
+        advice = {
+            errno.ENOSPC: "the disk is full: free some space and run the command again",
+            errno.EDQUOT: "the disk quota is used up: free some space and run the command again",
+            errno.EROFS: "the disk is read-only: choose a folder that can be written",
+            errno.EACCES: "no permission to write there: choose another folder or change its rights",
+            errno.EPERM: "no permission to write there: choose another folder or change its rights",
+        }.get(error.errno or 0)
+        if advice is None:
+            raise
+        raise StorageError(f"{path}: {advice}; what was there before is untouched") from error
+
+
+@contextlib.contextmanager
+def replaced_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary sibling folder that takes `folder`'s place when the block ends well."""
+    with storage_errors(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
+        temporary.chmod(0o755)
+    try:
+        with storage_errors(folder):
+            yield temporary
+            old = temporary.with_suffix(".old")
+            if folder.exists():
+                folder.rename(old)
+            temporary.rename(folder)
+            shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def replaced_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary sibling path to write; it takes `path`'s place when the block ends well."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with storage_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock; a second run waits here until the first is done with it.
+
+    Leftovers of runs that were killed are swept away once the lock is held.
+    """
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / ".lock").open("w")
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for leftover in [*folder.glob(".*.part"), *folder.glob(".*.old")]:
+            if leftover.is_dir():
+                shutil.rmtree(leftover, ignore_errors=True)
+            else:
+                leftover.unlink(missing_ok=True)
+        yield

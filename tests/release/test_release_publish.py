@@ -1,0 +1,191 @@
+"""What publish writes, and what open_release refuses."""
+
+import hashlib
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_release import RECORDINGS, synthetic_settings, write_build
+
+from kinectbench.errors import ReleaseError
+from kinectbench.release.layout import read_sums
+from kinectbench.release.publish import publish
+from kinectbench.release.release import COLUMNS, Release, check_splits, open_release, parse_targets
+from kinectbench.voxels.pair_file import read_pair, unpack
+
+NAMES = [recording[0] for recording in RECORDINGS]
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("publish") / "build"
+    write_build(folder)
+    return folder
+
+
+def test_targets_and_splits(release: Release) -> None:
+    assert [target.name for target in release.split("test")] == [
+        "chair_01/000", "chair_01/001", "chair_02/000", "table_01/000"
+    ]  # fmt: skip
+    target = release.targets[0]
+    assert (target.object, target.category, target.file) == ("red_chair", "chair", "pairs/chair_01/000.npz")
+    assert target.sha256 == hashlib.sha256(release.pair_path(target).read_bytes()).hexdigest()
+    assert release.categories == ("chair", "table")
+    assert json.loads((release.folder / "splits.json").read_text()) == {
+        "train": [], "validation": ["chair_03", "table_02"], "test": ["chair_01", "chair_02", "table_01"]
+    }  # fmt: skip
+
+
+def test_benchmark_json(release: Release) -> None:
+    text = (release.folder / "benchmark.json").read_text()
+    assert "/home/someone" not in text
+    info = release.metadata
+    assert (info.name, info.license, info.framing, info.partial_rule) == (
+        "synthetic", "CC0-1.0", "object", "any"
+    )  # fmt: skip
+    assert info.recordings["chair_01"].quality == {"repeatability_iou": 0.93}
+    assert info.settings.pairs.min_containment == 0.85
+    assert {"python", "numpy", "open3d"} <= set(info.packages)
+
+
+def test_sums_are_those_of_sha256sum(release: Release) -> None:
+    subprocess.run(["sha256sum", "-c", "--quiet", "--strict", "SHA256SUMS"], cwd=release.folder, check=True)
+    listed = "grep -v '  benchmark.json$' SHA256SUMS | sha256sum"
+    shell = subprocess.run(listed, shell=True, cwd=release.folder, check=True, capture_output=True, text=True)
+    assert shell.stdout.split()[0] == release.benchmark_sha256
+
+
+def test_files(release: Release) -> None:
+    names = {p.relative_to(release.folder).as_posix() for p in release.folder.rglob("*") if p.is_file()}
+    assert {
+        "views/chair_01/001.depth.png",
+        "views/chair_01/001.mask.png",
+        "views/chair_01/views.json",
+    } <= names
+    assert {"objects/table_01/mesh.ply", "objects/table_01/quality.json", "README.md"} <= names
+    assert not any("color" in name for name in names)
+
+
+def test_card(release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (release.folder / "README.md").read_text()
+    assert "| chair | 3 | 0 | 2 | 3 |" in text and "CC0-1.0" in text and "0.93" in text
+    code = text.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(release.folder)
+    found: dict[str, np.ndarray] = {}
+    exec(code, found)
+    pair = read_pair(release.pair_path(release.targets[0]))
+    np.testing.assert_array_equal(found["full"], unpack(pair.full))
+    assert found["points_world"].shape == (found["full"].sum(), 3)
+
+
+def test_same_build_same_bytes(release: Release, build: Path, tmp_path: Path) -> None:
+    publish(synthetic_settings(), build, tmp_path / "benchmark", NAMES)
+    assert (tmp_path / "benchmark" / "SHA256SUMS").read_text() == (release.folder / "SHA256SUMS").read_text()
+    assert (tmp_path / "benchmark" / "benchmark.json").read_bytes() == (
+        release.folder / "benchmark.json"
+    ).read_bytes()
+
+
+def test_color_and_other_warnings(build: Path, tmp_path: Path) -> None:
+    settings = synthetic_settings()
+    settings = settings.model_copy(
+        update={"license": "unspecified", "publish": settings.publish.model_copy(update={"color": True})}
+    )
+    summary = publish(settings, build, tmp_path / "benchmark", ["chair_02"])
+    assert (tmp_path / "benchmark" / "views" / "chair_02" / "000.color.jpg").is_file()
+    assert [line.split(":")[0] for line in summary.warnings] == [
+        "no licence is stated", "colour images are included"
+    ]  # fmt: skip
+    assert "faces" in (tmp_path / "benchmark" / "README.md").read_text()
+    assert (summary.pairs, summary.recordings) == (1, ("chair_02",))
+
+
+def test_a_failed_publish_leaves_the_old_release(build: Path, tmp_path: Path) -> None:
+    shutil.copytree(build, tmp_path / "build")
+    out = tmp_path / "benchmark"
+    publish(synthetic_settings(), tmp_path / "build", out, ["chair_01"])
+    before = (out / "SHA256SUMS").read_text()
+    (tmp_path / "build" / "chair_02" / "views" / "000.mask.png").unlink()
+    with pytest.raises(ReleaseError, match=r"chair_02/views/000\.mask\.png: missing; run the build again"):
+        publish(synthetic_settings(), tmp_path / "build", out, NAMES)
+    assert (out / "SHA256SUMS").read_text() == before
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_recordings_without_pairs(build: Path, tmp_path: Path) -> None:
+    shutil.copytree(build, tmp_path / "build")
+    (tmp_path / "build" / "chair_01" / "pairs" / "pairs.json").write_text('{"pairs": [], "refused": []}')
+    summary = publish(
+        synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_01", "chair_02"]
+    )
+    assert summary.recordings == ("chair_02",) and "chair_01: not a single view" in summary.warnings[-1]
+    with pytest.raises(ReleaseError, match="no pair to publish"):
+        publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_01"])
+
+
+def test_one_benchmark_has_one_framing(build: Path, tmp_path: Path) -> None:
+    settings = synthetic_settings()
+    settings = settings.model_copy(update={"pairs": settings.pairs.model_copy(update={"framing": "view"})})
+    with pytest.raises(ReleaseError, match=r"000\.npz: framing is 'object', the settings say 'view'"):
+        publish(settings, build, tmp_path / "benchmark", NAMES)
+
+
+def test_no_release(tmp_path: Path) -> None:
+    with pytest.raises(ReleaseError, match=r"no release there \(benchmark\.json is missing\)"):
+        open_release(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["benchmark.json", "targets.csv", "splits.json", "SHA256SUMS"])
+def test_changed_small_files_are_refused(name: str, release: Release, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(release.folder, tmp_path / "benchmark"))
+    text = (folder / name).read_text()
+    (folder / name).write_text(text.replace("chair_02", "chair_09", 1))
+    with pytest.raises(ReleaseError, match=name):
+        open_release(folder)
+
+
+GOOD = ["r1", "thing", "000", "chair", "test", "pairs/r1/000.npz", "a" * 64]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("recording", "../up", "a name with other characters"),
+        ("object", "a/b", "a name with other characters"),
+        ("view", "../../x", "not a zero-padded index"),
+        ("split", "tset", "split 'tset' is none of"),
+        ("file", "../../etc/passwd", "is not pairs/r1/000"),
+        ("file", "/etc/passwd", "is not pairs/r1/000"),
+        ("sha256", "12", "not 64 hex digits"),
+        ("sha256", "a,b", "8 columns instead of 7"),
+    ],
+)
+def test_bad_target_lines(column: str, value: str, message: str) -> None:
+    row = [value if name == column else good for name, good in zip(COLUMNS, GOOD, strict=True)]
+    text = ",".join(COLUMNS) + "\n" + ",".join(row) + "\n"
+    with pytest.raises(ReleaseError, match=f"targets.csv, line 2: .*{message}"):
+        parse_targets(text, "targets.csv")
+
+
+def test_repeated_targets_and_columns() -> None:
+    line = ",".join(GOOD) + "\n"
+    with pytest.raises(ReleaseError, match=r"line 3: pairs/r1/000\.npz is listed twice"):
+        parse_targets(",".join(COLUMNS) + "\n" + line + line, "targets.csv")
+    with pytest.raises(ReleaseError, match="line 1: the columns must be"):
+        parse_targets(line, "targets.csv")
+
+
+def test_object_in_two_splits() -> None:
+    lines = [",".join(GOOD), ",".join([*GOOD[:2], "001", "chair", "train", "pairs/r1/001.npz", "a" * 64])]
+    targets = parse_targets("\n".join([",".join(COLUMNS), *lines]), "targets.csv")
+    with pytest.raises(ReleaseError, match="object 'thing' is in two splits, test and train"):
+        check_splits(targets, "targets.csv")
+
+
+@pytest.mark.parametrize("line", ["abc  x", "a" * 64 + "  ../x", "a" * 64 + "  /x", "a" * 64 + "  a/.b"])
+def test_bad_sums(line: str) -> None:
+    with pytest.raises(ReleaseError, match="line 1: malformed, repeated or unsafe"):
+        read_sums(line + "\n", "SHA256SUMS")

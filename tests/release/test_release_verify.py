@@ -1,0 +1,180 @@
+"""verify names every kind of damage, one line each."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_release import synthetic_pair
+
+from kinectbench.errors import ReleaseError
+from kinectbench.release.layout import benchmark_sha256
+from kinectbench.release.pair_check import pair_problems
+from kinectbench.release.release import Release
+from kinectbench.release.verify import verify
+from kinectbench.voxels.pair_file import Pair, pack
+from kinectbench.workspace import sha256_file
+
+
+@pytest.fixture
+def copy(release: Release, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(release.folder, tmp_path / "benchmark"))
+
+
+def test_sound(release: Release) -> None:
+    progress: list[tuple[int, int]] = []
+    assert verify(release.folder, lambda *done: progress.append(done)) == []
+    assert progress[-1][0] == progress[-1][1] == len(progress)
+
+
+def flip(path: Path, position: int = 1000) -> None:
+    content = bytearray(path.read_bytes())
+    content[position % len(content)] ^= 4
+    path.write_bytes(content)
+
+
+def change_target(folder: Path) -> None:
+    path = folder / "targets.csv"
+    path.write_text(
+        path.read_text().replace("chair_02,blue_chair,000,chair,test", "chair_02,blue_chair,000,sofa,test")
+    )
+
+
+def link(folder: Path) -> None:
+    (folder / "README.md").unlink()
+    (folder / "README.md").symlink_to("targets.csv")
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
+    "flipped bit in a pair": (
+        lambda folder: flip(folder / "pairs/chair_01/001.npz"),
+        ["pairs/chair_01/001.npz: changed since it was published (SHA-256 differs)"],
+    ),
+    "flipped bit in a mesh": (
+        lambda folder: flip(folder / "objects/chair_01/mesh.ply"),
+        ["objects/chair_01/mesh.ply: changed since it was published (SHA-256 differs)"],
+    ),
+    "missing pair": (
+        lambda folder: (folder / "pairs/table_01/000.npz").unlink(),
+        ["pairs/table_01/000.npz: missing"],
+    ),
+    "extra file": (
+        lambda folder: (folder / "views/notes.txt").write_text("hello"),
+        ["views/notes.txt: not part of the release"],
+    ),
+    "changed target": (change_target, ["targets.csv: changed since it was published (SHA-256 differs)"]),
+    "link": (link, ["README.md: a link instead of the file that was published"]),
+    "missing card and a link more": (
+        lambda folder: ((folder / "README.md").unlink(), (folder / "out").symlink_to("/")),
+        ["README.md: missing", "out: not part of the release"],
+    ),
+    "benchmark.json": (
+        lambda folder: (folder / "benchmark.json").write_text("{"),
+        ["benchmark.json: changed since it was published (SHA-256 differs)"],
+    ),
+    "no targets": (lambda folder: (folder / "targets.csv").unlink(), ["targets.csv: missing"]),
+}
+
+
+@pytest.mark.parametrize("name", list(DAMAGE))
+def test_damage(name: str, copy: Path) -> None:
+    damage, expected = DAMAGE[name]
+    damage(copy)
+    assert verify(copy) == expected
+
+
+def resum(folder: Path, *names: str) -> None:
+    """Put the present hashes of some files into SHA256SUMS: damage that checksums do not show."""
+    lines = (folder / "SHA256SUMS").read_text().splitlines(keepends=True)
+    for name in names:
+        lines = [
+            f"{sha256_file(folder / name)}  {name}\n" if line.endswith(f"  {name}\n") else line
+            for line in lines
+        ]
+    (folder / "SHA256SUMS").write_text("".join(lines))
+
+
+def test_a_forged_list_of_sums(copy: Path) -> None:
+    flip(copy / "objects/chair_01/mesh.ply")
+    resum(copy, "objects/chair_01/mesh.ply")
+    assert verify(copy) == ["SHA256SUMS: not the list that benchmark.json names"]
+
+
+def test_agreement_of_the_small_files(copy: Path) -> None:
+    path = copy / "targets.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([lines[0], *lines[2:]]).replace(",validation,", ",train,"))
+    (copy / "splits.json").write_text("{}")
+    resum(copy, "targets.csv", "splits.json")
+    text = (copy / "SHA256SUMS").read_text()
+    old = (copy / "benchmark.json").read_text()
+    identity = benchmark_sha256(text)
+    at = old.index('"benchmark_sha256": "') + len('"benchmark_sha256": "')
+    (copy / "benchmark.json").write_text(old[:at] + identity + old[at + 64 :])
+    resum(copy, "benchmark.json")
+    assert verify(copy) == [
+        "splits.json: does not agree with targets.csv",
+        "targets.csv: no line for pairs/chair_01/000.npz",
+    ]
+
+
+def test_damaged_sums(copy: Path) -> None:
+    (copy / "SHA256SUMS").write_text("nonsense\n")
+    assert verify(copy) == ["SHA256SUMS, line 1: malformed, repeated or unsafe; download it again"]
+    (copy / "SHA256SUMS").unlink()
+    assert verify(copy) == ["SHA256SUMS: missing; make or download it again"]
+    with pytest.raises(ReleaseError, match="no release there"):
+        verify(copy / "pairs")
+
+
+GOOD = synthetic_pair(0, "chair")
+SKEW, MIRROR = np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0])
+SKEW[0, 1] = 0.1
+ONE_CELL = np.zeros((64, 64, 64), bool)
+ONE_CELL[0, 0, 0] = True
+CORNER = np.zeros((256, 256, 256), bool)
+CORNER[0, 0, 0] = True
+
+WRONG: dict[str, tuple[Pair, list[str]]] = {
+    "sound": (GOOD, []),
+    "skewed": (
+        replace(GOOD, T_world_grid=SKEW, T_world_camera=SKEW),
+        ["T_world_grid is not a rotation and a shift", "T_world_camera is not a rotation and a shift"],
+    ),
+    "mirrored": (
+        replace(GOOD, T_world_grid=MIRROR, T_world_camera=MIRROR),
+        ["T_world_grid", "T_world_camera"],
+    ),
+    "turned": (replace(GOOD, T_world_grid=np.eye(4)), ["the grid's axes are not the view's"]),
+    "no focal length": (replace(GOOD, K=np.zeros((3, 3))), ["the focal lengths"]),
+    "voxel size": (replace(GOOD, voxel_size_m=0.0), ["voxel_size_m is 0.0"]),
+    "sigma": (replace(GOOD, surface_sigma_m=float("nan")), ["surface_sigma_m is nan"]),
+    "framing": (replace(GOOD, framing="view"), ["framing is 'view' where the benchmark has 'object'"]),
+    "rule": (
+        replace(GOOD, partial_rule="majority"),
+        ["partial_rule is 'majority'", "cells of 'partial' are not 'partial_256' reduced by 'majority'"],
+    ),
+    "empty": (
+        replace(GOOD, full=np.zeros_like(GOOD.full), shell=np.zeros_like(GOOD.full)),
+        ["'full' is empty", "containment is 0.000, below 0.85"],
+    ),
+    "reduction": (
+        replace(GOOD, partial=GOOD.partial | pack(ONE_CELL)),
+        ["1 cells of 'partial' are not 'partial_256' reduced by 'any'"],
+    ),
+    "shell": (replace(GOOD, shell=GOOD.shell | pack(CORNER)), ["1 cells of 'shell' lie outside 'full'"]),
+    "containment": (
+        replace(GOOD, partial=pack(ONE_CELL), partial_256=pack(CORNER)),
+        ["containment is 0.000, below 0.85"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(WRONG))
+def test_pair_problems(name: str) -> None:
+    pair, expected = WRONG[name]
+    found = list(pair_problems(pair, min_containment=0.85, framing="object", partial_rule="any"))
+    assert len(found) == len(expected)
+    assert all(part in line for part, line in zip(expected, found, strict=True))

@@ -1,0 +1,200 @@
+"""The page as a whole: self-contained, safe, stable, and there whatever is missing."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from report_fake_build import score, write_build
+
+from kinectbench.config import BenchmarkSettings
+from kinectbench.errors import KinectBenchError, StorageError
+from kinectbench.report import write_report
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would load, the text it would show, and unbalanced tags."""
+
+    VOID = ("meta", "link", "img")
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.sources: list[str] = []
+        self.tags: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, f"</{tag}> closes nothing"
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def html(settings: BenchmarkSettings, build: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("scores") / "index.html"
+    scores = [score("mirror", 0.41), score("hull", 0.38), score("half", 0.2, complete=False)]
+    assert write_report(settings, build, scores, out) == out
+    return out.read_text(encoding="utf-8")
+
+
+def test_nothing_is_loaded_from_elsewhere(html: str) -> None:
+    reader = Reader(html)
+    assert reader.open == []
+    assert all(source.startswith(("data:", "#r")) for source in reader.sources)
+    written = re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
+    assert not re.search(r"https?:|url\(|@import|//[a-z]", written)
+    assert "default-src 'none'" in html
+
+
+def test_every_image_decodes_and_the_pairs_are_twice_as_wide_as_high(html: str) -> None:
+    images = re.findall(r'src="data:image/jpeg;base64,([^"]+)"', html)
+    shapes = [
+        cv2.imdecode(np.frombuffer(base64.b64decode(i, validate=True), np.uint8), cv2.IMREAD_COLOR).shape
+        for i in images
+    ]
+    # Three sides of the object, six views, three pairs; then three views with colour beside depth.
+    assert len(shapes) == 3 + 6 + 3 + 3 * 2
+    assert shapes[9:12] == [(120, 240, 3)] * 3
+
+
+def test_shows_figures_of_every_stage(html: str) -> None:
+    text = " ".join(Reader(html).text.split())
+    for words in (
+        "CC-BY-4.0",
+        "ab" * 32,
+        "2 frames disagree with the rest",
+        "median residual (m)0.0042",
+        "residual of 22 mm is above 15 mm <b>",
+        "Not built yet: trajectory, floor, object, views, pairs.",
+        "incomplete: no averages",
+        "Yang, Rosa, Markham",
+        "view chair_01/003, error missing",
+        "published, not comparable",
+        "colour is not registered to depth",
+        "chair 0.35, table 0.5",
+    ):
+        assert words in text, words
+    assert "<b>0.410</b>" in html
+    assert "0.380" in html and "<b>0.380</b>" not in html
+
+
+def test_same_input_gives_the_same_bytes(
+    html: str, settings: BenchmarkSettings, build: Path, tmp_path: Path
+) -> None:
+    scores = [score("mirror", 0.41), score("hull", 0.38), score("half", 0.2, complete=False)]
+    again = write_report(settings, build, scores, tmp_path / "scores" / "index.html")
+    assert again.read_text(encoding="utf-8") == html
+    assert [path.name for path in again.parent.iterdir()] == ["index.html"]
+
+
+def test_names_from_strangers_are_text(settings: BenchmarkSettings, tmp_path: Path) -> None:
+    hostile = "\"><script>alert(1)</script><img src=x onerror='x'>{{ 7 * 7 }}"
+    folder = tmp_path / "chair_01" / "trajectory"
+    folder.mkdir(parents=True)
+    health = {"verdict": hostile, "warnings": [hostile], hostile: hostile}
+    (folder / "health.json").write_text(json.dumps(health))
+    (tmp_path / "chair_01" / "pairs").mkdir()
+    refused = [{"view": 3, "frame": hostile, "reason": hostile}]
+    (tmp_path / "chair_01" / "pairs" / "pairs.json").write_text(json.dumps({"pairs": [], "refused": refused}))
+    table = score(hostile, 0.4)
+    table |= {"benchmark_sha256": hostile, "warnings": [hostile], "failures": {hostile: hostile}}
+    table |= {"thresholds": {hostile: 0.5}, "threshold_source": hostile}
+    table["by_category"] = {hostile: {hostile: {"iou": 0.3, "base_rate_source": hostile}}}
+    licensed = settings.model_copy(update={"license": hostile})
+    reader = Reader(write_report(licensed, tmp_path, [table], tmp_path / "x.html").read_text())
+    assert reader.tags.count("script") == 1
+    assert "img" not in reader.tags
+    assert reader.text.count(hostile) >= 12
+    assert "49" not in re.sub(r"#\w+", "", reader.text)
+
+
+def test_nothing_built_and_no_scores(settings: BenchmarkSettings, tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    out = write_report(settings, tmp_path, [], tmp_path / "x.html", lambda *news: told.append(news))
+    text = Reader(out.read_text()).text
+    assert text.count("Not built yet: trajectory, floor, object, views, pairs.") == 3
+    assert "No predictions scored yet" in text
+    assert told == [("chair_01", 0, 3), ("table_01", 1, 3), ("bench_01", 2, 3), ("", 3, 3)]
+
+
+def test_tables_with_nulls(settings: BenchmarkSettings, tmp_path: Path) -> None:
+    nothing = {"method": "a", "by_category": None, "overall": None, "thresholds": None, "warnings": None}
+    holes = {"method": "b", "by_category": {"known": {"chair": None, "table": {"iou": None}}, "paper": None}}
+    out = write_report(settings, tmp_path, [nothing, holes], tmp_path / "x.html")
+    assert "Protocol “known”" in Reader(out.read_text()).text
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"method": None}, "score table 1: 'method'"),
+        ({"by_category": 3}, "score table 1: 'by_category'"),
+        ({"overall": {"known": {"iou": "high"}}}, "score table 1: 'overall.known.iou'"),
+    ],
+)
+def test_a_bad_score_table_is_one_line(
+    settings: BenchmarkSettings, tmp_path: Path, change: dict, words: str
+) -> None:
+    with pytest.raises(StorageError, match=re.escape(words)) as caught:
+        write_report(settings, tmp_path, [score("a", 0.1) | change], tmp_path / "x.html")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "x.html").exists()
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("small")
+    write_build(folder, n_pairs=1)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("trajectory/health.json", b"{", "not readable as JSON"),
+        ("trajectory/health.json", b"[]", "holds no JSON object"),
+        ("trajectory/health.json", b"\xff\xfe{}", "not readable as JSON"),
+        ("trajectory/trajectory.txt", b"0 1 2 3\n", "line 1: not 't tx ty tz"),
+        ("trajectory/trajectory.txt", b"# only this\n", "holds no camera"),
+        ("trajectory/trajectory.txt", b"0 0 0 0 0 0 0 0\n", "line 1"),
+        ("object/floor.json", b'{"T_floor_world": [[1]]}', "4x4"),
+        ("object/mesh.ply", b"ply\n", "not a readable triangle mesh"),
+        ("views/views.json", b'{"views": [{"view": "../x"}]}', "which is no index"),
+        ("views/views.json", b'{"views": 3}', "not a list of objects"),
+        ("views/000.color.jpg", b"", "not a readable image"),
+        ("views/000.mask.png", b"no", "not a readable image"),
+        ("pairs/000.npz", b"no", "cannot be read as a pair file"),
+        ("pairs/pairs.json", b'{"pairs": [{"view": "007"}]}', "007.npz"),
+    ],
+)
+def test_a_damaged_file_is_one_line(
+    settings: BenchmarkSettings, small: Path, tmp_path: Path, name: str, content: bytes, words: str,
+    capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    path = small / "chair_01" / name
+    kept = path.read_bytes()
+    path.write_bytes(content)
+    try:
+        with pytest.raises(KinectBenchError, match=re.escape(words)) as caught:
+            write_report(settings, small, [], tmp_path / "x.html")
+    finally:
+        path.write_bytes(kept)
+    assert "\n" not in str(caught.value)
+    assert path.parent.name in str(caught.value)
+    assert capfd.readouterr().out == ""

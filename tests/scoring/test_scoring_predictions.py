@@ -1,0 +1,88 @@
+"""Which file answers which target, and everything that is wrong said at once."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinectbench.errors import PredictionError
+from kinectbench.release.release import Release
+from kinectbench.scoring.check import check
+from kinectbench.scoring.predictions import find_predictions, split_methods
+
+GRID = np.zeros((2, 2, 2), bool)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, release: Release) -> Path:
+    """A complete submission for the test split."""
+    for target in release.split("test"):
+        path = tmp_path / "mine" / target.recording / f"{target.view}.npy"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, GRID)
+    return tmp_path / "mine"
+
+
+def test_a_complete_submission(folder: Path, release: Release) -> None:
+    seen: list[tuple[int, int]] = []
+    assert check(release, folder, lambda done, total: seen.append((done, total))) == []
+    assert seen[-1] == (len(release.targets),) * 2
+    found = find_predictions(folder, release.split("test"))
+    assert len(found.files) == 4 and not found.missing and not found.stray
+
+
+def test_everything_wrong_at_once(folder: Path, release: Release, tmp_path: Path) -> None:
+    np.save(tmp_path / "elsewhere.npy", GRID)
+    (folder / "chair_01" / "000.npy").unlink()
+    (folder / "chair_01" / "000.npy").symlink_to(tmp_path / "elsewhere.npy")
+    np.savez(folder / "chair_01" / "001.npz", GRID)
+    (folder / "chair_02" / "000.npy").unlink()
+    (folder / "table_01" / "000.npy").write_bytes(b"")
+    np.save(folder / "table_01" / "0.npy", GRID)
+    (folder / ".DS_Store").write_bytes(b"")
+    assert check(release, folder) == [
+        "chair_01/000.npy: a link out of the folder; put the file itself",
+        "chair_01/001: both .npy and .npz are there; keep one",
+        "chair_02/000: no prediction; expected chair_02/000.npy or .npz",
+        "table_01/000.npy: the file is empty",
+        "table_01/0.npy: answers no target of the benchmark; remove it",
+    ]
+
+
+def test_validation_is_all_or_nothing(folder: Path, release: Release) -> None:
+    (folder / "chair_03").mkdir()
+    np.save(folder / "chair_03" / "000.npy", GRID)
+    assert [line.split(":")[0] for line in check(release, folder)] == ["chair_03/001", "table_02/000"]
+
+
+def test_links(folder: Path, release: Release, tmp_path: Path) -> None:
+    shutil.move(folder / "chair_01", tmp_path / "outside")
+    (folder / "chair_01").symlink_to(tmp_path / "outside")
+    (folder / "table_01" / "000.npy").unlink()
+    (folder / "table_01" / "000.npy").symlink_to("000.npy")  # to itself
+    (folder / "chair_02" / "000.npy").rename(folder / "chair_02" / "real.npy")
+    (folder / "chair_02" / "000.npy").symlink_to("real.npy")  # inside: fine
+    found = find_predictions(folder, release.split("test"))
+    assert [target.name for target in found.problems] == ["chair_01/000", "chair_01/001", "table_01/000"]
+    assert [target.name for target in found.files] == ["chair_02/000"]
+
+
+def test_split_methods(folder: Path, release: Release, tmp_path: Path) -> None:
+    assert split_methods(folder, release.targets) == {"mine": folder}
+    shutil.copytree(folder, tmp_path / "all" / "theirs")
+    shutil.copytree(folder, tmp_path / "all" / "ours")
+    (tmp_path / "all" / "notes").mkdir()
+    methods = split_methods(tmp_path / "all", release.targets)
+    assert methods == {name: tmp_path / "all" / name for name in ("ours", "theirs")}
+    (tmp_path / "all" / "linked").symlink_to(folder)
+    with pytest.raises(PredictionError, match="linked: a link out of the folder"):
+        split_methods(tmp_path / "all", release.targets)
+
+
+def test_no_predictions(release: Release, tmp_path: Path) -> None:
+    with pytest.raises(PredictionError, match="no predictions there; expected <recording>"):
+        split_methods(tmp_path, release.targets)
+    for function in (split_methods, find_predictions):
+        with pytest.raises(PredictionError, match="nowhere: no such folder"):
+            function(tmp_path / "nowhere", release.targets)

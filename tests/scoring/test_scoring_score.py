@@ -1,0 +1,210 @@
+"""A whole submission against a release: tables, averages, failures, workers."""
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rich.console import Console
+
+from kinectbench.errors import PredictionError, ReleaseError, SettingsError
+from kinectbench.release.release import Release, Target, open_release
+from kinectbench.scoring.base_rate import base_rates
+from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.score import score
+from kinectbench.scoring.table import ScoreTable, scores_json, write_scores
+from kinectbench.scoring.terminal import score_table
+from kinectbench.voxels.pair_file import read_pair, unpack
+
+Predict = Callable[[Target, NDArray[np.bool_]], NDArray[Any]]
+
+
+def write_method(
+    release: Release, folder: Path, predict: Predict, splits: tuple[str, ...] = ("test", "validation")
+) -> Path:
+    for target in release.targets:
+        if target.split in splits:
+            path = folder / target.recording / f"{target.view}.npy"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.save(path, predict(target, unpack(read_pair(release.pair_path(target)).full)))
+    return folder
+
+
+def soft(target: Target, full: NDArray[np.bool_]) -> NDArray[Any]:
+    """0.62 in the truth, 0.22 around it, shifted by three cells; chairs alone have 0.38 in a slab."""
+    y = np.where(np.roll(full, 3, axis=0), np.float16(0.62), np.float16(0.22))
+    if target.category == "chair":
+        y[:, :30] = 0.38
+    return y
+
+
+@pytest.fixture(scope="module")
+def method(release: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_method(release, tmp_path_factory.mktemp("predictions") / "soft", soft)
+
+
+@pytest.fixture(scope="module")
+def table(release: Release, method: Path) -> ScoreTable:
+    return score(release, method, method="soft")
+
+
+def test_rows_against_plain_numpy(release: Release, method: Path, table: ScoreTable) -> None:
+    assert table.complete and table.threshold_source == "validation" and not table.warnings
+    assert table.thresholds == {"chair": 0.4, "table": 0.25}  # the lowest that leaves out 0.38, and 0.22
+    assert len(table.rows) == 3 * 4
+    for row in table.rows:
+        pair = read_pair(release.folder / "pairs" / row.recording / f"{row.view}.npz")
+        full, known, seen = unpack(pair.full), unpack(pair.known), unpack(pair.seen)
+        mask = {"paper": np.ones_like(known), "known": known, "occluded": known & ~seen}[row.protocol]
+        y = np.load(method / row.recording / f"{row.view}.npy").astype(np.float64)[mask]
+        truth, above = full[mask], y > row.threshold
+        assert row.iou == pytest.approx((above & truth).sum() / (above | truth).sum(), abs=1e-12)
+        assert row.precision == pytest.approx((above & truth).sum() / above.sum(), abs=1e-12)
+        assert row.recall == pytest.approx((above & truth).sum() / truth.sum(), abs=1e-12)
+        assert row.ce == pytest.approx(-np.log(np.where(truth, y, 1 - y)).mean(), abs=1e-10)
+        assert row.coverage_voxels == pytest.approx(mask.mean())
+        assert row.coverage_shape == pytest.approx(truth.sum() / full.sum())
+        rate = table.base_rate[row.category]["value"]
+        assert row.base_rate_ce == pytest.approx(
+            -truth.mean() * np.log(rate) - (1 - truth.mean()) * np.log(1 - rate)
+        )
+
+
+def test_averages(table: ScoreTable) -> None:
+    assert table.by_category is not None and table.overall is not None
+    iou = {(r.protocol, r.recording, r.view): r.iou for r in table.rows}
+    for protocol in ("paper", "known", "occluded"):
+        red = [iou[protocol, "chair_01", view] for view in ("000", "001")]
+        blue = iou[protocol, "chair_02", "000"]
+        # paper: three pairs alike; the others: two objects alike
+        expected = np.mean([*red, blue]) if protocol == "paper" else np.mean([np.mean(red), blue])
+        chair = table.by_category[protocol]["chair"]
+        assert chair["iou"] == pytest.approx(expected, abs=1e-12)
+        assert (chair["pairs"], chair["objects"], chair["base_rate_source"]) == (3, 2, "validation")
+        macro = (expected + iou[protocol, "table_01", "000"]) / 2
+        assert table.overall[protocol]["iou"] == pytest.approx(macro, abs=1e-12)
+        assert table.overall[protocol]["pairs"] == 4
+    assert table.by_category["paper"]["table"]["coverage_voxels"] == 1
+    assert table.by_category["known"]["table"]["coverage_voxels"] < 1
+
+
+def test_files(release: Release, table: ScoreTable, tmp_path: Path) -> None:
+    write_scores(table, tmp_path / "scores")
+    content = json.loads((tmp_path / "scores" / "scores.json").read_text())
+    assert content["benchmark_sha256"] == release.benchmark_sha256
+    assert content["method"] == "soft" and len(content["rows"]) == 12
+    assert content["truth_quality"]["chair_01"] == {"repeatability_iou": 0.93}
+    assert str(release.folder) not in json.dumps(content) and "tmp" not in json.dumps(content)
+    with (tmp_path / "scores" / "scores.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [float(line["iou"]) for line in lines] == [row.iou for row in table.rows]
+    assert sorted(path.name for path in (tmp_path / "scores").iterdir()) == ["scores.csv", "scores.json"]
+
+
+def test_any_number_of_workers(release: Release, method: Path, table: ScoreTable) -> None:
+    assert scores_json(score(release, method, method="soft", jobs=2)) == scores_json(table)
+
+
+def test_without_validation_predictions(release: Release, tmp_path: Path) -> None:
+    write_method(release, tmp_path, lambda target, full: full[::8, ::8, ::8], ("test",))
+    progress: list[tuple[int, int]] = []
+    table = score(release, tmp_path, method="low", progress=lambda *done: progress.append(done))
+    assert table.complete and table.threshold_source == "fixed"
+    assert table.warnings == ("threshold fixed at 0.5: no prediction for the validation split was supplied",)
+    assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert all(row.iou > 0.6 for row in table.rows if row.protocol == "paper")
+
+
+def test_failures(release: Release, tmp_path: Path) -> None:
+    write_method(release, tmp_path, lambda target, full: full[::8, ::8, ::8])
+    (tmp_path / "chair_01" / "000.npy").write_bytes(b"")
+    (tmp_path / "chair_02" / "000.npy").unlink()
+    table = score(release, tmp_path, method="part", protocols=["known"])
+    assert not table.complete and table.by_category is None and table.overall is None
+    assert [dict(failure) for failure in table.failures] == [
+        {"recording": "chair_01", "view": "000", "reason": "chair_01/000.npy: the file is empty"},
+        {
+            "recording": "chair_02",
+            "view": "000",
+            "reason": "chair_02/000: no prediction; expected chair_02/000.npy or .npz",
+        },
+    ]
+    assert [(row.recording, row.view) for row in table.rows] == [("chair_01", "001"), ("table_01", "000")]
+    assert table.warnings[-1].startswith("incomplete: 2 predictions")
+    json.loads(scores_json(table))
+    allowed = score(release, tmp_path, method="part", missing="empty", protocols=["known"])
+    assert [failure["recording"] for failure in allowed.failures] == ["chair_01"]
+    assert allowed.settings["missing"] == "empty"
+    assert [row.iou for row in allowed.rows if row.recording == "chair_02"] == [0.0]
+
+
+def test_threshold_file(release: Release, method: Path, tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    path.write_text('{"thresholds": {"chair": 0.1, "table": 0.9}}')
+    table = score(release, method, method="soft", protocols=["paper"], thresholds_file=path)
+    assert table.thresholds == {"chair": 0.1, "table": 0.9}
+    assert table.threshold_source.startswith("file:")
+    assert [row.recall for row in table.rows] == [1, 1, 1, 0]
+
+
+def test_refusals(release: Release, method: Path, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="no protocol 'all': choose among paper, known, occluded"):
+        score(release, method, method="x", protocols=["all"])
+    with pytest.raises(PredictionError, match="no such folder"):
+        score(release, tmp_path / "none", method="x")
+    train = tuple(t for t in release.targets if t.split != "test")
+    with pytest.raises(ReleaseError, match="no pair in the test split"):
+        score(Release(release.folder, train, release.metadata), method, method="x")
+    shared = tuple(
+        Target(t.recording, "same", t.view, t.category, t.split, t.file, t.sha256) for t in release.targets
+    )
+    with pytest.raises(ReleaseError, match="object 'same' is in two splits"):
+        score(Release(release.folder, shared, release.metadata), method, method="x")
+
+
+def test_changed_truth_is_never_scored(release: Release, method: Path) -> None:
+    first, *rest = release.targets
+    wrong = Target(**{**first.__dict__, "sha256": "0" * 64})
+    with pytest.raises(ReleaseError, match="not the file that was published"):
+        score(Release(release.folder, (wrong, *rest), release.metadata), method, method="x")
+
+
+def test_base_rates(release: Release) -> None:
+    rates = base_rates(release)
+    shares = [
+        unpack(read_pair(release.pair_path(t)).full).mean()
+        for t in release.split("validation")
+        if t.category == "chair"
+    ]
+    assert rates["chair"].value == pytest.approx(np.mean(shares), abs=1e-12)
+    assert rates["chair"].source == "validation"
+    test_only = base_rates(Release(release.folder, release.split("test"), release.metadata))
+    assert test_only["table"].source == "test (oracle)"
+
+
+def test_terminal_table(table: ScoreTable, release: Release, tmp_path: Path) -> None:
+    (tmp_path / "chair_01").mkdir()
+    failed = score(release, tmp_path, method="nothing")
+    console = Console(width=250, record=True, file=(tmp_path / "out").open("w"))
+    console.print(score_table([table, failed], published=True))
+    console.file.close()
+    text = console.export_text()
+    assert table.by_category is not None
+    chair = table.by_category["known"]["chair"]
+    assert f"{chair['iou']:.3f} / {chair['ce']:.3f}" in text
+    assert "4 failed" in text and "0.208 / 0.153" in text and text.count(LABEL) == 5
+
+
+def test_published_scores() -> None:
+    assert CATEGORIES == ("bench", "chair", "couch", "table")
+    assert {entry.method: entry.iou[2] for entry in PUBLISHED} == {
+        "3D-RecGAN++": 0.540, "3D-RecAE": 0.538, "3D-EPN": 0.508, "Varley et al.": 0.433, "Han et al.": 0.235
+    }  # fmt: skip
+
+
+def test_opened_release_is_the_published_one(release: Release) -> None:
+    assert open_release(release.folder) == release

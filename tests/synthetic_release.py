@@ -1,0 +1,99 @@
+"""A small release of simple shapes, made as the stages would make it: a build folder, then publish."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import BenchmarkSettings
+from kinectbench.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.release.publish import PublishSummary, publish
+from kinectbench.voxels.morphology import shell_of
+from kinectbench.voxels.pair_file import Pair, pack, pair_bytes
+from kinectbench.voxels.resample import reduce_blocks
+
+Bools = NDArray[np.bool_]
+
+RECORDINGS = (
+    # id, category, object, split, number of views
+    ("chair_01", "chair", "red_chair", "test", 2),
+    ("chair_02", "chair", "blue_chair", "test", 1),
+    ("chair_03", "chair", "val_chair", "validation", 2),
+    ("table_01", "table", "old_table", "test", 1),
+    ("table_02", "table", "val_table", "validation", 1),
+)
+CENTRES = np.arange(256) + 0.5
+
+
+def ball(center: tuple[float, float, float], radius: float) -> Bools:
+    """(256, 256, 256) bool: cells whose centre lies in a ball; cells."""
+    x, y, z = ((CENTRES - c) ** 2 for c in center)
+    return x[:, None, None] + y[:, None] + z <= radius**2
+
+
+def synthetic_pair(number: int, category: str) -> Pair:
+    """A ball (chair) or a board (table) seen from z = 0, with an unknown slab; differs by number."""
+    if category == "chair":
+        full = ball((120 + number, 128, 130), 90.0 - 3 * number)
+    else:
+        full = np.zeros((256, 256, 256), bool)
+        full[20:230, 100 + number : 130, 30:220] = True
+    first = full.argmax(axis=2)
+    front = full & (np.arange(256) <= first[..., None] + 1)
+    known = np.ones((256, 256, 256), bool)
+    known[200 : 210 + number] = False
+    seen = np.arange(256) <= np.where(full.any(axis=2), first + 1, 255)[..., None]
+    T = rigid(rotation_from_quaternion_xyzw([0.1, -0.2, 0.3, 0.9]), [0.5, -0.2, 1.0 + number])
+    return Pair(
+        partial=pack(reduce_blocks(front, "any")),
+        partial_256=pack(front),
+        full=pack(full),
+        shell=shell_of(full),
+        known=pack(known),
+        seen=pack(seen),
+        T_world_grid=T,
+        T_world_camera=rigid(T[:3, :3], [0.0, 0.0, 0.0]),
+        K=np.array([[525.0, 0, 320], [0, 525, 240], [0, 0, 1]]),
+        voxel_size_m=0.004,
+        surface_sigma_m=0.003,
+        framing="object",
+        partial_rule="any",
+    )
+
+
+def synthetic_settings() -> BenchmarkSettings:
+    """Settings of the benchmark that the synthetic release is published from."""
+    recordings = [
+        {"id": name, "path": f"/home/someone/{name}", "category": category, "object": thing, "split": split}
+        for name, category, thing, split, _ in RECORDINGS
+    ]
+    return BenchmarkSettings.model_validate(
+        {"name": "synthetic", "license": "CC0-1.0", "recordings": recordings}
+    )
+
+
+def write_build(build: Path) -> None:
+    """Write what publish reads of every recording."""
+    for index, (name, category, _, _, count) in enumerate(RECORDINGS):
+        views = [f"{view:03d}" for view in range(count)]
+        for folder in ("pairs", "views", "object"):
+            (build / name / folder).mkdir(parents=True)
+        for view in views:
+            pair = synthetic_pair(index + int(view), category)
+            (build / name / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
+            for suffix in ("depth.png", "mask.png", "color.jpg"):
+                (build / name / "views" / f"{view}.{suffix}").write_bytes(f"{name} {view} {suffix}".encode())
+        listed = {"pairs": [{"view": view, "frame": 7, "containment": 1.0} for view in views], "refused": []}
+        (build / name / "pairs" / "pairs.json").write_text(json.dumps(listed))
+        (build / name / "views" / "views.json").write_text("[]")
+        for file in ("floor.json", "mesh.ply", "volume.npz"):
+            (build / name / "object" / file).write_bytes(f"{name} {file}".encode())
+        (build / name / "object" / "quality.json").write_text('{"repeatability_iou": 0.93}')
+
+
+def publish_synthetic(root: Path) -> PublishSummary:
+    """Build and publish below `root`."""
+    write_build(root / "build")
+    names = [recording[0] for recording in RECORDINGS]
+    return publish(synthetic_settings(), root / "build", root / "benchmark", names)
