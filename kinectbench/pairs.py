@@ -123,20 +123,34 @@ def _index_map(to: Grid, grid: Grid) -> NDArray[np.float64]:
 
 @numba.njit(cache=True, error_model="numpy")
 def _known(fine, to_fine, coarse, to_coarse, side):  # type: ignore[no-untyped-def]
+    """Walks every column of cells along z through both label grids, the fine one last: it wins."""
     packed = np.zeros((side, side, side // 8), np.uint8)
+    column = np.empty(side, np.uint8)
     for i in range(side):
         for j in range(side):
-            for k in range(side):
-                found = False
-                for level in range(2):
-                    labels, M = (fine, to_fine) if level == 0 else (coarse, to_coarse)
-                    a, b, c = i + 0.5, j + 0.5, k + 0.5
-                    x = int(np.floor(M[0, 0] * a + M[0, 1] * b + M[0, 2] * c + M[0, 3]))
-                    y = int(np.floor(M[1, 0] * a + M[1, 1] * b + M[1, 2] * c + M[1, 3]))
-                    z = int(np.floor(M[2, 0] * a + M[2, 1] * b + M[2, 2] * c + M[2, 3]))
-                    if 0 <= x < labels.shape[0] and 0 <= y < labels.shape[1] and 0 <= z < labels.shape[2]:
-                        found = labels[x, y, z] != UNKNOWN
-                        break
-                if found:
-                    packed[i, j, k >> 3] |= 128 >> (k & 7)
+            column[:] = UNKNOWN
+            for level in range(2):
+                labels, M = (coarse, to_coarse) if level == 0 else (fine, to_fine)
+                x, y, z = M[:, 0] * (i + 0.5) + M[:, 1] * (j + 0.5) + M[:, 2] * 0.5 + M[:, 3]
+                dx, dy, dz = M[:, 2]
+                first, last = _span(x, dx, labels.shape[0], 0, side)
+                first, last = _span(y, dy, labels.shape[1], first, last)
+                first, last = _span(z, dz, labels.shape[2], first, last)
+                for k in range(first, last):
+                    column[k] = labels[int(x + k * dx), int(y + k * dy), int(z + k * dz)]
+            for byte in range(side // 8):
+                bits = 0
+                for k in range(byte * 8, byte * 8 + 8):
+                    bits = (bits << 1) | (1 if column[k] != UNKNOWN else 0)
+                packed[i, j, byte] = bits
     return packed
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _span(start, step, count, first, last):  # type: ignore[no-untyped-def]
+    """The steps k in [first, last) with 0 <= start + k step < count, as a range."""
+    while first < last and not 0.0 <= start + first * step < count:
+        first += 1
+    while last > first and not 0.0 <= start + (last - 1) * step < count:
+        last -= 1
+    return first, last
