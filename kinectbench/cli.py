@@ -1,0 +1,309 @@
+"""The command line: parse, call, show. Every algorithm lives in the rooms below."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from kinectbench import __version__
+from kinectbench.commands import (
+    DEFAULT_CONFIG,
+    SOME_FAILED,
+    BenchmarkDir,
+    Config,
+    Force,
+    Ids,
+    Jobs,
+    Json,
+    Predictions,
+    Set,
+    build_recordings,
+    built,
+    exit_for,
+    find_release,
+    open_benchmark,
+    run_stage,
+    tell_problems,
+    workers,
+    write_page,
+)
+from kinectbench.errors import KinectBenchError, SettingsError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Turn RGB-D recordings of real objects into a benchmark for single-view shape completion, and score "
+    "predictions against it.",
+)
+
+STAGES = {
+    "build": "Run every stage up to the pairs; what is current is not made again.",
+    "ingest": "Read recordings of any known format.",
+    "track": "Give every frame a camera pose, and leave out frames that disagree with it.",
+    "fuse": "Fuse the good frames into one surface.",
+    "segment": "Find floor and object, and make the object solid.",
+    "sample-views": "Draw the views, with the object's mask in each.",
+    "pairs": "Write a pair for each view: partial and full shape.",
+}
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"kinectbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version")
+    ] = False,
+) -> None:
+    pass
+
+
+def _add_stage(name: str, text: str) -> None:
+    upto = "pairs" if name == "build" else name
+
+    @app.command(name, help=text)
+    def stage(
+        ids: Ids = None,
+        config: Config = DEFAULT_CONFIG,
+        overrides: Set = None,
+        jobs: Jobs = None,
+        force: Force = False,
+        as_json: Json = False,
+    ) -> None:
+        run_stage(upto, ids, config, overrides, jobs, force, as_json)
+
+
+for _name, _text in STAGES.items():
+    _add_stage(_name, _text)
+
+
+@app.command()
+def publish(
+    ids: Ids = None,
+    config: Config = DEFAULT_CONFIG,
+    overrides: Set = None,
+    jobs: Jobs = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write the release to benchmark/, from everything that can be built."""
+    from kinectbench import console
+    from kinectbench.release.current import publish_if_stale
+
+    settings, root = open_benchmark(config, overrides)
+    rows = build_recordings(settings, root, ids, "pairs", jobs)
+    if not built(rows):
+        exit_for(rows)
+    summary = publish_if_stale(settings, root, built(rows), force)
+    console.lines("warning", summary.warnings, "yellow")
+    if as_json:
+        result = {
+            "release": str(summary.folder),
+            "recordings": list(summary.recordings),
+            "pairs": summary.pairs,
+            "benchmark_sha256": summary.benchmark_sha256,
+        }
+        typer.echo(json.dumps(result))
+    else:
+        typer.echo(
+            f"published {summary.pairs} pairs of {len(summary.recordings)} recordings: {summary.folder}"
+        )
+        typer.echo(f"benchmark_sha256 {summary.benchmark_sha256}")
+    exit_for(rows)
+
+
+@app.command()
+def verify(
+    release: Annotated[Path, typer.Argument(help="the release's folder")] = Path("benchmark"),
+    as_json: Json = False,
+) -> None:
+    """Re-check every byte and every pair of a release."""
+    from kinectbench import console
+    from kinectbench.release.verify import verify as find_problems
+
+    with console.bar("verify") as progress:
+        problems = find_problems(release, progress)
+    tell_problems(problems, as_json, f"{release}: all well")
+
+
+@app.command()
+def check(
+    predictions: Predictions,
+    benchmark: BenchmarkDir = None,
+    config: Config = DEFAULT_CONFIG,
+    overrides: Set = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Say everything that is wrong with a folder of predictions, without scoring."""
+    from kinectbench import console
+    from kinectbench.scoring.check import check as find_problems
+    from kinectbench.scoring.predictions import split_methods
+
+    release = find_release(benchmark, config, overrides, jobs)
+    methods = split_methods(predictions, release.targets)
+    problems = []
+    for name, folder in methods.items():
+        with console.bar(f"check {name}") as progress:
+            found = find_problems(release, folder, progress)
+        problems += [f"{name}: {line}" if len(methods) > 1 else line for line in found]
+    tell_problems(problems, as_json, f"{predictions}: all well")
+
+
+@app.command()
+def baseline(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="default: all")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="folder of methods; default: predictions/ beside the benchmark")
+    ] = None,
+    benchmark: BenchmarkDir = None,
+    config: Config = DEFAULT_CONFIG,
+    overrides: Set = None,
+    jobs: Jobs = None,
+) -> None:
+    """Write the trivial methods' predictions: empty, base-rate, partial, hull."""
+    from kinectbench import console
+    from kinectbench.baselines.registry import BASELINES
+    from kinectbench.baselines.write import write_baselines
+
+    release = find_release(benchmark, config, overrides, jobs)
+    folder = out or (Path("predictions") if benchmark else config.parent / "predictions")
+    with console.bar("baseline") as progress:
+        write_baselines(release, folder, tuple(names or BASELINES), workers(jobs), progress)
+    typer.echo(f"wrote {', '.join(names or BASELINES)}: {folder}")
+
+
+@app.command()
+def score(
+    predictions: Predictions,
+    benchmark: BenchmarkDir = None,
+    method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
+    protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
+    thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
+    missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = "error",
+    out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
+    config: Config = DEFAULT_CONFIG,
+    overrides: Set = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Score predictions; thresholds come from the validation split or a file."""
+    from kinectbench import console
+    from kinectbench.report.run import page_of_release
+    from kinectbench.scoring.run import score_methods
+    from kinectbench.scoring.terminal import score_table
+
+    release = find_release(benchmark, config, overrides, jobs)
+    folder = out or (Path("scores") if benchmark else config.parent / "scores")
+    with console.bar("score") as progress:
+        tables = score_methods(
+            release,
+            predictions,
+            folder,
+            method=method,
+            protocols=protocol,
+            thresholds_file=thresholds,
+            missing=missing,
+            jobs=workers(jobs),
+            progress=progress,
+        )
+    for table in tables:
+        console.lines(f"{table.method}: warning", table.warnings, "yellow")
+        console.lines(f"{table.method}: error", [f["reason"] for f in table.failures], "red")
+    page = page_of_release(release, folder) if benchmark else write_page(config, overrides, folder)
+    if as_json:
+        typer.echo(json.dumps([{"method": t.method, "overall": t.overall} for t in tables]))
+    else:
+        console.out.print(score_table(tables, published=True))
+        typer.echo(f"page: {page.resolve()}")
+    if not all(table.complete for table in tables):
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+def report(
+    config: Config = DEFAULT_CONFIG,
+    overrides: Set = None,
+    scores: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
+) -> None:
+    """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
+    page = write_page(config, overrides, scores or config.parent / "scores")
+    typer.echo(f"page: {page.resolve()}")
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path | None, typer.Argument(help="the recording: a folder (TUM) or a .bag")] = None,
+    object_name: Annotated[str, typer.Option("--object", help="furniture and seed")] = "chair:seed=0",
+    frames: Annotated[int, typer.Option(min=2, help="number of frames")] = 72,
+    samples: Annotated[Path | None, typer.Option(help="write the sample recordings here")] = None,
+    demo: Annotated[Path | None, typer.Option(help="write the demo's further recordings here")] = None,
+) -> None:
+    """Write a simulated recording, with the exact truth beside it in <name>.truth/."""
+    from kinectbench import console
+    from kinectbench.simulate.run import simulate_named
+
+    with console.recording_bars() as progress:
+        written = simulate_named(
+            out, object_name, frames, samples, demo, lambda name, *done: progress(name, "simulate", *done)
+        )
+    for path in written:
+        typer.echo(f"wrote {path}")
+
+
+@app.command()
+def init(
+    folder: Annotated[Path, typer.Argument(help="recordings are looked for here and below")],
+    force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
+) -> None:
+    """Write a commented benchmark.yaml for the recordings found in a folder."""
+    from kinectbench.benchmark_file import init_benchmark
+    from kinectbench.ingest.registry import find_recordings
+    from kinectbench.workspace import replaced_file
+
+    target = folder / "benchmark.yaml"
+    if not folder.is_dir():
+        raise SettingsError(f"{folder}: no such folder; give the folder that holds the recordings")
+    if target.exists() and not force:
+        raise SettingsError(f"{target}: is there already; edit it, or use --force to replace it")
+    found = [(path.relative_to(folder).as_posix(), name) for path, name in find_recordings(folder)]
+    text = init_benchmark(folder, found)
+    with replaced_file(target) as temporary:
+        temporary.write_text(text)
+    typer.echo(
+        f"wrote {target} with {len(found)} recordings: fill in the categories, then `kinectbench build`"
+    )
+
+
+def _fail(message: str, status: int) -> NoReturn:
+    from kinectbench import console
+
+    console.lines("error", [message], "red")
+    sys.exit(status)
+
+
+def main() -> None:
+    """Run the command line; every error becomes one line and an exit status."""
+    try:
+        app()
+    except KinectBenchError as error:
+        _fail(str(error), error.exit_status)
+    except KeyboardInterrupt:
+        _fail("stopped; run the same command again to go on from here", 130)
+    except Exception as error:
+        if os.environ.get("KINECTBENCH_DEBUG"):
+            raise
+        _fail(f"internal error: {type(error).__name__}: {error}; KINECTBENCH_DEBUG=1 shows where", 1)
+
+
+if __name__ == "__main__":
+    main()

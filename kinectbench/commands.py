@@ -1,0 +1,158 @@
+"""What the commands share: options, the way from a benchmark.yaml to what is built, exit statuses."""
+
+import json
+import os
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kinectbench.errors import SettingsError
+
+if TYPE_CHECKING:
+    from kinectbench.config import BenchmarkSettings
+    from kinectbench.release.release import Release
+    from kinectbench.stages import Job
+
+SOME_FAILED = 3
+DEFAULT_CONFIG = Path("benchmark.yaml")
+
+Ids = Annotated[list[str] | None, typer.Argument(metavar="[RECORDING]...", help="ids; default: all")]
+Config = Annotated[Path, typer.Option("--config", "-c", help="the benchmark's settings")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override a setting")
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="processes; default: one per core")]
+Force = Annotated[bool, typer.Option("--force", help="make it anew even if it is current")]
+Json = Annotated[bool, typer.Option("--json", help="print JSON for machines")]
+BenchmarkDir = Annotated[
+    Path | None, typer.Option("--benchmark", help="a release; default: made from --config")
+]
+Predictions = Annotated[Path, typer.Argument(help="one method's folder, or a folder of methods")]
+
+
+def run_stage(
+    upto: str,
+    ids: list[str] | None,
+    config: Path,
+    overrides: list[str] | None,
+    jobs: int | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Bring recordings up to date as far as a stage, and show what became of them."""
+    from kinectbench import console
+
+    settings, root = open_benchmark(config, overrides)
+    rows = build_recordings(settings, root, ids, upto, jobs, force)
+    if as_json:
+        typer.echo(json.dumps(rows))
+    else:
+        console.out.print(console.summary_table(rows))
+    exit_for(rows)
+
+
+def open_benchmark(config: Path, overrides: list[str] | None) -> "tuple[BenchmarkSettings, Path]":
+    """The settings, and the folder that relative paths start from."""
+    from kinectbench.benchmark_file import load_benchmark
+
+    return load_benchmark(config, overrides or ()), config.parent
+
+
+def build_recordings(
+    settings: "BenchmarkSettings",
+    root: Path,
+    ids: list[str] | None,
+    upto: str,
+    jobs: int | None,
+    force: bool = False,
+) -> list[dict[str, Any]]:
+    """Build, tell warnings and errors, and return a summary row per recording, with its `error` or None."""
+    from kinectbench import console
+    from kinectbench.pipeline import build, summary
+
+    chosen = _chosen(settings, root, ids)
+    with console.recording_bars() as progress:
+        outcomes = build(chosen, upto, force, workers(jobs), progress)
+    rows = []
+    for job, outcome in zip(chosen, outcomes, strict=True):
+        row = summary(job)
+        done = f"{outcome.seconds:.1f} s" if outcome.made else "up to date"
+        row["status"] = "failed" if outcome.error else done
+        row["error"] = outcome.error
+        row["made"], row["current"] = list(outcome.made), list(outcome.current)
+        rows.append(row)
+        console.lines(f"{job.recording.id}: warning", row["warnings"], "yellow")
+        console.lines(f"{job.recording.id}: error", [outcome.error] if outcome.error else [], "red")
+    return rows
+
+
+def built(rows: list[dict[str, Any]]) -> list[str]:
+    """Ids of the recordings that went well."""
+    return [row["recording"] for row in rows if row["error"] is None]
+
+
+def exit_for(rows: list[dict[str, Any]]) -> None:
+    """End with 1 if no recording could be used, with 3 if some could not."""
+    failed = len(rows) - len(built(rows))
+    if failed:
+        raise typer.Exit(1 if failed == len(rows) else SOME_FAILED)
+
+
+def find_release(
+    benchmark: Path | None, config: Path, overrides: list[str] | None, jobs: int | None
+) -> "Release":
+    """The release named, or the one of the benchmark here, built and published first if need be."""
+    from kinectbench.release.current import publish_if_stale
+    from kinectbench.release.release import open_release
+
+    if benchmark is not None:
+        return open_release(benchmark)
+    settings, root = open_benchmark(config, overrides)
+    rows = build_recordings(settings, root, None, "pairs", jobs)
+    return open_release(publish_if_stale(settings, root, built(rows)).folder)
+
+
+def write_page(config: Path, overrides: list[str] | None, scores: Path) -> Path:
+    """The page of the benchmark here."""
+    from kinectbench import console
+    from kinectbench.report.run import page_of_benchmark
+
+    settings, root = open_benchmark(config, overrides)
+    with console.recording_bars() as progress:
+        return page_of_benchmark(
+            settings, root, scores, lambda name, done, total: progress("report", name, done, total)
+        )
+
+
+def tell_problems(problems: list[str], as_json: bool, well: str) -> None:
+    """One line per problem and exit status 3, or one line that all is well."""
+    from kinectbench import console
+
+    if as_json:
+        typer.echo(json.dumps(problems))
+    elif not problems:
+        typer.echo(well)
+    console.lines("error", problems, "red")
+    if problems:
+        raise typer.Exit(SOME_FAILED)
+
+
+def workers(jobs: int | None) -> int:
+    """The number of processes: as asked for, or one per core."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return jobs or cores or 1
+
+
+def _chosen(settings: "BenchmarkSettings", root: Path, ids: list[str] | None) -> "list[Job]":
+    """The recordings asked for; an unknown id is refused with the nearest one."""
+    from kinectbench.stages import Job
+
+    known = [recording.id for recording in settings.recordings]
+    for name in ids or []:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+            raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}")
+    return [Job(settings, r, root) for r in settings.recordings if not ids or r.id in ids]

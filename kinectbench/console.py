@@ -1,0 +1,87 @@
+"""What people see in the terminal: progress bars on standard error, tables on standard output."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+out = Console()
+err = Console(stderr=True)
+
+
+@contextmanager
+def bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar; yields a function of (done, total)."""
+    with _bars() as bars:
+        task = bars.add_task(title, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+@contextmanager
+def recording_bars() -> Iterator[Callable[[str, str, int, int], None]]:
+    """One progress bar a recording; yields a function of (recording, stage, done, total)."""
+    with _bars() as bars:
+        tasks: dict[str, Any] = {}
+
+        def update(recording: str, stage: str, done: int, total: int) -> None:
+            if recording not in tasks:
+                tasks[recording] = bars.add_task(recording, total=None)
+            bars.update(
+                tasks[recording], description=f"{recording}: {stage}", completed=done, total=max(total, 1)
+            )
+
+        yield update
+
+
+def lines(kind: str, messages: Sequence[str], style: str) -> None:
+    """One line per message on standard error, without wrapping."""
+    for message in messages:
+        for line in message.splitlines():
+            err.print(f"[{style}]{kind}:[/] ", end="")
+            err.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def summary_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """The table at the end of a build: one line per recording."""
+    columns = {
+        "recording": "recording",
+        "frames": "frames",
+        "left_out": "left out",
+        "lost": "lost",
+        "repeatability_iou": "repeatability",
+        "views": "views",
+        "pairs": "pairs",
+        "refused": "refused",
+        "containment": "containment",
+        "residual_mm": "residual mm",
+        "status": "status",
+    }
+    table = Table()
+    for key, title in columns.items():
+        table.add_column(title, justify="left" if key in ("recording", "status") else "right")
+    for row in rows:
+        table.add_row(*(_cell(row.get(key)) for key in columns))
+    return table
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        shown = ", ".join(map(str, value[:6])) + (" …" if len(value) > 6 else "")
+        return f"{len(value)}: {shown}" if value else "0"
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def _bars() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=err,
+        transient=True,
+    )

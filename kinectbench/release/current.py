@@ -1,0 +1,71 @@
+"""Publishing a benchmark from its build folders, and knowing whether the release is still current."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from kinectbench import __version__
+from kinectbench.config import BenchmarkSettings
+from kinectbench.errors import ReleaseError
+from kinectbench.release.metadata import read_metadata
+from kinectbench.release.publish import PublishSummary, publish
+from kinectbench.workspace import MANIFEST, canonical_json, locked, pretty_json, replaced_file, sha256_text
+
+STAMP = "publish.json"
+
+
+def publish_if_stale(
+    settings: BenchmarkSettings, root: Path, recordings: Sequence[str], force: bool = False
+) -> PublishSummary:
+    """Publish `build/` as `benchmark/`, unless that is what lies there already.
+
+    Args:
+        settings: the benchmark's.
+        root: the folder of benchmark.yaml.
+        recordings: ids of those built without failure.
+        force: publish anew in any case.
+
+    Raises:
+        ReleaseError: nothing was built.
+        StorageError: the release cannot be written.
+    """
+    build, out = root / "build", root / "benchmark"
+    if not recordings:
+        raise ReleaseError(f"{build}: no recording was built, so there is nothing to publish")
+    wanted = _fingerprint(settings, build, recordings)
+    with locked(build):
+        summary = None if force else _published(build, out, wanted)
+        if summary is None:
+            summary = publish(settings, build, out, recordings)
+            stamp = {
+                "fingerprint": wanted,
+                "benchmark_sha256": summary.benchmark_sha256,
+                "pairs": summary.pairs,
+                "recordings": list(summary.recordings),
+                "warnings": list(summary.warnings),
+            }
+            with replaced_file(build / STAMP) as temporary:
+                temporary.write_text(pretty_json(stamp))
+    return summary
+
+
+def _fingerprint(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> str:
+    manifests = [(build / name / "pairs" / MANIFEST).read_text() for name in recordings]
+    return sha256_text(canonical_json([__version__, settings.model_dump(mode="json"), manifests]))
+
+
+def _published(build: Path, out: Path, wanted: str) -> PublishSummary | None:
+    """What lies in `out`, if it is what the stamp says and the stamp is what is wanted."""
+    try:
+        stamp = json.loads((build / STAMP).read_text())
+        if stamp["fingerprint"] != wanted or read_metadata(out).benchmark_sha256 != stamp["benchmark_sha256"]:
+            return None
+        return PublishSummary(
+            out,
+            stamp["benchmark_sha256"],
+            stamp["pairs"],
+            tuple(stamp["recordings"]),
+            tuple(stamp["warnings"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError, ReleaseError):
+        return None

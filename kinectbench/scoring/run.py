@@ -1,0 +1,65 @@
+"""Scoring a folder of predictions, of one method or of several, and writing the results."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import get_args
+
+from kinectbench.errors import SettingsError
+from kinectbench.release.release import Release
+from kinectbench.scoring.counts import PROTOCOLS
+from kinectbench.scoring.predictions import split_methods
+from kinectbench.scoring.score import Missing, score
+from kinectbench.scoring.table import ScoreTable, write_scores
+
+
+def score_methods(
+    release: Release,
+    predictions: Path,
+    out: Path,
+    *,
+    method: str | None = None,
+    protocols: Sequence[str] | None = None,
+    thresholds_file: Path | None = None,
+    missing: str = "error",
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[ScoreTable]:
+    """Score every method in a folder and write `out/scores.json`, or `out/<method>/scores.json` of several.
+
+    Args:
+        release: the truth.
+        predictions: one method's folder (its subfolders are recordings), or a folder of methods.
+        out: folder for the results.
+        method: name of a single method; default: its folder's.
+        protocols: default: all.
+        thresholds_file: see `read_thresholds`.
+        missing: "error" or "empty".
+        jobs: processes.
+        progress: called with (pairs done, pairs in all) for each method in turn.
+
+    Raises:
+        SettingsError: a name is given to several methods, or `missing` is neither word.
+        PredictionError: no predictions there.
+    """
+    if missing not in get_args(Missing):
+        raise SettingsError(f"--missing {missing}: choose error or empty")
+    methods = split_methods(predictions, release.targets)
+    if method is not None:
+        if len(methods) > 1:
+            raise SettingsError(f"--method names one method, but {predictions} holds {len(methods)}")
+        methods = dict(zip([method], methods.values(), strict=True))
+    tables = []
+    for name, folder in methods.items():
+        table = score(
+            release,
+            folder,
+            method=name,
+            protocols=tuple(protocols or PROTOCOLS),
+            thresholds_file=thresholds_file,
+            missing="empty" if missing == "empty" else "error",
+            jobs=jobs,
+            progress=progress,
+        )
+        write_scores(table, out if len(methods) == 1 else out / name)
+        tables.append(table)
+    return tables
