@@ -83,7 +83,8 @@ def build_recordings(
         row["error"] = outcome.error
         row["made"], row["current"] = list(outcome.made), list(outcome.current)
         rows.append(row)
-        console.lines(f"{job.recording.id}: warning", row["warnings"], "yellow")
+        if outcome.made:
+            console.lines(f"{job.recording.id}: warning", row["warnings"], "yellow")
         console.lines(f"{job.recording.id}: error", [outcome.error] if outcome.error else [], "red")
     return rows
 

@@ -8,8 +8,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-out = Console()
+PLAIN_WIDTH = 160
+
 err = Console(stderr=True)
+out = Console()
+if not out.is_terminal:
+    # Piped into a file or a log: room for whole cells.
+    out = Console(width=PLAIN_WIDTH)
 
 
 @contextmanager
@@ -51,11 +56,11 @@ def summary_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "frames": "frames",
         "left_out": "left out",
         "lost": "lost",
-        "repeatability_iou": "repeatability",
+        "repeatability_iou": "odd/even IoU",
         "views": "views",
         "pairs": "pairs",
         "refused": "refused",
-        "containment": "containment",
+        "containment": "contained",
         "residual_mm": "residual mm",
         "status": "status",
     }

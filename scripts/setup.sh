@@ -32,7 +32,7 @@ missing_packages() {
   libraries=$(PATH="$PATH:/usr/sbin:/sbin" ldconfig -p 2>/dev/null || true)
   [ -n "$libraries" ] || return 0
   for pair in libusb-1.0-0=libusb-1.0.so.0 libgl1=libGL.so.1 libegl1=libEGL.so.1 \
-    libx11-6=libX11.so.6 libudev1=libudev.so.1 libidn2-0=libidn2.so.0; do
+    libgomp1=libgomp.so.1 libx11-6=libX11.so.6 libudev1=libudev.so.1 libidn2-0=libidn2.so.0; do
     case "$libraries" in *"${pair#*=} "*) ;; *) echo "${pair%%=*}" ;; esac
   done
 }

@@ -5,10 +5,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
-from kinectbench.geometry import Camera, invert_rigid
-from kinectbench.geometry.depth_noise import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.geometry import Camera, invert_rigid, transform_points
+from kinectbench.geometry.depth_noise import depth_sigma_m
 
 SURFACE_SIGMAS = 2.0
+HALF_DIAGONAL = 0.87
 
 
 def integrate(
@@ -33,67 +34,93 @@ def integrate(
         truncation_m: TSDF truncation, metres.
     """
     T_camera_grid = invert_rigid(T_world_camera) @ volume.T_world_grid
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    sigma_m = depth_sigma_m(depth_m)
+    # The weight is 0 where nothing was measured, so such a pixel changes nothing.
+    weight_per_mm2 = np.where(depth_m > 0, 1e-6 / sigma_m**2, 0.0).astype(np.float32)
+    margin_m = np.maximum(SURFACE_SIGMAS * sigma_m, HALF_DIAGONAL * volume.voxel_size_m).astype(np.float32)
+    near = _blocks_in_view(volume, float(depth_m.max()) + truncation_m, camera, T_camera_grid)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     _integrate(
-        volume.blocks, volume.tsdf, volume.weight, volume.free, volume.surface,
-        depth_m, T_camera_grid, intrinsics, volume.voxel_size_m, truncation_m,
+        near, volume.blocks, volume.tsdf, volume.weight, volume.free, volume.surface,
+        depth_m.reshape(-1), weight_per_mm2.reshape(-1), margin_m.reshape(-1), camera.width, camera.height,
+        T_camera_grid, intrinsics, np.float32(volume.voxel_size_m), np.float32(truncation_m),
     )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+def _blocks_in_view(
+    volume: BlockVolume, deepest_m: float, camera: Camera, T_camera_grid: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Indices of the blocks whose bounding sphere meets the camera's frustum."""
+    size_m = BLOCK_VOXELS * volume.voxel_size_m
+    x, y, z = transform_points(T_camera_grid, (volume.blocks + 0.5) * size_m).T
+    radius_m = 0.5 * np.sqrt(3.0) * size_m
+    inside = (z + radius_m > 0) & (z - radius_m < deepest_m)
+    for across, focal_px, centre_px, count in (
+        (x, camera.fx, camera.cx, camera.width),
+        (y, camera.fy, camera.cy, camera.height),
+    ):
+        low, high = -(centre_px + 0.5) / focal_px, (count - 0.5 - centre_px) / focal_px
+        inside &= low * z - across <= radius_m * np.hypot(1.0, low)
+        inside &= across - high * z <= radius_m * np.hypot(1.0, high)
+    return np.flatnonzero(inside)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def _integrate(  # type: ignore[no-untyped-def]
-    blocks, tsdf, weight, free, surface, depth, T, intrinsics, voxel, truncation
+    near,
+    blocks,
+    tsdf,
+    weight,
+    free,
+    surface,
+    depth,
+    pixel_weight,
+    pixel_margin,
+    width,
+    height,
+    T,
+    K,
+    voxel,
+    truncation,
 ):
-    height, width = depth.shape
-    fx, fy, cx, cy = intrinsics
-    radius = 0.5 * np.sqrt(3.0) * BLOCK_VOXELS * voxel
-    # The frustum's side planes, as slopes: a block whose sphere lies outside one is skipped.
-    left, right = -(cx + 0.5) / fx, (width - 0.5 - cx) / fx
-    top, bottom = -(cy + 0.5) / fy, (height - 0.5 - cy) / fy
-    side = np.sqrt(1.0 + np.array([left, right, top, bottom]) ** 2)
-    deepest = depth.max() + truncation
-    for b in range(blocks.shape[0]):
-        ox = (blocks[b, 0] * BLOCK_VOXELS + 0.5) * voxel
-        oy = (blocks[b, 1] * BLOCK_VOXELS + 0.5) * voxel
+    """Row by row of 16 voxels, in three steps that the compiler vectorises: project, look up, update."""
+    f32 = np.float32
+    zero, one = f32(0), f32(1)
+    fx, fy, cx, cy = K[0], K[1], K[2] + f32(0.5), K[3] + f32(0.5)
+    across, down, along = f32(T[0, 2]), f32(T[1, 2]), f32(T[2, 2])
+    pixel = np.empty(BLOCK_VOXELS, np.int32)
+    z, d, w, margin = np.empty((4, BLOCK_VOXELS), np.float32)
+    for b in near:
         oz = (blocks[b, 2] * BLOCK_VOXELS + 0.5) * voxel
-        half = 0.5 * (BLOCK_VOXELS - 1) * voxel
-        mx, my, mz = ox + half, oy + half, oz + half
-        bx = T[0, 0] * mx + T[0, 1] * my + T[0, 2] * mz + T[0, 3]
-        by = T[1, 0] * mx + T[1, 1] * my + T[1, 2] * mz + T[1, 3]
-        bz = T[2, 0] * mx + T[2, 1] * my + T[2, 2] * mz + T[2, 3]
-        if bz + radius <= 0.0 or bz - radius > deepest:
-            continue
-        if left * bz - bx > radius * side[0] or bx - right * bz > radius * side[1]:
-            continue
-        if top * bz - by > radius * side[2] or by - bottom * bz > radius * side[3]:
-            continue
         for i in range(BLOCK_VOXELS):
+            gx = (blocks[b, 0] * BLOCK_VOXELS + i + 0.5) * voxel
             for j in range(BLOCK_VOXELS):
-                gx, gy = ox + i * voxel, oy + j * voxel
-                x0 = T[0, 0] * gx + T[0, 1] * gy + T[0, 2] * oz + T[0, 3]
-                y0 = T[1, 0] * gx + T[1, 1] * gy + T[1, 2] * oz + T[1, 3]
-                z0 = T[2, 0] * gx + T[2, 1] * gy + T[2, 2] * oz + T[2, 3]
+                gy = (blocks[b, 1] * BLOCK_VOXELS + j + 0.5) * voxel
+                x0 = f32(T[0, 0] * gx + T[0, 1] * gy + T[0, 2] * oz + T[0, 3])
+                y0 = f32(T[1, 0] * gx + T[1, 1] * gy + T[1, 2] * oz + T[1, 3])
+                z0 = f32(T[2, 0] * gx + T[2, 1] * gy + T[2, 2] * oz + T[2, 3])
                 for k in range(BLOCK_VOXELS):
-                    step = k * voxel
-                    z = z0 + T[2, 2] * step
-                    if z <= 0.0:
-                        continue
-                    u = fx * (x0 + T[0, 2] * step) / z + cx + 0.5
-                    v = fy * (y0 + T[1, 2] * step) / z + cy + 0.5
-                    if u < 0.0 or v < 0.0 or u >= width or v >= height:
-                        continue
-                    d = depth[int(v), int(u)]
-                    distance = d - z
-                    if d <= 0.0 or distance < -truncation:
-                        continue
-                    spread = d - SIGMA_NEAR_DEPTH_M
-                    sigma = SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * spread * spread
-                    margin = max(SURFACE_SIGMAS * sigma, 0.87 * voxel)
-                    if distance > margin:
-                        free[b, i, j, k] += 1
-                    elif distance >= -margin:
-                        surface[b, i, j, k] += 1
-                    w = 1e-6 / (sigma * sigma)
-                    old = weight[b, i, j, k]
-                    tsdf[b, i, j, k] += (min(distance, truncation) - tsdf[b, i, j, k]) * w / (old + w)
-                    weight[b, i, j, k] = old + w
+                    step = f32(k) * voxel
+                    z[k] = z0 + along * step
+                    inverse = one / max(z[k], f32(1e-3))
+                    u = fx * (x0 + across * step) * inverse + cx
+                    v = fy * (y0 + down * step) * inverse + cy
+                    inside = (u >= zero) & (v >= zero) & (u < width) & (v < height) & (z[k] > f32(1e-3))
+                    column = np.int32(min(max(u, zero), f32(width - 1)))
+                    row = np.int32(min(max(v, zero), f32(height - 1)))
+                    pixel[k] = row * np.int32(width) + column if inside else -1
+                for k in range(BLOCK_VOXELS):
+                    at = max(pixel[k], 0)
+                    d[k], margin[k] = depth[at], pixel_margin[at]
+                    w[k] = pixel_weight[at] if pixel[k] >= 0 else zero
+                for k in range(BLOCK_VOXELS):
+                    distance = d[k] - z[k]
+                    measured = (w[k] > zero) & (distance >= -truncation)
+                    added = w[k] if measured else zero
+                    total = weight[b, i, j, k] + added
+                    share = added / max(total, f32(1e-20))
+                    tsdf[b, i, j, k] += (min(distance, truncation) - tsdf[b, i, j, k]) * share
+                    weight[b, i, j, k] = total
+                    ahead = distance > margin[k]
+                    free[b, i, j, k] += np.uint16(measured & ahead)
+                    surface[b, i, j, k] += np.uint16(measured & ~ahead & (distance >= -margin[k]))

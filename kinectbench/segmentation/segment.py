@@ -46,18 +46,25 @@ class Segmentation:
         Outside the given box, or, without one, where a neighbour's surface is and the object's is not.
         """
         T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
-        axes = [np.arange(n) + 0.5 for n in grid.shape]
-        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) * grid.voxel_size_m
-        points_floor = transform_points(T_floor_grid, centres)
+        # The grid is upright: x and y in the floor frame depend on the first two axes, z on the last.
+        nx, ny, nz = grid.shape
+        ground = np.stack(
+            np.meshgrid(np.arange(nx) + 0.5, np.arange(ny) + 0.5, [0.5], indexing="ij"), axis=-1
+        )
+        ground_floor = transform_points(T_floor_grid, ground * grid.voxel_size_m)[:, :, 0]
+        heights_m = T_floor_grid[2, 3] + (np.arange(nz) + 0.5) * grid.voxel_size_m
         if given_box is not None:
-            return ~given_box.contains(points_floor)
-        cells = np.floor(points_floor / CELL_M).astype(np.int32)
-        first = cells.reshape(-1, 3).min(axis=0) - 2
-        shape = cells.reshape(-1, 3).max(axis=0) + 3 - first
-        other = _dilated(self.other_cells, first, shape)
-        own = _dilated(self.object_cells, first, shape)
-        at = tuple(np.moveaxis(cells - first, -1, 0))
-        excluded: NDArray[np.bool_] = other[at] & ~own[at]
+            at_middle = np.dstack([ground_floor[..., :2], np.full((nx, ny), given_box.center_m[2])])
+            inside = np.abs(heights_m - given_box.center_m[2]) <= given_box.size_m[2] / 2
+            outside: NDArray[np.bool_] = ~(given_box.contains(at_middle)[:, :, None] & inside)
+            return outside
+        cells = np.floor(ground_floor[..., :2] / CELL_M).astype(np.int64)
+        levels = np.floor(heights_m / CELL_M).astype(np.int64)
+        first = np.append(cells.reshape(-1, 2).min(axis=0), levels.min())
+        shape = np.append(cells.reshape(-1, 2).max(axis=0), levels.max()) + 1 - first
+        foreign = _dilated(self.other_cells, first, shape) & ~_dilated(self.object_cells, first, shape)
+        x, y = (cells[..., axis, None] - first[axis] for axis in (0, 1))
+        excluded: NDArray[np.bool_] = foreign[x, y, levels - first[2]]
         return excluded
 
 

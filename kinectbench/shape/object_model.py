@@ -25,6 +25,8 @@ from kinectbench.tracking.trajectory import Trajectory
 MARGIN_M = 0.05
 FLOOR_LAYERS = 4
 SURROUND_FACTOR = 4
+# Free space far from the object is seen by nearly every frame: some of them are enough.
+SURROUND_FRAMES = 40
 Progress = Callable[[int, int], None]
 
 
@@ -89,7 +91,8 @@ def build_object(
     sigma_m = surface_sigma_m(*halves)
     quality = measure_quality(chosen, (whole, odd, even), sigma_m)
     surround = surround_grid(grid, chosen)
-    around = observe(sequence, trajectory, frames, surround, fusion)
+    some = frames[np.unique(np.linspace(0, len(frames) - 1, SURROUND_FRAMES).astype(int))]
+    around = observe(sequence, trajectory, some, surround, fusion)
     labels = surround_labels(around, chosen.floor)
     return ObjectModel(chosen.floor, quality.box, whole, surround, labels, sigma_m, quality.figures)
 
