@@ -4,12 +4,13 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, cast
 
 import typer
 
 from kinectbench import __version__
 from kinectbench.commands import (
+    CANNOT_BE_USED,
     DEFAULT_CONFIG,
     SOME_FAILED,
     BenchmarkDir,
@@ -25,12 +26,13 @@ from kinectbench.commands import (
     exit_for,
     find_release,
     open_benchmark,
+    release_page,
     run_stage,
     tell_problems,
     workers,
     write_page,
 )
-from kinectbench.errors import KinectBenchError, SettingsError
+from kinectbench.errors import KinectBenchError, SettingsError, internal_error
 
 app = typer.Typer(
     add_completion=False,
@@ -40,6 +42,8 @@ app = typer.Typer(
     help="Turn RGB-D recordings of real objects into a benchmark for single-view shape completion, and score "
     "predictions against it.",
 )
+
+INTERRUPTED = 130
 
 STAGES = {
     "build": "Run every stage up to the pairs; what is current is not made again.",
@@ -68,8 +72,6 @@ def _options(
 
 
 def _add_stage(name: str, text: str) -> None:
-    upto = "pairs" if name == "build" else name
-
     @app.command(name, help=text)
     def stage(
         ids: Ids = None,
@@ -79,7 +81,7 @@ def _add_stage(name: str, text: str) -> None:
         force: Force = False,
         as_json: Json = False,
     ) -> None:
-        run_stage(upto, ids, config, overrides, jobs, force, as_json)
+        run_stage(name, ids, config, overrides, jobs, force, as_json)
 
 
 for _name, _text in STAGES.items():
@@ -132,7 +134,7 @@ def verify(
 
     with console.bar("verify") as progress:
         problems = find_problems(release, progress)
-    tell_problems(problems, as_json, f"{release}: all well")
+    tell_problems(problems, as_json, f"{release}: all well", CANNOT_BE_USED)
 
 
 @app.command()
@@ -149,14 +151,15 @@ def check(
     from kinectbench.scoring.check import check as find_problems
     from kinectbench.scoring.predictions import split_methods
 
-    release = find_release(benchmark, config, overrides, jobs)
+    release, rows = find_release(benchmark, config, overrides, jobs)
     methods = split_methods(predictions, release.targets)
     problems = []
     for name, folder in methods.items():
         with console.bar(f"check {name}") as progress:
             found = find_problems(release, folder, progress)
         problems += [f"{name}: {line}" if len(methods) > 1 else line for line in found]
-    tell_problems(problems, as_json, f"{predictions}: all well")
+    tell_problems(problems, as_json, f"{predictions}: all well", SOME_FAILED)
+    exit_for(rows)
 
 
 @app.command()
@@ -175,11 +178,12 @@ def baseline(
     from kinectbench.baselines.registry import BASELINES
     from kinectbench.baselines.write import write_baselines
 
-    release = find_release(benchmark, config, overrides, jobs)
+    release, rows = find_release(benchmark, config, overrides, jobs)
     folder = out or (Path("predictions") if benchmark else config.parent / "predictions")
     with console.bar("baseline") as progress:
         write_baselines(release, folder, tuple(names or BASELINES), workers(jobs), progress)
     typer.echo(f"wrote {', '.join(names or BASELINES)}: {folder}")
+    exit_for(rows)
 
 
 @app.command()
@@ -198,11 +202,10 @@ def score(
 ) -> None:
     """Score predictions; thresholds come from the validation split or a file."""
     from kinectbench import console
-    from kinectbench.report.run import page_of_release
     from kinectbench.scoring.run import score_methods
     from kinectbench.scoring.terminal import score_table
 
-    release = find_release(benchmark, config, overrides, jobs)
+    release, rows = find_release(benchmark, config, overrides, jobs)
     folder = out or (Path("scores") if benchmark else config.parent / "scores")
     with console.bar("score") as progress:
         tables = score_methods(
@@ -219,7 +222,7 @@ def score(
     for table in tables:
         console.lines(f"{table.method}: warning", table.warnings, "yellow")
         console.lines(f"{table.method}: error", [f["reason"] for f in table.failures], "red")
-    page = page_of_release(release, folder) if benchmark else write_page(config, overrides, folder)
+    page = release_page(release, folder) if benchmark else write_page(config, overrides, folder)
     if as_json:
         typer.echo(json.dumps([{"method": t.method, "overall": t.overall} for t in tables]))
     else:
@@ -227,6 +230,7 @@ def score(
         typer.echo(f"page: {page.resolve()}")
     if not all(table.complete for table in tables):
         raise typer.Exit(SOME_FAILED)
+    exit_for(rows)
 
 
 @app.command()
@@ -284,25 +288,39 @@ def init(
     )
 
 
-def _fail(message: str, status: int) -> NoReturn:
-    from kinectbench import console
-
-    console.lines("error", [message], "red")
-    sys.exit(status)
+# UsageError, wherever typer has it from.
+USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 
 
 def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
     try:
-        app()
+        status, message = app(standalone_mode=False) or 0, ""
+    except USAGE_ERRORS as error:
+        status, message = 2, _usage(error)
     except KinectBenchError as error:
-        _fail(str(error), error.exit_status)
+        status, message = error.exit_status, str(error)
     except KeyboardInterrupt:
-        _fail("stopped; run the same command again to go on from here", 130)
+        status = INTERRUPTED
     except Exception as error:
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
-        _fail(f"internal error: {type(error).__name__}: {error}; KINECTBENCH_DEBUG=1 shows where", 1)
+        status, message = 1, internal_error(error)
+    if status == INTERRUPTED:
+        message = "stopped; run the same command again to go on from here"
+    if message:
+        from kinectbench import console
+
+        console.lines("error", [message], "red")
+    sys.exit(status)
+
+
+def _usage(error: Any) -> str:
+    """One line about wrong usage; nothing but the help where no command was given."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return ""
+    command = error.ctx.command_path if error.ctx else "kinectbench"
+    return f"{error.format_message().rstrip('.')}; see `{command} --help`"
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from kinectbench.release.release import Release
     from kinectbench.stages import Job
 
+CANNOT_BE_USED = 1
 SOME_FAILED = 3
 DEFAULT_CONFIG = Path("benchmark.yaml")
 
@@ -24,7 +26,9 @@ Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override a setting")
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="processes; default: one per core")]
-Force = Annotated[bool, typer.Option("--force", help="make it anew even if it is current")]
+Force = Annotated[
+    bool, typer.Option("--force", help="make it anew even if it is current; build: every stage")
+]
 Json = Annotated[bool, typer.Option("--json", help="print JSON for machines")]
 BenchmarkDir = Annotated[
     Path | None, typer.Option("--benchmark", help="a release; default: made from --config")
@@ -33,7 +37,7 @@ Predictions = Annotated[Path, typer.Argument(help="one method's folder, or a fol
 
 
 def run_stage(
-    upto: str,
+    name: str,
     ids: list[str] | None,
     config: Path,
     overrides: list[str] | None,
@@ -41,11 +45,13 @@ def run_stage(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Bring recordings up to date as far as a stage, and show what became of them."""
+    """Bring recordings up to date as far as a stage (`build`: all), and show what became of them."""
     from kinectbench import console
+    from kinectbench.pipeline import STAGE_NAMES
 
     settings, root = open_benchmark(config, overrides)
-    rows = build_recordings(settings, root, ids, upto, jobs, force)
+    upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
+    rows = build_recordings(settings, root, ids, upto, jobs, stages if force else ())
     if as_json:
         typer.echo(json.dumps(rows))
     else:
@@ -66,7 +72,7 @@ def build_recordings(
     ids: list[str] | None,
     upto: str,
     jobs: int | None,
-    force: bool = False,
+    force: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Build, tell warnings and errors, and return a summary row per recording, with its `error` or None."""
     from kinectbench import console
@@ -98,21 +104,27 @@ def exit_for(rows: list[dict[str, Any]]) -> None:
     """End with 1 if no recording could be used, with 3 if some could not."""
     failed = len(rows) - len(built(rows))
     if failed:
-        raise typer.Exit(1 if failed == len(rows) else SOME_FAILED)
+        raise typer.Exit(CANNOT_BE_USED if failed == len(rows) else SOME_FAILED)
 
 
 def find_release(
     benchmark: Path | None, config: Path, overrides: list[str] | None, jobs: int | None
-) -> "Release":
-    """The release named, or the one of the benchmark here, built and published first if need be."""
+) -> "tuple[Release, list[dict[str, Any]]]":
+    """The release named, or the one of the benchmark here, built and published first if need be.
+
+    Returns:
+        The release, and what `build_recordings` returned for it.
+    """
     from kinectbench.release.current import publish_if_stale
     from kinectbench.release.release import open_release
 
     if benchmark is not None:
-        return open_release(benchmark)
+        return open_release(benchmark), []
     settings, root = open_benchmark(config, overrides)
     rows = build_recordings(settings, root, None, "pairs", jobs)
-    return open_release(publish_if_stale(settings, root, built(rows)).folder)
+    if not built(rows):
+        exit_for(rows)
+    return open_release(publish_if_stale(settings, root, built(rows)).folder), rows
 
 
 def write_page(config: Path, overrides: list[str] | None, scores: Path) -> Path:
@@ -122,13 +134,25 @@ def write_page(config: Path, overrides: list[str] | None, scores: Path) -> Path:
 
     settings, root = open_benchmark(config, overrides)
     with console.recording_bars() as progress:
-        return page_of_benchmark(
+        page, warnings = page_of_benchmark(
             settings, root, scores, lambda name, done, total: progress("report", name, done, total)
         )
+    console.lines("warning", warnings, "yellow")
+    return page
 
 
-def tell_problems(problems: list[str], as_json: bool, well: str) -> None:
-    """One line per problem and exit status 3, or one line that all is well."""
+def release_page(release: "Release", scores: Path) -> Path:
+    """The page of the scores of a release alone."""
+    from kinectbench import console
+    from kinectbench.report.run import page_of_release
+
+    page, warnings = page_of_release(release, scores)
+    console.lines("warning", warnings, "yellow")
+    return page
+
+
+def tell_problems(problems: list[str], as_json: bool, well: str, status: int) -> None:
+    """One line per problem and an exit status, or one line that all is well."""
     from kinectbench import console
 
     if as_json:
@@ -137,7 +161,7 @@ def tell_problems(problems: list[str], as_json: bool, well: str) -> None:
         typer.echo(well)
     console.lines("error", problems, "red")
     if problems:
-        raise typer.Exit(SOME_FAILED)
+        raise typer.Exit(status)
 
 
 def workers(jobs: int | None) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 PLAIN_WIDTH = 160
 
@@ -45,8 +46,8 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
     """One line per message on standard error, without wrapping."""
     for message in messages:
         for line in message.splitlines():
-            err.print(f"[{style}]{kind}:[/] ", end="")
-            err.print(line, markup=False, highlight=False, soft_wrap=True)
+            # Names and messages hold what strangers wrote: never markup.
+            err.print(Text.assemble((f"{kind}:", style), " ", line), highlight=False, soft_wrap=True)
 
 
 def summary_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -83,10 +84,11 @@ def _cell(value: Any) -> str:
 
 def _bars() -> Progress:
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         console=err,
         transient=True,
+        disable=not err.is_terminal,
     )

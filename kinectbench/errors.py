@@ -55,3 +55,9 @@ class ReleaseError(KinectBenchError):
 
 class StorageError(KinectBenchError):
     """An artefact cannot be written or read: disk full, read-only, or in use."""
+
+
+def internal_error(error: BaseException) -> str:
+    """One line about an error that nobody foresaw."""
+    text = " ".join(str(error).split())
+    return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"

@@ -1,16 +1,18 @@
 """Running the stages: what is current is skipped, recordings run in parallel, errors are told apart."""
 
 import json
-import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from queue import Empty
 from typing import Any
 
-from kinectbench.errors import KinectBenchError
+from kinectbench.errors import KinectBenchError, internal_error
+from kinectbench.processes import CONTEXT, KILLED, submit_all, worker_pool
 from kinectbench.stages import STAGES, Job, Stage
 from kinectbench.workspace import Artefact, locked, pretty_json
 
@@ -35,15 +37,17 @@ STAGE_NAMES = tuple(stage.name for stage in STAGES)
 def build_recording(
     job: Job,
     upto: str = "pairs",
-    force: bool = False,
+    force: Sequence[str] = (),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Outcome:
     """Bring one recording up to date as far as a stage. Its errors are told, not raised.
 
+    Not even an unforeseen one may stop the other recordings (but does with KINECTBENCH_DEBUG set).
+
     Args:
         job: the recording.
         upto: name of the last stage.
-        force: make that last stage anew even if it is current.
+        force: names of stages to make anew even if they are current.
         progress: called with (stage, done, total).
     """
     report = progress or (lambda stage, done, total: None)
@@ -57,7 +61,7 @@ def build_recording(
             for stage in STAGES[: STAGE_NAMES.index(upto) + 1]:
                 artefact = _artefact(job, stage, artefacts)
                 artefacts[stage.name] = artefact
-                if artefact.is_current() and not (force and stage.name == upto):
+                if artefact.is_current() and stage.name not in force:
                     current.append(stage.name)
                     continue
                 report(stage.name, 0, 1)
@@ -65,6 +69,10 @@ def build_recording(
                 made.append(stage.name)
     except KinectBenchError as failure:
         error = str(failure)
+    except Exception as failure:
+        if os.environ.get("KINECTBENCH_DEBUG"):
+            raise
+        error = internal_error(failure)
     return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
 
 
@@ -114,7 +122,7 @@ def summary(job: Job) -> dict[str, Any]:
 def build(
     jobs: Sequence[Job],
     upto: str = "pairs",
-    force: bool = False,
+    force: Sequence[str] = (),
     workers: int = 1,
     progress: RecordingProgress | None = None,
 ) -> list[Outcome]:
@@ -123,9 +131,8 @@ def build(
     Args:
         jobs: the recordings.
         upto: name of the last stage.
-        force: make that stage anew even if it is current.
-        workers: processes (started by `spawn`: `fork` hangs after numba or Open3D); the results do not
-            depend on how many.
+        force: names of stages to make anew even if they are current.
+        workers: processes; the results do not depend on how many.
         progress: called in this process with (recording, stage, done, total).
 
     Returns:
@@ -134,35 +141,45 @@ def build(
     report = progress or (lambda recording, stage, done, total: None)
     if workers <= 1 or len(jobs) <= 1:
         return [build_recording(job, upto, force, _for(job.recording.id, report)) for job in jobs]
-    context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, _pool(min(workers, len(jobs)), context) as pool:
-        messages = manager.Queue()
-        futures = [pool.submit(_build_in_worker, job, upto, force, messages) for job in jobs]
-        pending: set[Future[Outcome]] = set(futures)
-        while pending:
-            _, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
-            for message in _drained(messages):
-                report(*message)
-        return [future.result() for future in futures]
-
-
-@contextmanager
-def _pool(workers: int, context: Any) -> Iterator[ProcessPoolExecutor]:
-    """A pool that an interrupt stops at once instead of finishing what is queued."""
-    pool = ProcessPoolExecutor(workers, mp_context=context)
+    messages = CONTEXT.Queue()
     try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        with worker_pool(min(workers, len(jobs)), _keep_queue, (messages,)) as pool:
+            futures = submit_all(pool, partial(_build_in_worker, upto=upto, force=force), jobs)
+            pending: set[Future[Outcome]] = set(futures)
+            while pending:
+                _, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
+                for message in _drained(messages):
+                    report(*message)
+            return [_outcome(job, future) for job, future in zip(jobs, futures, strict=True)]
+    except BaseException:
+        for job in jobs:
+            with locked(job.build):  # sweeps away what the workers left behind
+                pass
+        raise
+
+
+def _outcome(job: Job, future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return Outcome(job.recording.id, (), (), KILLED, 0.0)
 
 
 def _for(recording: str, report: RecordingProgress) -> StageProgress:
     return lambda stage, done, total: report(recording, stage, done, total)
 
 
-def _build_in_worker(job: Job, upto: str, force: bool, messages: Any) -> Outcome:
-    """Runs in a worker process; progress travels through a queue."""
-    return build_recording(job, upto, force, lambda *step: messages.put((job.recording.id, *step)))
+# In a worker process: the way of its progress to the parent.
+_messages: list[Any] = []
+
+
+def _keep_queue(messages: Any) -> None:
+    messages.cancel_join_thread()  # a worker must not wait at its end for messages nobody reads
+    _messages.append(messages)
+
+
+def _build_in_worker(job: Job, upto: str, force: Sequence[str]) -> Outcome:
+    return build_recording(job, upto, force, lambda *step: _messages[-1].put((job.recording.id, *step)))
 
 
 def _drained(messages: Any) -> Iterator[tuple[str, str, int, int]]:

@@ -27,6 +27,8 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None) -> str:
             known = json.loads(cache.read_text())
         except (OSError, ValueError):
             known = {}
+        if not isinstance(known, dict) or not all(_is_entry(entry) for entry in known.values()):
+            known = {}  # a cache: damaged is as good as none
     entries: dict[str, list[object]] = {}
     for path in files:
         name = path.relative_to(root).as_posix() if path != root else ""
@@ -42,3 +44,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None) -> str:
         with replaced_file(cache) as temporary:
             temporary.write_text(canonical_json(entries))
     return sha256_text(canonical_json({name: entry[2] for name, entry in entries.items()}))
+
+
+def _is_entry(entry: object) -> bool:
+    return isinstance(entry, list) and list(map(type, entry)) == [int, int, str]

@@ -63,9 +63,9 @@ def read_views(folder: Path) -> list[View]:
     try:
         for row in json.loads((folder / "views.json").read_text())["views"]:
             path = folder / f"{row['view']}.mask.png"
-            mask = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+            mask = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
             if mask is None:
-                raise StorageError(f"{path}: not a readable PNG; use --force to make it again")
+                raise StorageError(f"{path}: not a readable PNG; `kinectbench build --force` makes it again")
             fit = ViewFit(**{name: row[name] for name in ViewFit.__dataclass_fields__})
             pose = Alignment(np.array(row["T_world_camera"]), row["moved_m"], row["turned_rad"])
             views.append(
@@ -74,7 +74,9 @@ def read_views(folder: Path) -> list[View]:
                 )
             )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StorageError(f"{folder}: the stored views are damaged ({error}); use --force") from error
+        raise StorageError(
+            f"{folder}: the stored views are damaged ({error}); `kinectbench build --force` makes it again"
+        ) from error
     return views
 
 
@@ -98,7 +100,7 @@ def _jpeg(suffix: str, data: bytes) -> bytes:
         return data
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise StorageError("a stored colour image is damaged; use --force to ingest the recording again")
+        raise StorageError("a stored colour image is damaged; `kinectbench build --force` makes it again")
     encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     return bytes(encoded.tobytes())
 

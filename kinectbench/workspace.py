@@ -164,9 +164,14 @@ def locked(folder: Path) -> Iterator[None]:
         lock = (folder / ".lock").open("w")
     with lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        for leftover in [*folder.glob(".*.part"), *folder.glob(".*.old")]:
-            if leftover.is_dir():
-                shutil.rmtree(leftover, ignore_errors=True)
-            else:
-                leftover.unlink(missing_ok=True)
+        sweep(folder / "*")
         yield
+
+
+def sweep(path: Path) -> None:
+    """Remove what killed runs left beside `path`, whose name may be a pattern. Nobody may be writing it."""
+    for leftover in (f for end in ("part", "old") for f in path.parent.glob(f".{path.name}.*.{end}")):
+        if leftover.is_dir():
+            shutil.rmtree(leftover, ignore_errors=True)
+        else:
+            leftover.unlink(missing_ok=True)

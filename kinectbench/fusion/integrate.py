@@ -10,6 +10,8 @@ from kinectbench.geometry.depth_noise import depth_sigma_m
 
 SURFACE_SIGMAS = 2.0
 HALF_DIAGONAL = 0.87
+SLANT_REACH_PX = 2
+MAX_SLANT = np.float32(10)
 
 
 def integrate(
@@ -18,13 +20,15 @@ def integrate(
     camera: Camera,
     T_world_camera: NDArray[np.float64],
     truncation_m: float,
+    pose_sigma_m: float = 0.0,
 ) -> None:
     """Fuse one frame into the volume's arrays (in place: this is the one hot loop of fusion).
 
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
-    s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma(d)^2 where s > -truncation,
-    clipped at +truncation. A frame votes `surface` where |s| <= max(2 sigma(d), half a voxel's
-    diagonal) and `free` in front of that. Voxels behind the surface get nothing.
+    s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s > -truncation,
+    clipped at +truncation; sigma holds the noise of the depth and of the pose. A frame votes `surface`
+    where |s| <= max(2 sigma, half a voxel's diagonal) and `free` in front of that. Voxels behind the
+    surface get nothing.
 
     Args:
         volume: blocks to fuse into.
@@ -32,11 +36,13 @@ def integrate(
         camera: pinhole intrinsics; pixel centres are integers, so the lookup rounds to nearest.
         T_world_camera: (4, 4).
         truncation_m: TSDF truncation, metres.
+        pose_sigma_m: by how much the frame's pose may be off, metres.
     """
     T_camera_grid = invert_rigid(T_world_camera) @ volume.T_world_grid
-    sigma_m = depth_sigma_m(depth_m)
+    sigma_m = np.hypot(depth_sigma_m(depth_m), pose_sigma_m)
     # The weight is 0 where nothing was measured, so such a pixel changes nothing.
-    weight_per_mm2 = np.where(depth_m > 0, 1e-6 / sigma_m**2, 0.0).astype(np.float32)
+    along_axis_m = sigma_m * _slant(depth_m, camera)
+    weight_per_mm2 = np.where(depth_m > 0, 1e-6 / along_axis_m**2, 0.0).astype(np.float32)
     margin_m = np.maximum(SURFACE_SIGMAS * sigma_m, HALF_DIAGONAL * volume.voxel_size_m).astype(np.float32)
     near = _blocks_in_view(volume, float(depth_m.max()) + truncation_m, camera, T_camera_grid)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
@@ -45,6 +51,21 @@ def integrate(
         depth_m.reshape(-1), weight_per_mm2.reshape(-1), margin_m.reshape(-1), camera.width, camera.height,
         T_camera_grid, intrinsics, np.float32(volume.voxel_size_m), np.float32(truncation_m),
     )  # fmt: skip
+
+
+def _slant(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """1 / cos of the angle between the viewing axis and the surface's normal, (height, width), at most 10.
+
+    What is an error of x along the normal is x / cos along the axis; next to a depth edge, where pixels
+    mix two surfaces, the slant is at its limit.
+    """
+    reach = SLANT_REACH_PX
+    padded = np.pad(depth_m, reach, mode="edge")
+    du = (padded[reach:-reach, 2 * reach :] - padded[reach:-reach, : -2 * reach]) / (2 * reach)
+    dv = (padded[2 * reach :, reach:-reach] - padded[: -2 * reach, reach:-reach]) / (2 * reach)
+    depth = np.maximum(depth_m, np.float32(1e-3))
+    slope = np.hypot(du * np.float32(camera.fx) / depth, dv * np.float32(camera.fy) / depth)
+    return np.minimum(np.hypot(slope, np.float32(1)), MAX_SLANT)
 
 
 def _blocks_in_view(

@@ -29,4 +29,6 @@ def read_ply(path: Path) -> TriangleMesh:
         vertices = np.asarray(loaded.vertices, dtype=np.float64)
         return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32))
     except (OSError, ValueError, KeyError, IndexError, AttributeError) as error:
-        raise StorageError(f"{path}: not a readable mesh ({error}); use --force to make it again") from error
+        raise StorageError(
+            f"{path}: not a readable mesh ({error}); `kinectbench build --force` makes it again"
+        ) from error

@@ -20,11 +20,13 @@ from kinectbench.fusion.color import color_vertices
 from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import TriangleMesh, extract_mesh
 from kinectbench.geometry import Grid
-from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
 
 Progress = Callable[[int, int], None]
+
+# Surface of less than this share of the median weight was seen too badly to show.
+LEAST_WEIGHT_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,9 @@ def fuse(
     blocks = unique_blocks(np.concatenate(found).astype(np.int64))
     volume = empty_volume(blocks, voxel_size_m, np.eye(4))
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
-    mesh = extract_mesh(volume, min_weight=2.0 * one_view_weight(settings.max_depth_m))
+    near = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
+    least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[near])) if near.any() else 0.0
+    mesh = extract_mesh(volume, min_weight=least)
     return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))
 
 
@@ -130,11 +134,6 @@ def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings) -> 
     return depth_m
 
 
-def one_view_weight(depth_m: float) -> float:
-    """Weight (1/mm^2) that one measurement at this depth gives to a voxel."""
-    return float(1e-6 / depth_sigma_m(depth_m) ** 2)
-
-
 def _integrate_frames(
     volume: BlockVolume,
     sequence: Sequence,
@@ -147,6 +146,13 @@ def _integrate_frames(
     chosen = list(frames)
     for done, index in enumerate(chosen, start=1):
         depth_m = usable_depth_m(sequence, int(index), settings)
-        integrate(volume, depth_m, sequence.camera, trajectory.T_world_camera[index], truncation_m)
+        integrate(
+            volume,
+            depth_m,
+            sequence.camera,
+            trajectory.T_world_camera[index],
+            truncation_m,
+            trajectory.pose_sigma_m(int(index)),
+        )
         if progress:
             progress(done, len(chosen))

@@ -1,5 +1,6 @@
 """Publishing a benchmark from its build folders, and knowing whether the release is still current."""
 
+import contextlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,9 +8,17 @@ from pathlib import Path
 from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings
 from kinectbench.errors import ReleaseError
-from kinectbench.release.metadata import read_metadata
+from kinectbench.release.metadata import read_metadata, read_text
 from kinectbench.release.publish import PublishSummary, publish
-from kinectbench.workspace import MANIFEST, canonical_json, locked, pretty_json, replaced_file, sha256_text
+from kinectbench.workspace import (
+    MANIFEST,
+    canonical_json,
+    locked,
+    pretty_json,
+    replaced_file,
+    sha256_text,
+    sweep,
+)
 
 STAMP = "publish.json"
 
@@ -32,8 +41,12 @@ def publish_if_stale(
     build, out = root / "build", root / "benchmark"
     if not recordings:
         raise ReleaseError(f"{build}: no recording was built, so there is nothing to publish")
-    wanted = _fingerprint(settings, build, recordings)
-    with locked(build):
+    with contextlib.ExitStack() as locks:
+        # No other run may change a pair between its checks and its copy.
+        for folder in (build, *(build / name for name in sorted(recordings))):
+            locks.enter_context(locked(folder))
+        sweep(out)
+        wanted = _fingerprint(settings, build, recordings)
         summary = None if force else _published(build, out, wanted)
         if summary is None:
             summary = publish(settings, build, out, recordings)
@@ -50,7 +63,7 @@ def publish_if_stale(
 
 
 def _fingerprint(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> str:
-    manifests = [(build / name / "pairs" / MANIFEST).read_text() for name in recordings]
+    manifests = [read_text(build / name / "pairs" / MANIFEST) for name in recordings]
     return sha256_text(canonical_json([__version__, settings.model_dump(mode="json"), manifests]))
 
 

@@ -21,6 +21,7 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
         published: add the paper's own figures where a category has its name, labelled as not comparable.
     """
     from rich.table import Table
+    from rich.text import Text
 
     protocols = [p for p in SHOWN_PROTOCOLS if any(p in table.settings["protocols"] for table in tables)]
     categories = sorted({category for table in tables for category in table.thresholds})
@@ -31,7 +32,7 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
         for column in columns:
             result.add_column(f"{column}\n{protocol}", justify="right")
     for table in tables:
-        result.add_row(table.method, *_cells(table, protocols, columns))
+        result.add_row(Text(table.method), *_cells(table, protocols, columns))
     if published:
         for entry in PUBLISHED:
             values = dict(zip(CATEGORIES, zip(entry.iou, entry.ce, strict=True), strict=True))

@@ -1,12 +1,11 @@
 """Run independent tasks in one process or several; results come in the order of the tasks either way."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
 from typing import TypeVar
 
 from kinectbench.errors import KinectBenchError
+from kinectbench.processes import KILLED, submit_all, worker_pool
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -37,18 +36,12 @@ def run_tasks(
             if progress:
                 progress(len(results), len(tasks))
         return results
-    # fork after numba has started threads hangs or dies
-    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
+    with worker_pool(min(jobs, len(tasks))) as pool:
         try:
-            for result in pool.map(function, tasks):
-                results.append(result)
+            for future in submit_all(pool, function, tasks):
+                results.append(future.result())
                 if progress:
                     progress(len(results), len(tasks))
         except BrokenProcessPool as error:
-            raise KinectBenchError(
-                "a worker process was killed, perhaps for lack of memory; run again with --jobs 1"
-            ) from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+            raise KinectBenchError(KILLED) from error
     return results

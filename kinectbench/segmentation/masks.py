@@ -62,7 +62,8 @@ def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
 def _read(path: Path, shape: tuple[int, ...]) -> Bools:
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    data = path.read_bytes() if path.is_file() else b""
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     if image is None:
         raise SegmentationError(f"{path}: not a readable PNG; save the mask again")
     if image.shape != shape:

@@ -14,6 +14,7 @@ from kinectbench.segmentation.select import (
     CELL_M,
     convergence_point,
     fit_box,
+    select_in_box,
     select_object,
     surface_points,
 )
@@ -43,7 +44,7 @@ class Segmentation:
     def excluded(self, grid: Grid, given_box: OrientedBox | None) -> NDArray[np.bool_]:
         """Voxels of an upright grid that cannot be the object: bool of the grid's shape.
 
-        Outside the given box, or, without one, where a neighbour's surface is and the object's is not.
+        Outside the given box, and where a neighbour's surface is and the object's is not.
         """
         T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
         # The grid is upright: x and y in the floor frame depend on the first two axes, z on the last.
@@ -53,11 +54,6 @@ class Segmentation:
         )
         ground_floor = transform_points(T_floor_grid, ground * grid.voxel_size_m)[:, :, 0]
         heights_m = T_floor_grid[2, 3] + (np.arange(nz) + 0.5) * grid.voxel_size_m
-        if given_box is not None:
-            at_middle = np.dstack([ground_floor[..., :2], np.full((nx, ny), given_box.center_m[2])])
-            inside = np.abs(heights_m - given_box.center_m[2]) <= given_box.size_m[2] / 2
-            outside: NDArray[np.bool_] = ~(given_box.contains(at_middle)[:, :, None] & inside)
-            return outside
         cells = np.floor(ground_floor[..., :2] / CELL_M).astype(np.int64)
         levels = np.floor(heights_m / CELL_M).astype(np.int64)
         first = np.append(cells.reshape(-1, 2).min(axis=0), levels.min())
@@ -65,6 +61,10 @@ class Segmentation:
         foreign = _dilated(self.other_cells, first, shape) & ~_dilated(self.object_cells, first, shape)
         x, y = (cells[..., axis, None] - first[axis] for axis in (0, 1))
         excluded: NDArray[np.bool_] = foreign[x, y, levels - first[2]]
+        if given_box is not None:
+            at_middle = np.dstack([ground_floor[..., :2], np.full((nx, ny), given_box.center_m[2])])
+            inside = np.abs(heights_m - given_box.center_m[2]) <= given_box.size_m[2] / 2
+            excluded = excluded | ~(given_box.contains(at_middle)[:, :, None] & inside)
         return excluded
 
 
@@ -99,14 +99,16 @@ def segment(
         )
         box = fit_box(points_floor[chosen])
     else:
-        chosen = above & given_box.contains(points_floor)
+        in_box = above & given_box.contains(points_floor)
         box = given_box
-        if chosen.sum() < MIN_BOX_POINTS:
+        if in_box.sum() < MIN_BOX_POINTS:
             low, high = points_floor[above].min(axis=0), points_floor[above].max(axis=0)
             raise SegmentationError(
                 f"the box in benchmark.yaml holds nothing of the scene, which reaches from {_text(low)} to "
                 f"{_text(high)} m in the floor frame; correct center_m and size_m"
             )
+        chosen = np.zeros(len(points_floor), dtype=bool)
+        chosen[above] = select_in_box(points_floor[above], in_box[above])
     cells = np.floor(points_floor / CELL_M).astype(np.int64)
     how = "automatic" if given_box is None else "box"
     return Segmentation(floor, box, cells[chosen], cells[above & ~chosen], how)

@@ -104,6 +104,38 @@ def select_object(
     return chosen
 
 
+def select_in_box(points_floor: NDArray[np.float64], in_box: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Choose the object among the pieces of the scene that a person's box holds.
+
+    The largest piece is the object, with every other piece that ends inside the box. A smaller piece
+    that runs on beyond the box, such as the corner of a table top over a chair, is something else.
+
+    Args:
+        points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
+        in_box: (n,) bool, at least one.
+
+    Returns:
+        (n,) bool, the points of the object.
+    """
+    from scipy import ndimage
+
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    cells -= cells.min(axis=0) - 1
+    shape = cells.max(axis=0) + 2
+    inside, outside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    inside[tuple(cells[in_box].T)] = True
+    outside[tuple(cells[~in_box].T)] = True
+    around = np.ones((3, 3, 3))
+    labels, count = ndimage.label(inside, structure=around)
+    runs_on = np.zeros(count + 1, dtype=bool)
+    runs_on[np.unique(labels[ndimage.binary_dilation(outside, around)])] = True
+    largest = int(np.argmax(np.bincount(labels.reshape(-1))[1:])) + 1
+    kept = ~runs_on
+    kept[largest], kept[0] = True, False
+    chosen: NDArray[np.bool_] = in_box & kept[labels[tuple(cells.T)]]
+    return chosen
+
+
 def fit_box(points_floor: NDArray[np.float64], yaw_rad: float | None = None) -> OrientedBox:
     """The upright box around points (n, 3), from the floor to their top.
 

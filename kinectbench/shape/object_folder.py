@@ -75,7 +75,9 @@ def read_object(folder: Path) -> ObjectModel:
         coarse = _grid(surround, surround["labels"])
         sigma_m = float(quality["surface_sigma_m"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StorageError(f"{folder}: the stored object is damaged ({error}); use --force") from error
+        raise StorageError(
+            f"{folder}: the stored object is damaged ({error}); `kinectbench build --force` makes it again"
+        ) from error
     return ObjectModel(floor, box, shape, coarse, surround["labels"], sigma_m, quality)
 
 

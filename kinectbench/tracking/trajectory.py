@@ -28,3 +28,8 @@ class Trajectory:
     def good_frames(self) -> NDArray[np.int64]:
         """Indices of the frames that have a pose, ascending."""
         return np.flatnonzero(np.isfinite(self.T_world_camera).all(axis=(1, 2)))
+
+    def pose_sigma_m(self, frame: int) -> float:
+        """By how much a frame's pose may be off, metres: how far its depth would move it; 0 if unknown."""
+        rows = {row["frame"]: row["shift_mm"] for row in self.health.get("per_frame", [])}
+        return (rows.get(frame) or 0.0) / 1000

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import StorageError
+from kinectbench.errors import RecordingError, StorageError
 from kinectbench.ingest.trajectory_file import read_trajectory as read_tum
 from kinectbench.ingest.trajectory_file import trajectory_text
 from kinectbench.sequence import GivenTrajectory
@@ -31,11 +31,16 @@ def read_trajectory(folder: Path, stamps_ns: NDArray[np.int64]) -> Trajectory:
     try:
         posed, _ = read_tum(folder / "trajectory.txt")
         health = json.loads((folder / "health.json").read_text())
-    except (OSError, ValueError) as error:
-        raise StorageError(f"{folder}: the stored trajectory is damaged ({error}); use --force") from error
+        source = health["source"]
+    except (OSError, ValueError, KeyError, TypeError, RecordingError) as error:
+        raise StorageError(
+            f"{folder}: the trajectory is damaged ({error}); `kinectbench build --force` makes it again"
+        ) from error
     rows = np.searchsorted(stamps_ns, posed.stamps_ns)
     if rows.max() >= len(stamps_ns) or (stamps_ns[rows] != posed.stamps_ns).any():
-        raise StorageError(f"{folder}: the stored trajectory is of other frames; use --force")
+        raise StorageError(
+            f"{folder}: the stored trajectory is of other frames; `kinectbench build --force` makes it again"
+        )
     poses = np.full((len(stamps_ns), 4, 4), np.nan)
     poses[rows] = posed.T_world_camera
-    return Trajectory(stamps_ns, poses, health["source"], health)
+    return Trajectory(stamps_ns, poses, source, health)

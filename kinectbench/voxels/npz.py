@@ -12,6 +12,18 @@ from numpy.typing import NDArray
 
 from kinectbench.errors import StorageError
 
+# What numpy and zipfile raise for damaged files; an unknown compression is a NotImplementedError.
+UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
     """Serialise named arrays as a compressed npz with fixed time stamps (np.savez writes the time of day).
@@ -32,14 +44,29 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
     return buffer.getvalue()
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read all arrays of an npz; no pickles.
+
+    Raises:
+        UNREADABLE: one of these exceptions, if the file is missing, damaged, or no npz.
+    """
+    # Opened here, because numpy leaves a damaged archive open.
+    with path.open("rb") as file:
+        archive = np.load(file, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError("it is a single array, not an npz")
+        return {name: np.asarray(archive[name]) for name in archive.files}
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """Read all arrays of an npz of a build.
 
     Raises:
         StorageError: missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise StorageError(f"{path}: cannot be read ({error}); make it again") from error
+        return load_arrays(path)
+    except UNREADABLE as error:
+        raise StorageError(
+            f"{path}: cannot be read ({error}); `kinectbench build --force` makes it again"
+        ) from error

@@ -1,14 +1,15 @@
 """The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis."""
 
-import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import PairError
 from kinectbench.geometry import Grid
+from kinectbench.voxels.npz import UNREADABLE, load_arrays
 from kinectbench.voxels.npz import npz_bytes as npz_bytes
 
 FORMAT_VERSION = 1
@@ -26,6 +27,8 @@ PACKED_SHAPES = {
     "partial": (PARTIAL_CELLS, PARTIAL_CELLS, PARTIAL_CELLS // 8),
     **dict.fromkeys(PACKED_256, (FULL_CELLS, FULL_CELLS, FULL_CELLS // 8)),
 }
+NUMBERS = ("voxel_size_m", "surface_sigma_m")
+TEXTS = ("framing", "partial_rule")
 
 
 @dataclass(frozen=True)
@@ -93,22 +96,38 @@ def read_pair(path: Path) -> Pair:
         PairError: the file is missing, damaged, or not a pair of a known format version.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            values = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        values = load_arrays(path)
+    except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
     missing = [f.name for f in fields(Pair) if f.name not in values]
     if missing:
         raise PairError(f"{path}: not a pair file: the keys {', '.join(missing)} are missing")
-    if int(values.pop("format_version", 0)) != FORMAT_VERSION:
-        raise PairError(f"{path}: written in another format version; this package reads {FORMAT_VERSION}")
+    fault = _fault(values)
+    if fault:
+        raise PairError(f"{path}: {fault}")
+    scalars = {name: values[name].item() for name in (*NUMBERS, *TEXTS)}
+    return Pair(**{f.name: scalars.get(f.name, values[f.name]) for f in fields(Pair)})
+
+
+def _fault(values: dict[str, NDArray[Any]]) -> str | None:
+    """What is wrong with the values of a pair file, or None."""
+    version = values.get("format_version", np.asarray(0))
+    if version.shape != () or version.item() != FORMAT_VERSION:
+        return f"written in another format version; this package reads {FORMAT_VERSION}"
     for name, shape in PACKED_SHAPES.items():
         if values[name].shape != shape or values[name].dtype != np.uint8:
-            raise PairError(f"{path}: '{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}")
+            return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"
     for name, side in {"T_world_grid": 4, "T_world_camera": 4, "K": 3}.items():
-        if values[name].shape != (side, side) or not np.isfinite(values[name]).all():
-            raise PairError(f"{path}: '{name}' is not a finite {side}x{side} matrix")
-    scalars = {
-        name: values[name].item() for name in ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule")
-    }
-    return Pair(**{f.name: scalars.get(f.name, values[f.name]) for f in fields(Pair)})
+        if values[name].shape != (side, side) or not _finite(values[name]):
+            return f"'{name}' is not a finite {side}x{side} matrix"
+    for name in NUMBERS:
+        if values[name].shape != () or not _finite(values[name]) or values[name] < 0:
+            return f"'{name}' is not a length in metres"
+    for name in TEXTS:
+        if values[name].shape != () or values[name].dtype.kind != "U":
+            return f"'{name}' is not a text"
+    return None
+
+
+def _finite(values: NDArray[Any]) -> bool:
+    return values.dtype.kind in "fiu" and bool(np.isfinite(values).all())

@@ -1,0 +1,178 @@
+"""Scores against plain numpy: IoU, CE, precision and recall of random predictions, computed a second time.
+
+The second computation takes its formulas from the paper and uses nothing of `kinectbench.scoring`:
+the grids are unpacked, a prediction becomes float64, cubes of other sizes are upsampled by
+`scipy.ndimage.zoom`, thresholds are searched by counting voxels.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builds import build_root
+from figures import Figure, arguments, at_most, equals, run, told
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from kinectbench.release.release import Release, Target, open_release
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from synthetic_release import publish_synthetic
+
+MAX_DIFFERENCE = 1e-6
+METRICS = ("iou", "ce", "precision", "recall")
+Reals = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+def _smooth(rng: np.random.Generator, full: Bools, side: int) -> Reals:
+    """Random values in [0, 1] of a side, higher in the truth, some of them exactly 0, 1 or a threshold."""
+    coarse = np.asarray(ndimage.zoom(full.astype(float), side / 256, order=1, grid_mode=True, mode="nearest"))
+    values = 0.55 * coarse + 0.6 * rng.random((side,) * 3) - 0.1
+    exact = rng.random((side,) * 3)
+    values = np.where(exact < 0.1, np.round(values * 20) / 20, values)
+    clipped: Reals = np.clip(values, 0, 1)
+    return clipped
+
+
+def _flipped(rng: np.random.Generator, full: Bools) -> Bools:
+    flipped: Bools = np.roll(full, int(rng.integers(1, 9)), axis=int(rng.integers(3))) ^ (
+        rng.random(full.shape) < 0.01
+    )
+    return flipped
+
+
+KINDS: dict[str, Callable[[np.random.Generator, Bools], NDArray[Any]]] = {
+    "bool": _flipped,
+    "uint8": lambda rng, full: _flipped(rng, full).astype(np.uint8),
+    "float16": lambda rng, full: _smooth(rng, full, 256).astype(np.float16),
+    "float32": lambda rng, full: _smooth(rng, full, 256).astype(np.float32),
+    "32 a side": lambda rng, full: _smooth(rng, full, 32).astype(np.float32),
+    "40 a side": lambda rng, full: _smooth(rng, full, 40).astype(np.float16),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One prediction as float64 on the 256-grid, and its truth as booleans."""
+
+    y: Reals
+    full: Bools
+    known: Bools
+
+
+def read_case(pair_file: Path, prediction: Path) -> Case:
+    """Read both with plain numpy."""
+    with np.load(pair_file) as pair:
+        full, known = (np.unpackbits(pair[name], axis=-1).astype(bool) for name in ("full", "known"))
+    y = np.load(prediction).astype(np.float64)
+    if len(y) != 256:
+        y = ndimage.zoom(y, 256 / len(y), order=1, grid_mode=True, mode="nearest")
+    return Case(np.asarray(y), full, known)
+
+
+def reference(case: Case, threshold: float, protocol: str) -> dict[str, float]:
+    """The paper's four metrics; the voxels are all (`paper`) or those of the trusted truth (`known`)."""
+    counted = np.ones_like(case.full) if protocol == "paper" else case.known
+    y, full = case.y[counted], case.full[counted]
+    above = y > threshold
+    hit, union = np.count_nonzero(above & full), np.count_nonzero(above | full)
+    clipped = np.clip(y, 1e-7, 1 - 1e-7)
+    return {
+        "iou": hit / union,
+        "ce": float(-np.mean(np.where(full, np.log(clipped), np.log(1 - clipped)))),
+        "precision": hit / np.count_nonzero(above),
+        "recall": hit / np.count_nonzero(full),
+    }
+
+
+def searched_threshold(cases: list[Case]) -> float:
+    """The threshold in [0.1, 0.9], steps of 0.05, of the best mean IoU over all voxels; ties: the lowest."""
+    means = [
+        np.mean(
+            [
+                np.count_nonzero((c.y > k / 20) & c.full) / np.count_nonzero((c.y > k / 20) | c.full)
+                for c in cases
+            ]
+        )
+        for k in range(2, 19)
+    ]
+    return (int(np.argmax(means)) + 2) / 20
+
+
+def write_predictions(release: Release, folder: Path, turn: int) -> None:
+    """One random prediction for each pair; every turn, each pair gets another kind."""
+    for index, target in enumerate(release.targets):
+        with np.load(release.pair_path(target)) as pair:
+            full = np.unpackbits(pair["full"], axis=-1).astype(bool)
+        make = [*KINDS.values()][(index + turn) % len(KINDS)]
+        path = prediction_file(folder, target)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, make(np.random.default_rng([turn, index]), full))
+
+
+def prediction_file(folder: Path, target: Target) -> Path:
+    """Where a prediction lies."""
+    path: Path = folder / target.recording / f"{target.view}.npy"
+    return path
+
+
+def differences(release: Release, folder: Path) -> tuple[dict[str, float], list[str]]:
+    """Score a folder and compute it again: the largest difference by metric, and thresholds that differ."""
+    from kinectbench.scoring.score import score
+
+    table = score(release, folder, method="random", protocols=("paper", "known"))
+    cases = {t.name: read_case(release.pair_path(t), prediction_file(folder, t)) for t in release.targets}
+    validation = {
+        category: [cases[t.name] for t in release.split("validation") if t.category == category]
+        for category in table.thresholds
+    }
+    expected = {category: searched_threshold(found) for category, found in validation.items()}
+    wrong = [
+        f"{category}: {table.thresholds[category]:g}, not {expected[category]:g}"
+        for category in expected
+        if table.thresholds[category] != expected[category]
+    ]
+    largest = dict.fromkeys(METRICS, 0.0)
+    for row in table.rows:
+        again = reference(cases[f"{row.recording}/{row.view}"], expected[row.category], row.protocol)
+        for name in METRICS:
+            largest[name] = max(largest[name], abs(getattr(row, name) - again[name]))
+    if table.failures or len(table.rows) != 2 * len(release.split("test")):
+        wrong.append(f"{len(table.rows)} rows, failures: {table.failures}")
+    return largest, wrong
+
+
+def measure(root: Path, turns: int) -> list[Figure]:
+    """Publish a small release of simple shapes, and score random predictions for it."""
+    release = open_release(publish_synthetic(root).folder)
+    largest, wrong = dict.fromkeys(METRICS, 0.0), []
+    for turn in range(turns):
+        folder = root / "predictions" / str(turn)
+        write_predictions(release, folder, turn)
+        found, different = differences(release, folder)
+        largest = {name: max(largest[name], found[name]) for name in METRICS}
+        wrong += different
+    return [
+        told(
+            "predictions scored (test split; as many protocols each: 2)", turns * len(release.split("test"))
+        ),
+        told("kinds of prediction", list(KINDS)),
+        *(at_most(f"largest difference of {name}", largest[name], MAX_DIFFERENCE) for name in METRICS),
+        equals("thresholds found otherwise", wrong, []),
+    ]
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--turns", type=int, default=6, help="random predictions for each pair (default: 6)")
+    options = parser.parse_args()
+    with build_root(None) as root:
+        run(options, lambda: measure(root, options.turns))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""The fusion kernel against plain numpy and against Open3D's VoxelBlockGrid."""
+
+import numpy as np
+import pytest
+from analytic_scenes import CAMERA, box, depth_of, look_at, plane, sphere
+
+from kinectbench.fusion.blocks import (
+    BLOCK_VOXELS,
+    BlockVolume,
+    blocks_near_surface,
+    blocks_of_grid,
+    dense_grid,
+    empty_volume,
+    unique_blocks,
+)
+from kinectbench.fusion.integrate import HALF_DIAGONAL, SURFACE_SIGMAS, integrate
+from kinectbench.geometry import (
+    Camera,
+    Grid,
+    invert_rigid,
+    rigid,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
+from kinectbench.geometry.depth_noise import depth_sigma_m
+
+SMALL = Camera(48, 36, 40.0, 41.0, 23.2, 17.6)
+VOXEL_M, TRUNCATION_M = 0.02, 0.08
+T_WORLD_GRID = rigid(rotation_from_quaternion_xyzw([0.1, 0.2, -0.1, 0.9]), [-0.3, -0.35, 0.6])
+
+
+def voxel_centers_world(volume: BlockVolume) -> np.ndarray:
+    inner = np.stack(np.meshgrid(*[np.arange(BLOCK_VOXELS)] * 3, indexing="ij"), axis=-1)
+    indices = volume.blocks[:, None, None, None] * BLOCK_VOXELS + inner
+    return transform_points(volume.T_world_grid, (indices + 0.5) * volume.voxel_size_m)
+
+
+def reference(volume, frames):
+    """tsdf, weight, free, surface by the definitions; and where rounding to a pixel or vote is a toss-up."""
+    centers = voxel_centers_world(volume)
+    shape = centers.shape[:-1]
+    total, weight = np.zeros(shape), np.zeros(shape)
+    free, surface, tie = np.zeros(shape, int), np.zeros(shape, int), np.zeros(shape, bool)
+    for depth_m, T_world_camera in frames:
+        points = transform_points(invert_rigid(T_world_camera), centers)
+        z = points[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = SMALL.project(points)
+        u, v = np.moveaxis(np.rint(np.where(z[..., None] > 1e-3, uv, -1)).astype(int), -1, 0)
+        inside = (u >= 0) & (v >= 0) & (u < SMALL.width) & (v < SMALL.height)
+        d = np.where(inside, depth_m[np.where(inside, v, 0), np.where(inside, u, 0)].astype(float), 0.0)
+        sdf = d - z
+        measured = (d > 0) & (sdf >= -TRUNCATION_M)
+        sigma = depth_sigma_m(d)
+        added = np.where(measured, 1e-6 / sigma**2, 0)
+        total += added * np.minimum(sdf, TRUNCATION_M)
+        weight += added
+        margin = np.maximum(SURFACE_SIGMAS * sigma, HALF_DIAGONAL * VOXEL_M)
+        free += measured & (sdf > margin)
+        surface += measured & (np.abs(sdf) <= margin)
+        tie |= (np.abs(uv - np.floor(uv) - 0.5) < 1e-3).any(-1) | (np.abs(z) < 5e-3)
+        for limit in (-TRUNCATION_M, margin, -margin):
+            tie |= np.abs(sdf - limit) < 1e-5
+    return np.where(weight > 0, total / np.maximum(weight, 1e-30), 0), weight, free, surface, tie
+
+
+def random_frames(count: int) -> list:
+    """Depth without any smoothness and with holes: a neighbour's pixel would be noticed."""
+    rng = np.random.default_rng(5)
+    frames = []
+    for _ in range(count):
+        depth_m = rng.uniform(0.5, 1.6, (SMALL.height, SMALL.width)).astype(np.float32)
+        depth_m[rng.random(depth_m.shape) < 0.2] = 0
+        turn = rotation_from_quaternion_xyzw(np.append(rng.normal(0, 0.15, 3), 1.0))
+        frames.append((depth_m, rigid(turn, rng.normal(0, 0.1, 3))))
+    return frames
+
+
+def fused(frames) -> BlockVolume:
+    blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
+    volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
+    for depth_m, T_world_camera in frames:
+        integrate(volume, depth_m, SMALL, T_world_camera, TRUNCATION_M)
+    return volume
+
+
+def test_kernel_against_numpy():
+    frames = random_frames(4)
+    volume = fused(frames)
+    tsdf, weight, free, surface, tie = reference(volume, frames)
+    sure = ~tie
+    assert sure.mean() > 0.98
+    assert (weight > 0).mean() > 0.3 and surface.sum() > 1000 and free.sum() > 1000
+    np.testing.assert_array_equal(volume.free[sure], free[sure])
+    np.testing.assert_array_equal(volume.surface[sure], surface[sure])
+    np.testing.assert_allclose(volume.weight[sure], weight[sure], rtol=2e-5)
+    np.testing.assert_allclose(volume.tsdf[sure], tsdf[sure], atol=2e-6)
+
+
+def test_camera_inside_the_volume_fuses_nothing_behind_it():
+    T_world_camera = rigid(np.eye(3), [0.1, 0.0, 1.0])
+    frames = [(np.full((SMALL.height, SMALL.width), 0.3, np.float32), T_world_camera)]
+    volume = fused(frames)
+    behind = voxel_centers_world(volume)[..., 2] < 0.999
+    assert behind.any() and not volume.weight[behind].any()
+    _, weight, _, _, tie = reference(volume, frames)
+    np.testing.assert_allclose(volume.weight[~tie], weight[~tie], rtol=2e-5)
+
+
+def test_frames_without_depth_change_nothing():
+    volume = fused([(np.zeros((SMALL.height, SMALL.width), np.float32), np.eye(4))])
+    for values in (volume.tsdf, volume.weight, volume.free, volume.surface):
+        assert not values.any()
+
+
+def test_the_order_of_frames_does_not_matter():
+    frames = random_frames(3)
+    one, other = fused(frames), fused(frames[::-1])
+    np.testing.assert_array_equal(one.free, other.free)
+    np.testing.assert_allclose(one.tsdf, other.tsdf, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_open3d_agrees(seed):
+    """One frame, the same truncation; Open3D's voxels lie on integers and its pixels begin at integers."""
+    import open3d as o3d
+
+    voxel_m = 0.01
+    eye = np.array([0.2 - 0.5 * seed, -1.3, 0.9])
+    T_world_camera = look_at(eye, np.array([0.0, 0.0, 0.2]))
+    surfaces = [sphere((0, 0, 0.2), 0.2), box((-0.5, -0.1, 0.0), (-0.2, 0.3, 0.4)), plane((0, 0, 1), 0.0)]
+    depth_m = depth_of(surfaces, CAMERA, T_world_camera)
+    tensor = o3d.core.Tensor.from_numpy
+    theirs = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight"), (o3d.core.float32, o3d.core.float32), ((1), (1)), voxel_m, 16, 2000
+    )
+    K = CAMERA.K
+    K[:2, 2] += 0.5
+    image = o3d.t.geometry.Image(tensor(depth_m[..., None]))
+    extrinsic = tensor(invert_rigid(T_world_camera))
+    blocks = theirs.compute_unique_block_coordinates(image, tensor(CAMERA.K), extrinsic, 1.0, 2.5, 4.0)
+    theirs.integrate(blocks, image, tensor(K), extrinsic, 1.0, 2.5, 4.0)
+    centers, flat = theirs.voxel_coordinates_and_flattened_indices()
+    flat = flat.numpy()
+    tsdf = theirs.attribute("tsdf").numpy().reshape(-1)[flat]
+    weight = theirs.attribute("weight").numpy().reshape(-1)[flat]
+
+    index = np.rint(centers.numpy() / voxel_m).astype(np.int64)
+    ours = empty_volume(
+        unique_blocks(index // BLOCK_VOXELS), voxel_m, rigid(np.eye(3), np.full(3, -voxel_m / 2))
+    )
+    fused_depth_m = np.where(depth_m < 2.5, depth_m, np.float32(0))
+    integrate(ours, fused_depth_m, CAMERA, T_world_camera, 4 * voxel_m)
+    row = {tuple(block): n for n, block in enumerate(ours.blocks.tolist())}
+    b = np.array([row[tuple(block)] for block in (index // BLOCK_VOXELS).tolist()])
+    at = (b, *(index % BLOCK_VOXELS).T)
+    both = (ours.weight[at] > 0) & (weight > 0)
+    assert both.sum() > 20_000
+    # They leave out what projects beyond the last pixel's centre.
+    assert ((ours.weight[at] > 0) == (weight > 0)).mean() > 0.995
+    same = np.abs(ours.tsdf[at] / (4 * voxel_m) - tsdf)[both] < 1e-3
+    assert same.mean() > 0.999  # the rest: pixels chosen differently where a projection falls on a border
+
+
+def test_blocks_of_grid_and_dense_grid_are_inverse():
+    grid = Grid((48, 16, 32), 0.01, np.eye(4))
+    blocks = blocks_of_grid(grid)
+    dense = np.arange(48 * 16 * 32).reshape(grid.shape)
+    cut = np.stack([dense[x : x + 16, y : y + 16, z : z + 16] for x, y, z in blocks * 16])
+    np.testing.assert_array_equal(dense_grid(cut, grid.shape), dense)
+    volume = empty_volume(blocks, 0.01, np.eye(4))
+    cube = volume.dense(cut, np.array([1, -1, 0], np.int32), 2)
+    np.testing.assert_array_equal(cube[:, 16:, :], dense[16:48, :16, :])
+    assert not cube[:, :16].any()
+
+
+def test_unique_blocks_sorts_and_keeps_signs():
+    rows = np.array([[3, -2, 1], [-1000, 5, 0], [3, -2, 1], [3, -3, 900]])
+    np.testing.assert_array_equal(unique_blocks(rows), np.unique(rows, axis=0))
+
+
+def test_blocks_near_a_surface_hold_the_truncation_band():
+    """Of all points within the margin of a pixel's depth, at most 1 % lie in a block that was missed."""
+    T_world_camera = look_at(np.array([0.9, 0.6, 0.8]), np.zeros(3))
+    depth_m = depth_of([sphere((0, 0, 0), 0.25), plane((0, 0, 1), -0.3)], CAMERA, T_world_camera)
+    depth_m[depth_m > 3] = 0
+    blocks = blocks_near_surface(depth_m, CAMERA, T_world_camera, 0.02, 0.005)
+    found = {tuple(block) for block in blocks.tolist()}
+    rays = CAMERA.rays()[depth_m > 0]
+    missed, total = 0, 0
+    for offset_m in np.linspace(-0.02, 0.02, 9):
+        points = transform_points(T_world_camera, rays * (depth_m[depth_m > 0] + offset_m)[:, None])
+        needed, counts = np.unique(np.floor(points / 0.08).astype(int), axis=0, return_counts=True)
+        missing = [tuple(block) not in found for block in needed.tolist()]
+        missed += counts[missing].sum()
+        total += counts.sum()
+    assert missed <= 0.01 * total

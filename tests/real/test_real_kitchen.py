@@ -1,0 +1,109 @@
+"""A chair at a table in a real kitchen (7-Scenes): a person gives its box, the rest is automatic."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinectbench.config import BenchmarkSettings
+from kinectbench.fusion.mesh_file import read_ply
+from kinectbench.geometry import transform_points
+from kinectbench.pipeline import Outcome, build_recording
+from kinectbench.shape.object_folder import read_object
+from kinectbench.shape.object_model import ObjectModel
+from kinectbench.stages import Job
+from kinectbench.stored import read_tracked
+from kinectbench.views_folder import read_views
+from kinectbench.voxels.pair_file import read_pair
+
+# The chair at the table's left, floor frame.
+BOX = {"center_m": [-1.0, 1.68, 0.48], "size_m": [0.42, 0.50, 0.96], "yaw_rad": -0.6435}
+TABLE_HEIGHT_M = 0.72
+VIEWS = 12
+
+DATA = os.environ.get("KINECTBENCH_DATA")
+pytestmark = [
+    pytest.mark.skipif(not DATA, reason="KINECTBENCH_DATA does not name a folder of real recordings"),
+    pytest.mark.xdist_group("real_kitchen"),
+]
+
+
+@pytest.fixture(scope="session")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    path = str((Path(DATA or ".") / "7scenes_redkitchen_000-149").resolve())
+    recording = {"id": "kitchen", "path": path, "category": "chair", "box": BOX}
+    settings = BenchmarkSettings.model_validate(
+        {"name": "kitchen", "recordings": [recording], "views": {"count": VIEWS}}
+    )
+    return Job(settings, settings.recordings[0], tmp_path_factory.mktemp("kitchen"))
+
+
+@pytest.fixture(scope="session")
+def outcome(job: Job) -> Outcome:
+    return build_recording(job)
+
+
+@pytest.fixture(scope="session")
+def model(job: Job, outcome: Outcome) -> ObjectModel:
+    assert outcome.error is None
+    return read_object(job.build / "object")
+
+
+@pytest.fixture(scope="session")
+def scene_floor(job: Job, model: ObjectModel) -> NDArray[np.float64]:
+    """Vertices of the fused scene, floor frame."""
+    return transform_points(
+        model.floor.T_floor_world, read_ply(job.build / "reconstruction" / "mesh.ply").vertices
+    )
+
+
+def test_it_ends_well(outcome: Outcome) -> None:
+    assert outcome.error is None
+    assert outcome.made[-1] == "pairs"
+
+
+def test_the_floor_is_the_lowest_plane(
+    job: Job, model: ObjectModel, scene_floor: NDArray[np.float64]
+) -> None:
+    heights_m = scene_floor[:, 2]
+    assert np.mean(heights_m < -0.05) < 0.001
+    assert np.mean(np.abs(heights_m) < 0.02) > 0.05
+    _, trajectory = read_tracked(job.build)
+    cameras = trajectory.T_world_camera[trajectory.good_frames][:, :3, 3]
+    cameras_m = transform_points(model.floor.T_floor_world, cameras)[:, 2]
+    assert cameras_m.min() > 1.0 and cameras_m.max() < 2.0
+    object_m = transform_points(model.floor.T_floor_world, model.shape.mesh.vertices)[:, 2]
+    assert object_m.min() > -0.005
+
+
+def test_the_floor_is_level_with_the_table(scene_floor: NDArray[np.float64]) -> None:
+    """The table's top is horizontal and was not used to find the floor."""
+    table = scene_floor[np.abs(scene_floor[:, 2] - TABLE_HEIGHT_M) < 0.02]
+    assert len(table) > 3000
+    normal = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)[2][2]
+    assert np.degrees(np.arccos(abs(normal[2]))) < 3.0
+
+
+def test_the_object_lies_in_its_box(job: Job, model: ObjectModel) -> None:
+    assert job.recording.box is not None
+    points_floor = transform_points(model.floor.T_floor_world, model.shape.mesh.vertices)
+    box = job.recording.box.box().grown(model.shape.grid.voxel_size_m)
+    assert box.contains(points_floor).all()
+    assert points_floor[:, 2].max() > 0.75  # the back of the chair, higher than the table
+
+
+def test_masks(job: Job, outcome: Outcome) -> None:
+    views = read_views(job.build / "views")
+    assert len(views) == VIEWS
+    for view in views:
+        assert 0 < view.mask.mean() <= 0.6
+
+
+def test_pairs(job: Job, outcome: Outcome) -> None:
+    files = sorted((job.build / "pairs").glob("*.npz"))
+    assert len(files) == VIEWS
+    for file in files:
+        pair = read_pair(file)
+        assert pair.partial.any() and pair.full.any() and pair.known.any()

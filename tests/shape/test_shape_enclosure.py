@@ -1,0 +1,58 @@
+"""Votes along 26 directions against a plain walk."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure
+
+
+def walked(state: np.ndarray) -> np.ndarray:
+    share = np.zeros(state.shape)
+    for cell in np.ndindex(*state.shape):
+        if state[cell] != UNSEEN:
+            continue
+        votes = {INSIDE: 0, OUTSIDE: 0, NEUTRAL: 0}
+        for direction in itertools.product((-1, 0, 1), repeat=3):
+            if direction == (0, 0, 0):
+                continue
+            at, met = np.array(cell), UNSEEN
+            while met == UNSEEN:
+                at = at + direction
+                within = np.all((at >= 0) & (at < state.shape))
+                met = int(state[tuple(at)]) if within else OUTSIDE
+            votes[met] += 1
+        if votes[INSIDE]:
+            share[cell] = votes[INSIDE] / (votes[INSIDE] + votes[OUTSIDE])
+    return share
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_against_a_walk(seed):
+    rng = np.random.default_rng(seed)
+    state = rng.choice([UNSEEN, OUTSIDE, INSIDE, NEUTRAL], (9, 11, 7), p=[0.7, 0.1, 0.15, 0.05]).astype(
+        np.uint8
+    )
+    share = enclosure(state)
+    assert share.dtype == np.float32
+    np.testing.assert_allclose(share, walked(state), atol=1e-6)
+
+
+def test_by_hand():
+    state = np.full((5, 5, 5), INSIDE, np.uint8)
+    state[1:4, 1:4, 1:4] = UNSEEN
+    np.testing.assert_array_equal(enclosure(state)[1:4, 1:4, 1:4], 1.0)
+    state[4] = OUTSIDE  # one open side: nine of the 26 directions from the middle of its layer
+    assert enclosure(state)[3, 2, 2] == np.float32(17 / 26)
+    state[0] = NEUTRAL  # directions that end there do not count
+    assert enclosure(state)[3, 2, 2] == np.float32(walked(state)[3, 2, 2])
+    assert not enclosure(np.full((3, 3, 3), UNSEEN, np.uint8)).any()
+    assert not enclosure(np.full((3, 3, 3), NEUTRAL, np.uint8)).any()
+
+
+def test_input_is_left_alone():
+    state = np.asfortranarray(np.random.default_rng(0).integers(0, 4, (6, 5, 4)).astype(np.uint8))
+    before = state.copy()
+    np.testing.assert_allclose(enclosure(state), walked(before), atol=1e-6)
+    np.testing.assert_array_equal(state, before)

@@ -1,0 +1,245 @@
+"""Given trajectories: brought to the frames, checked against the depth, stored and read back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from analytic_scenes import Furniture, displaced, furniture
+
+from kinectbench.config import TrackingSettings
+from kinectbench.errors import KinectBenchError, StorageError, TrackingError
+from kinectbench.geometry import rigid
+from kinectbench.sequence import GivenTrajectory
+from kinectbench.simulate.simulate import SimulationSpec
+from kinectbench.tracking import Trajectory, track
+from kinectbench.tracking.agreement import measure_agreement
+from kinectbench.tracking.given import poses_at
+from kinectbench.tracking.trajectory_folder import read_trajectory, write_trajectory
+
+pytestmark = pytest.mark.xdist_group("tracking")
+SETTINGS = TrackingSettings(check_stride_px=3)
+WRONG = 11
+
+
+@pytest.fixture(scope="module")
+def chair() -> Furniture:
+    return furniture(SimulationSpec("chair", seed=3, frames=24, arc_rad=3.0))
+
+
+def with_poses(chair: Furniture, poses: np.ndarray) -> Furniture:
+    given = GivenTrajectory(chair.sequence.stamps_ns, poses)
+    return replace(chair, sequence=replace(chair.sequence, given_trajectory=given))
+
+
+def turned(angle_rad: float) -> np.ndarray:
+    return cv2.Rodrigues(np.array([0.0, 0.0, angle_rad]))[0]
+
+
+# --- poses_at
+
+
+GIVEN = GivenTrajectory(
+    np.array([10, 20, 40], np.int64) * 10**7,
+    np.stack(
+        [
+            rigid(np.eye(3), [0, 0, 0]),
+            rigid(turned(np.pi / 2), [1, 2, 4]),
+            rigid(turned(np.pi / 2), [1, 2, 4]),
+        ]
+    ),
+)
+
+
+def test_a_stamp_met_exactly():
+    poses = poses_at(GIVEN, np.array([10**8, 2 * 10**8, 4 * 10**8]), 0.1)
+    np.testing.assert_array_equal(poses, GIVEN.T_world_camera)
+
+
+def test_slerp_between_two_poses():
+    middle, third = poses_at(GIVEN, np.array([150_000_000, 175_000_000]), 0.1)
+    np.testing.assert_allclose(middle, rigid(turned(np.pi / 4), [0.5, 1, 2]), atol=1e-12)
+    np.testing.assert_allclose(third, rigid(turned(np.pi * 3 / 8), [0.75, 1.5, 3]), atol=1e-12)
+
+
+def test_gaps_are_not_bridged_and_nothing_is_extrapolated():
+    stamps = np.array([10**8 - 1, 10**8, 3 * 10**8, 4 * 10**8, 4 * 10**8 + 1])
+    lost = np.isnan(poses_at(GIVEN, stamps, 0.1)).all(axis=(1, 2))
+    np.testing.assert_array_equal(lost, [True, False, True, False, True])
+    assert np.isfinite(poses_at(GIVEN, stamps[2:3], 0.2)).all()  # a gap as long as allowed is bridged
+
+
+# --- agreement
+
+
+def test_right_poses_agree(chair):
+    agreement = measure_agreement(chair.sequence, chair.simulation.T_world_camera, SETTINGS)
+    assert not agreement.disagreeing(SETTINGS.max_disagreement_m).any()
+    assert np.isfinite(agreement.shift_m).all()
+    assert np.median(agreement.shift_m) < 0.006
+    assert np.degrees(np.median(agreement.turn_rad)) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "turn_deg"),
+    [((0.05, 0, 0), 0.0), ((0, 0, 0.05), 0.0), ((0.03, 0.03, 0.03), 0.0), ((0, 0, 0), 3.0)],
+)
+def test_one_wrong_frame_is_found(chair, shift_m, turn_deg):
+    poses = chair.simulation.T_world_camera.copy()
+    poses[WRONG] = displaced(poses[WRONG], shift_m, turn_deg)
+    agreement = measure_agreement(chair.sequence, poses, SETTINGS)
+    np.testing.assert_array_equal(np.flatnonzero(agreement.disagreeing(SETTINGS.max_disagreement_m)), [WRONG])
+    if turn_deg:
+        assert np.degrees(agreement.turn_rad[WRONG]) == pytest.approx(turn_deg, rel=0.3)
+    else:
+        assert agreement.shift_m[WRONG] == pytest.approx(np.linalg.norm(shift_m), rel=0.3)
+    others = np.delete(np.arange(24), WRONG)
+    assert agreement.residual_m[WRONG] > 1.4 * np.median(agreement.residual_m[others])
+
+
+def test_frames_without_a_pose_or_overlap_are_not_judged(chair):
+    poses = chair.simulation.T_world_camera.copy()
+    poses[4] = np.nan
+    agreement = measure_agreement(chair.sequence, poses, SETTINGS)
+    assert np.isnan(agreement.shift_m[4]) and not agreement.disagreeing(0.0)[4]
+    apart = chair.simulation.T_world_camera.copy()
+    apart[:, :3, 3] += 100.0 * np.arange(24)[:, None]  # no two frames look at the same place
+    agreement = measure_agreement(chair.sequence, apart, SETTINGS)
+    assert np.isnan(agreement.shift_m).all()
+
+
+# --- track
+
+
+def test_trust_keeps_right_poses_as_they_are(chair):
+    for mode in (None, "trust"):
+        trajectory = track(chair.sequence, mode, SETTINGS)
+        np.testing.assert_array_equal(trajectory.T_world_camera, chair.simulation.T_world_camera)
+        assert trajectory.source == "trust"
+        assert trajectory.health["warnings"] == [] and trajectory.health["rejected"] == []
+        assert trajectory.health["verdict"].startswith("good for ground truth")
+
+
+def test_a_wrong_frame_is_left_out_and_named(chair):
+    poses = chair.simulation.T_world_camera.copy()
+    poses[WRONG] = displaced(poses[WRONG], (0.05, 0, 0), 3.0)
+    trajectory = track(with_poses(chair, poses).sequence, "trust", SETTINGS)
+    np.testing.assert_array_equal(trajectory.good_frames, np.delete(np.arange(24), WRONG))
+    (rejected,) = trajectory.health["rejected"]
+    assert rejected["frame"] == WRONG
+    assert rejected["stamp_ns"] == chair.sequence.stamps_ns[WRONG]
+    assert "disagrees with its pose" in rejected["reason"]
+    assert trajectory.health["tracked"] == 23
+
+
+def test_refine_says_that_it_trusts(chair):
+    trajectory = track(chair.sequence, "refine", SETTINGS)
+    assert len(trajectory.good_frames) == 24
+    assert any("refine" in warning for warning in trajectory.health["warnings"])
+
+
+def test_a_trajectory_that_is_mostly_wrong_is_refused(chair):
+    inverse = np.linalg.inv(chair.simulation.T_world_camera)
+    rng = np.random.default_rng(0)
+    shaken = np.stack(
+        [displaced(T, tuple(rng.normal(0, 0.08, 3)), 0) for T in chair.simulation.T_world_camera]
+    )
+    with pytest.raises(TrackingError, match=r"does not fit the depth.*camera to world.*ignore"):
+        track(with_poses(chair, shaken).sequence, "trust", SETTINGS)
+    # World to camera instead of camera to world: refused, or at least never called good.
+    try:
+        health = track(with_poses(chair, inverse).sequence, "trust", SETTINGS).health
+        assert not health["verdict"].startswith("good")
+    except TrackingError as error:
+        assert "camera to world" in str(error)
+
+
+def test_trust_without_a_trajectory(chair):
+    bare = replace(chair.sequence, given_trajectory=None)
+    with pytest.raises(TrackingError, match=r"trajectory: trust.*none.*ignore"):
+        track(bare, "trust", SETTINGS)
+
+
+def test_no_common_time(chair):
+    given = chair.sequence.given_trajectory
+    late = replace(given, stamps_ns=given.stamps_ns + 10**12)
+    with pytest.raises(TrackingError, match=r"shares no time.*1400000000\.000.*1400001000\.000.*ignore"):
+        track(replace(chair.sequence, given_trajectory=late), "trust", SETTINGS)
+
+
+def test_frames_outside_the_trajectory_are_lost(chair):
+    given = chair.sequence.given_trajectory
+    part = GivenTrajectory(given.stamps_ns[3:20], given.T_world_camera[3:20])
+    trajectory = track(replace(chair.sequence, given_trajectory=part), "trust", SETTINGS)
+    assert trajectory.health["lost"] == [0, 1, 2, 20, 21, 22, 23]
+    np.testing.assert_array_equal(trajectory.good_frames, np.arange(3, 20))
+
+
+def test_odometry_is_said_to_drift():
+    slow = furniture(SimulationSpec("chair", seed=3, frames=300), frames=8)
+    trajectory = track(slow.sequence, "ignore", SETTINGS)
+    assert trajectory.source == "odometry"
+    assert any("drifts" in warning for warning in trajectory.health["warnings"])
+    assert "drift is likely" in trajectory.health["verdict"]
+    np.testing.assert_array_equal(trajectory.T_world_camera[0], np.eye(4))
+    truth = np.linalg.inv(slow.simulation.T_world_camera[0]) @ slow.simulation.T_world_camera
+    good = trajectory.good_frames
+    error_m = np.linalg.norm(trajectory.T_world_camera[good, :3, 3] - truth[good, :3, 3], axis=1)
+    assert len(good) >= 6 and error_m.max() < 0.05
+
+
+def test_odometry_that_loses_the_camera_says_where(chair):
+    depth = [frame if index < 1 else frame * 0 for index, frame in enumerate(chair.sequence.frames.depth)]
+    blind = replace(chair.sequence, frames=replace(chair.sequence.frames, depth=depth))
+    with pytest.raises(TrackingError, match=r"lost the camera at frame 1;.*record more slowly"):
+        track(blind, "ignore", SETTINGS)
+
+
+def test_frames_after_the_camera_was_lost_are_left_out():
+    slow = furniture(SimulationSpec("chair", seed=3, frames=300), frames=6)
+    depth = [*slow.sequence.frames.depth[:4], *(frame * 0 for frame in slow.sequence.frames.depth[4:])]
+    blind = replace(slow.sequence, frames=replace(slow.sequence.frames, depth=depth))
+    trajectory = track(blind, "ignore", SETTINGS)
+    np.testing.assert_array_equal(trajectory.good_frames, range(4))
+    assert trajectory.health["lost"] == [4, 5]
+    assert any("lost the camera at frame 4" in warning for warning in trajectory.health["warnings"])
+
+
+# --- the folder
+
+
+def test_folder_round_trip(chair, tmp_path: Path):
+    poses = chair.simulation.T_world_camera.copy()
+    poses[[2, 9]] = np.nan
+    kept = Trajectory(chair.sequence.stamps_ns, poses, "trust", {"source": "trust", "warnings": ["näh"]})
+    write_trajectory(kept, tmp_path)
+    again = read_trajectory(tmp_path, kept.stamps_ns)
+    np.testing.assert_array_equal(again.good_frames, kept.good_frames)
+    np.testing.assert_array_equal(again.T_world_camera[:, :3, 3], poses[:, :3, 3])
+    np.testing.assert_allclose(again.T_world_camera, poses, rtol=0, atol=1e-14)
+    assert again.source == "trust" and again.health == kept.health
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    write_trajectory(kept, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("damage", ["missing", "other frames", "json", "no source", "not a table", "words"])
+def test_damaged_folder(chair, tmp_path: Path, damage: str):
+    trajectory = Trajectory(
+        chair.sequence.stamps_ns, chair.simulation.T_world_camera, "trust", {"source": "trust"}
+    )
+    write_trajectory(trajectory, tmp_path)
+    stamps_ns = trajectory.stamps_ns
+    if damage == "missing":
+        (tmp_path / "trajectory.txt").unlink()
+    elif damage == "other frames":
+        stamps_ns = stamps_ns[:10]
+    elif damage == "words":
+        (tmp_path / "trajectory.txt").write_text("1 2 3\n")
+    else:
+        text = {"json": "{", "no source": "{}", "not a table": "[]"}[damage]
+        (tmp_path / "health.json").write_text(text)
+    error = KinectBenchError if damage in ("words", "missing") else StorageError
+    with pytest.raises(error, match=str(tmp_path)):
+        read_trajectory(tmp_path, stamps_ns)
