@@ -33,6 +33,7 @@ from kinectbench.commands import (
     write_page,
 )
 from kinectbench.errors import KinectBenchError, SettingsError, internal_error
+from kinectbench.interrupts import check_interrupt, interrupts_remembered
 
 app = typer.Typer(
     add_completion=False,
@@ -294,25 +295,39 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 
 def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
-    try:
-        status, message = app(standalone_mode=False) or 0, ""
-    except USAGE_ERRORS as error:
-        status, message = 2, _usage(error)
-    except KinectBenchError as error:
-        status, message = error.exit_status, str(error)
-    except KeyboardInterrupt:
-        status = INTERRUPTED
-    except Exception as error:
-        if os.environ.get("KINECTBENCH_DEBUG"):
-            raise
-        status, message = 1, internal_error(error)
-    if status == INTERRUPTED:
-        message = "stopped; run the same command again to go on from here"
+    with interrupts_remembered():
+        status, message = _run()
     if message:
         from kinectbench import console
 
         console.lines("error", [message], "red")
+    # Python ends by SIGINT, not with a status, if an interrupt has ever left an exec() of text, as
+    # libraries use it; the next such exec() makes it forget.
+    exec("")
     sys.exit(status)
+
+
+def _run() -> tuple[int, str]:
+    """Exit status and error line, if any."""
+    try:
+        try:
+            status = app(standalone_mode=False) or 0
+            if status == INTERRUPTED:
+                raise KeyboardInterrupt
+            return status, ""
+        except Exception:
+            check_interrupt()
+            raise
+    except KeyboardInterrupt:
+        return INTERRUPTED, "stopped; run the same command again to go on from here"
+    except USAGE_ERRORS as error:
+        return 2, _usage(error)
+    except KinectBenchError as error:
+        return error.exit_status, str(error)
+    except Exception as error:
+        if os.environ.get("KINECTBENCH_DEBUG"):
+            raise
+        return 1, internal_error(error)
 
 
 def _usage(error: Any) -> str:

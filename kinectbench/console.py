@@ -9,6 +9,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from kinectbench.interrupts import check_interrupt
+
 PLAIN_WIDTH = 160
 
 err = Console(stderr=True)
@@ -23,7 +25,12 @@ def bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar; yields a function of (done, total)."""
     with _bars() as bars:
         task = bars.add_task(title, total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+        def update(done: int, total: int) -> None:
+            check_interrupt()
+            bars.update(task, completed=done, total=total)
+
+        yield update
 
 
 @contextmanager
@@ -33,6 +40,7 @@ def recording_bars() -> Iterator[Callable[[str, str, int, int], None]]:
         tasks: dict[str, Any] = {}
 
         def update(recording: str, stage: str, done: int, total: int) -> None:
+            check_interrupt()
             if recording not in tasks:
                 tasks[recording] = bars.add_task(recording, total=None)
             bars.update(

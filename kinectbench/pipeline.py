@@ -12,6 +12,7 @@ from queue import Empty
 from typing import Any
 
 from kinectbench.errors import KinectBenchError, internal_error
+from kinectbench.interrupts import check_interrupt
 from kinectbench.processes import CONTEXT, KILLED, submit_all, worker_pool
 from kinectbench.stages import STAGES, Job, Stage
 from kinectbench.workspace import Artefact, locked, pretty_json
@@ -72,6 +73,7 @@ def build_recording(
     except Exception as failure:
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
+        check_interrupt()
         error = internal_error(failure)
     return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
 

@@ -150,7 +150,8 @@ def replaced_file(path: Path) -> Iterator[Path]:
             yield temporary
             temporary.replace(path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # there is none, or the disk is read-only
+            temporary.unlink()
 
 
 @contextlib.contextmanager

@@ -25,6 +25,7 @@ from kinectbench.tracking.trajectory import Trajectory
 
 Progress = Callable[[int, int], None]
 
+POSE_SIGMAS = 3.0
 # Surface of less than this share of the median weight was seen too badly to show.
 LEAST_WEIGHT_SHARE = 0.05
 
@@ -73,7 +74,7 @@ def fuse(
     if len(frames) == 0:
         raise TrackingError("no frame has a pose: nothing to fuse; trajectory/health.json has the reasons")
     voxel_size_m = settings.scene_voxel_size_m
-    truncation_m = settings.truncation_voxels * voxel_size_m
+    truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
     found = []
     for index in frames:
         depth_m = usable_depth_m(sequence, int(index), settings)
@@ -134,6 +135,15 @@ def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings) -> 
     return depth_m
 
 
+def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionSettings) -> float:
+    """Truncation of the TSDF: some voxels, but no less than three times the poses' uncertainty.
+
+    Frames that are off by more than the truncation would not be averaged: they would leave a second surface.
+    """
+    sigmas_m = [trajectory.pose_sigma_m(int(frame)) for frame in trajectory.good_frames]
+    return max(settings.truncation_voxels * voxel_size_m, POSE_SIGMAS * float(np.median(sigmas_m)))
+
+
 def _integrate_frames(
     volume: BlockVolume,
     sequence: Sequence,
@@ -142,7 +152,7 @@ def _integrate_frames(
     settings: FusionSettings,
     progress: Progress | None,
 ) -> None:
-    truncation_m = settings.truncation_voxels * volume.voxel_size_m
+    truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
     chosen = list(frames)
     for done, index in enumerate(chosen, start=1):
         depth_m = usable_depth_m(sequence, int(index), settings)

@@ -136,11 +136,13 @@ def select_in_box(points_floor: NDArray[np.float64], in_box: NDArray[np.bool_]) 
     return chosen
 
 
-def fit_box(points_floor: NDArray[np.float64], yaw_rad: float | None = None) -> OrientedBox:
+def fit_box(
+    points_floor: NDArray[np.float64], yaw_rad: float | None = None, left_out: float = 0.0005
+) -> OrientedBox:
     """The upright box around points (n, 3), from the floor to their top.
 
-    Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. The
-    outermost 0.05 % on every side are left out, so that single specks do not move a side.
+    Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. A share
+    of the points is left out on every side, so that single specks do not move it.
     """
     import cv2
 
@@ -148,7 +150,7 @@ def fit_box(points_floor: NDArray[np.float64], yaw_rad: float | None = None) -> 
         (_, _, angle_deg) = cv2.minAreaRect(points_floor[:, :2].astype(np.float32))
         yaw_rad = float(np.radians((angle_deg + 45.0) % 90.0 - 45.0))
     turned = points_floor @ yaw_rotation(yaw_rad)
-    low, high = np.quantile(turned, [0.0005, 0.9995], axis=0)
+    low, high = np.quantile(turned, [left_out, 1 - left_out], axis=0)
     low[2] = 0.0
     center = yaw_rotation(yaw_rad) @ ((low + high) / 2)
     size = np.maximum(high - low, 1e-3)

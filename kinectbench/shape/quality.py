@@ -15,6 +15,8 @@ from kinectbench.shape.solid import METHOD, SolidShape
 
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
+# So that a handle or a speck that one half of the frames shows does not move a side of the box.
+BOX_LEFT_OUT = 0.005
 
 
 @dataclass(frozen=True)
@@ -89,4 +91,4 @@ def box_json(box: OrientedBox) -> dict[str, Any]:
 
 
 def _box(mesh: TriangleMesh, chosen: Segmentation, yaw_rad: float | None = None) -> OrientedBox:
-    return fit_box(transform_points(chosen.floor.T_floor_world, mesh.vertices), yaw_rad)
+    return fit_box(transform_points(chosen.floor.T_floor_world, mesh.vertices), yaw_rad, BOX_LEFT_OUT)

@@ -25,7 +25,7 @@ PROBABILITY_SLOPE = 35.0
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
 FREE_OVER_SURFACE = 3
-SMOOTHING_VOXELS = 1.0
+SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
     "name": "carving + 26-direction enclosure + floor contact + smoothing",
@@ -75,8 +75,8 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it. It is occupied
     if it lies just behind a measured surface, or was never seen but is enclosed by such voxels in
     58 % of all directions. Near the floor, where floor and object cannot be told apart, the lowest
-    occupied layer is extruded down to the floor. The signed field of this solid is smoothed by one
-    voxel, and specks are dropped.
+    occupied layer is extruded down to the floor. The signed field of this solid is smoothed by a
+    Gaussian of 0.7 voxels, and specks are dropped.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -173,8 +173,8 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
 def _smooth_field(observation: Observation, solid: Bools, observed: Bools) -> NDArray[np.float32]:
     """A signed field, negative inside, in metres: the TSDF where measured, a constant step elsewhere.
 
-    Its sign is that of `solid`; then it is smoothed by a Gaussian of one voxel, which takes the sensor's
-    noise off the surface.
+    Its sign is that of `solid`; then it is smoothed by a Gaussian, which takes the sensor's noise off
+    the surface; a wider one would thin slats and narrow the masks.
     """
     from scipy import ndimage
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,10 @@ class Trajectory:
         """Indices of the frames that have a pose, ascending."""
         return np.flatnonzero(np.isfinite(self.T_world_camera).all(axis=(1, 2)))
 
+    @cached_property
+    def _shifts_mm(self) -> Mapping[int, float | None]:
+        return {row["frame"]: row["shift_mm"] for row in self.health.get("per_frame", [])}
+
     def pose_sigma_m(self, frame: int) -> float:
         """By how much a frame's pose may be off, metres: how far its depth would move it; 0 if unknown."""
-        rows = {row["frame"]: row["shift_mm"] for row in self.health.get("per_frame", [])}
-        return (rows.get(frame) or 0.0) / 1000
+        return (self._shifts_mm.get(frame) or 0.0) / 1000

@@ -1,5 +1,7 @@
 """The stage `fuse` and `observe`: analytic shapes seen by exact depth."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -21,9 +23,10 @@ from analytic_scenes import (
 from kinectbench.config import FusionSettings
 from kinectbench.errors import TrackingError
 from kinectbench.fusion import fuse
-from kinectbench.fusion.reconstruction import merge, observe, one_view_weight
+from kinectbench.fusion.reconstruction import merge, observe
 from kinectbench.fusion.reconstruction_folder import write_reconstruction
 from kinectbench.geometry import Grid, rigid, rotation_from_quaternion_xyzw
+from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
 
@@ -158,10 +161,21 @@ def test_merge_of_halves_is_fusing_all(ball):
     assert not together.tsdf[together.weight == 0].any()
 
 
-def test_weight_of_one_view():
-    # 1.2 mm at 0.4 m; 1.2 + 1.9 mm at 1.4 m.
-    assert one_view_weight(0.4) == pytest.approx(1 / 1.44)
-    assert one_view_weight(1.4) == pytest.approx(1 / 3.1**2)
+def test_uncertain_poses_weigh_less_and_widen_the_band(ball):
+    """A frame whose pose may be off by s gets 1 / (sigma(d)^2 + s^2), and truncation at least 3 s."""
+    sequence, trajectory = ball
+    rows = [{"frame": 0, "shift_mm": 0.0}, {"frame": 1, "shift_mm": 9.0}, {"frame": 2, "shift_mm": None}]
+    unsure = replace(trajectory, health={"per_frame": rows})
+    assert [unsure.pose_sigma_m(frame) for frame in range(4)] == [0.0, 0.009, 0.0, 0.0]
+    sure_seen = observe(sequence, trajectory, [1], GRID, SETTINGS)
+    unsure_seen = observe(sequence, unsure, [1], GRID, SETTINGS)
+    both = (sure_seen.weight > 0) & (unsure_seen.weight > 0)
+    ratio = np.median(unsure_seen.weight[both] / sure_seen.weight[both])
+    sigma_m = depth_sigma_m(0.6)  # about the distance of the ball's near side
+    assert ratio == pytest.approx(sigma_m**2 / (sigma_m**2 + 0.009**2), rel=0.15)
+    shaky = replace(trajectory, health={"per_frame": [{"frame": f, "shift_mm": 15.0} for f in range(20)]})
+    assert observe(sequence, shaky, [1], GRID, SETTINGS).tsdf.min() == pytest.approx(-0.045, abs=0.001)
+    assert sure_seen.tsdf.min() == pytest.approx(-0.02, abs=0.001)
 
 
 def test_vertices_take_the_colour_of_what_they_show():

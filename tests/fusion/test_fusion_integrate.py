@@ -25,7 +25,7 @@ from kinectbench.geometry import (
 from kinectbench.geometry.depth_noise import depth_sigma_m
 
 SMALL = Camera(48, 36, 40.0, 41.0, 23.2, 17.6)
-VOXEL_M, TRUNCATION_M = 0.02, 0.08
+VOXEL_M, TRUNCATION_M, POSE_SIGMA_M = 0.02, 0.08, 0.003
 T_WORLD_GRID = rigid(rotation_from_quaternion_xyzw([0.1, 0.2, -0.1, 0.9]), [-0.3, -0.35, 0.6])
 
 
@@ -33,6 +33,20 @@ def voxel_centers_world(volume: BlockVolume) -> np.ndarray:
     inner = np.stack(np.meshgrid(*[np.arange(BLOCK_VOXELS)] * 3, indexing="ij"), axis=-1)
     indices = volume.blocks[:, None, None, None] * BLOCK_VOXELS + inner
     return transform_points(volume.T_world_grid, (indices + 0.5) * volume.voxel_size_m)
+
+
+def slants(depth_m: np.ndarray) -> np.ndarray:
+    """Pixel by pixel: 1 / cos of the surface's slant, from pixels two to either side; at most 10."""
+    height, width = depth_m.shape
+    result = np.empty((height, width))
+    for v, u in np.ndindex(height, width):
+        d = max(float(depth_m[v, u]), 1e-3)
+        left, right = depth_m[v, max(u - 2, 0)], depth_m[v, min(u + 2, width - 1)]
+        above, below = depth_m[max(v - 2, 0), u], depth_m[min(v + 2, height - 1), u]
+        across = (float(right) - float(left)) / 4 * SMALL.fx / d
+        down = (float(below) - float(above)) / 4 * SMALL.fy / d
+        result[v, u] = min(np.sqrt(1 + across**2 + down**2), 10.0)
+    return result
 
 
 def reference(volume, frames):
@@ -51,8 +65,9 @@ def reference(volume, frames):
         d = np.where(inside, depth_m[np.where(inside, v, 0), np.where(inside, u, 0)].astype(float), 0.0)
         sdf = d - z
         measured = (d > 0) & (sdf >= -TRUNCATION_M)
-        sigma = depth_sigma_m(d)
-        added = np.where(measured, 1e-6 / sigma**2, 0)
+        sigma = np.sqrt(depth_sigma_m(d) ** 2 + POSE_SIGMA_M**2)
+        slant = slants(depth_m)[np.where(inside, v, 0), np.where(inside, u, 0)]
+        added = np.where(measured, 1e-6 / (sigma * slant) ** 2, 0)
         total += added * np.minimum(sdf, TRUNCATION_M)
         weight += added
         margin = np.maximum(SURFACE_SIGMAS * sigma, HALF_DIAGONAL * VOXEL_M)
@@ -80,7 +95,7 @@ def fused(frames) -> BlockVolume:
     blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
     volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
     for depth_m, T_world_camera in frames:
-        integrate(volume, depth_m, SMALL, T_world_camera, TRUNCATION_M)
+        integrate(volume, depth_m, SMALL, T_world_camera, TRUNCATION_M, POSE_SIGMA_M)
     return volume
 
 
@@ -105,6 +120,20 @@ def test_camera_inside_the_volume_fuses_nothing_behind_it():
     assert behind.any() and not volume.weight[behind].any()
     _, weight, _, _, tie = reference(volume, frames)
     np.testing.assert_allclose(volume.weight[~tie], weight[~tie], rtol=2e-5)
+
+
+@pytest.mark.parametrize("slant_deg", [0.0, 40.0, 70.0])
+def test_weight_of_a_slanted_plane(slant_deg):
+    """At the principal point the weight is (cos / sigma)^2, in 1/mm^2."""
+    camera = Camera(49, 37, 120.0, 120.0, 24.0, 18.0)
+    normal = (np.sin(np.radians(slant_deg)), 0.0, np.cos(np.radians(slant_deg)))
+    depth_m = depth_of([plane(normal, 1.0 * normal[2])], camera, np.eye(4))
+    grid = Grid((16, 16, 16), 0.004, rigid(np.eye(3), [-0.03, -0.03, 0.97]))
+    volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
+    integrate(volume, depth_m, camera, np.eye(4), 0.02)
+    weight = volume.weight[0, 7, 7, 7]  # the centre lies on the optical axis at 1 m
+    sigma_mm = 1000 * depth_sigma_m(1.0)
+    assert weight == pytest.approx((normal[2] / sigma_mm) ** 2, rel=0.02)
 
 
 def test_frames_without_depth_change_nothing():

@@ -147,13 +147,14 @@ def test_legs_grow_back_to_the_floor():
     shape = solid_of(observation(distance_m))
     truth = (distance_m < 0) & (centers()[..., 2] > 0)
     contact = slice(FLOOR_LAYERS, FLOOR_LAYERS + CUT_LAYERS)
-    feet = truth & (distance_m < -VOXEL_M / 2) & (centers()[..., 2] < CUT_LAYERS * VOXEL_M)
+    feet = truth & (distance_m < -0.6 * VOXEL_M) & (centers()[..., 2] < CUT_LAYERS * VOXEL_M)
     assert (
         feet.sum() > 4 * 9 * CUT_LAYERS and shape.solid[feet].all()
     )  # also the layer that touches the floor
     assert np.isin(shape.labels[feet], [Label.SURFACE, Label.INTERIOR]).all()
     assert not shape.solid[:, :, contact][distance_m[:, :, contact] > VOXEL_M].any()
-    assert (shape.solid != truth).sum() < 0.03 * truth.sum()
+    # Smoothing rounds the edges of legs of 30 mm.
+    assert (shape.solid != truth).sum() < 0.06 * truth.sum()
     assert not (shape.solid != truth)[np.abs(distance_m) > 1.5 * VOXEL_M].any()
     assert not shape.solid[30:34, 20:28, FLOOR_LAYERS:50].any()  # the air between the legs
 

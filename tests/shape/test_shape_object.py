@@ -1,0 +1,151 @@
+"""The stage `segment` on a simulated chair, its folder, and its grids."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chair_model import FUSION, Chair
+from chair_model import chair as make_chair
+
+from kinectbench.errors import SegmentationError, StorageError
+from kinectbench.geometry import OrientedBox, invert_rigid, transform_points
+from kinectbench.segmentation.floor import Floor, floor_frame
+from kinectbench.shape.labels import Label
+from kinectbench.shape.object_folder import read_object, write_object
+from kinectbench.shape.object_model import FLOOR_LAYERS, MARGIN_M, object_grid
+from kinectbench.simulate.truth import solid_occupancy
+
+pytestmark = pytest.mark.xdist_group("chair_model")
+FLOOR = Floor(np.array([0.0, 0, 1, 0.3]), floor_frame(np.array([0.0, 0, 1, 0.3])), 0.001, 0.5)
+
+
+@pytest.fixture(scope="module")
+def chair() -> Chair:
+    return make_chair()
+
+
+def test_the_solid_is_the_true_chair(chair):
+    truth = chair.recorded.simulation.truth
+    shape = chair.model.shape
+    true = solid_occupancy(truth.solid, truth.T_world_object, shape.grid)
+    iou = (shape.solid & true).sum() / (shape.solid | true).sum()
+    assert iou > 0.78  # voxels of 8 mm, 24 noisy frames
+    sure = np.isin(shape.labels, [Label.FREE, Label.SURFACE, Label.INTERIOR])
+    assert (shape.solid == true)[sure].mean() > 0.985
+    assert (shape.labels == Label.FREE).mean() > 0.3
+
+
+def test_the_floor_is_the_true_floor(chair):
+    true = chair.recorded.simulation.truth.floor_plane_world()
+    found = chair.model.floor.plane_world
+    assert np.degrees(np.arccos(min(1.0, float(true[:3] @ found[:3])))) < 0.4
+    under = chair.recorded.simulation.truth.T_world_object[:3, 3]
+    assert abs(found[:3] @ under + found[3]) < 0.005
+
+
+def test_the_box_holds_the_chair(chair):
+    truth = chair.recorded.simulation.truth
+    corners = transform_points(
+        chair.model.floor.T_floor_world @ truth.T_world_object, truth.solid.mesh().vertices
+    )
+    assert chair.model.box.grown(0.03).contains(corners).mean() > 0.99
+    assert chair.model.box.size_m[2] == pytest.approx(corners[:, 2].max(), abs=0.02)
+    json.dumps(chair.model.quality, allow_nan=False)
+    assert 0.7 < chair.model.quality["repeatability_iou"] <= 1
+    assert 0.0002 < chair.model.surface_sigma_m < 0.005
+
+
+def test_the_surround_holds_every_cube(chair):
+    """Whatever the orientation: a cube's corner is at most half its diagonal from the mesh's middle."""
+    model = chair.model
+    vertices = model.shape.mesh.vertices
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        turned = vertices @ rotation
+        half = np.ptp(turned, axis=0).max() * 256 / 252 / 2
+        centre = (turned.min(axis=0) + turned.max(axis=0)) / 2
+        signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
+        corners = (centre + half * signs) @ rotation.T
+        local = transform_points(model.surround.T_grid_world, corners)
+        assert (local > 0).all() and (local < model.surround.size_m).all()
+    assert np.isfinite(middle).all()
+    assert set(np.unique(model.surround_labels)) <= {Label.FREE, Label.OTHER, Label.UNKNOWN}
+
+
+def test_surround_agrees_with_the_truth(chair):
+    """Nothing of the chair is free, and below the floor nothing is."""
+    model, truth = chair.model, chair.recorded.simulation.truth
+    true = solid_occupancy(truth.solid, truth.T_world_object, model.surround)
+    assert (model.surround_labels[true] == Label.FREE).mean() < 0.1
+    index = np.argwhere(model.surround_labels == Label.FREE)
+    points = transform_points(
+        model.floor.T_floor_world @ model.surround.T_world_grid, (index + 0.5) * model.surround.voxel_size_m
+    )
+    assert points[:, 2].min() > 0
+
+
+def test_object_grid_is_upright_and_holds_the_box():
+    box = OrientedBox((0.4, -0.3, 0.25), (0.5, 0.3, 0.5), 0.6)
+    grid = object_grid(box, FLOOR, 0.005)
+    assert all(n % 16 == 0 for n in grid.shape)
+    T_floor_grid = FLOOR.T_floor_world @ grid.T_world_grid
+    np.testing.assert_allclose(T_floor_grid[:3, 2], [0, 0, 1], atol=1e-12)
+    assert T_floor_grid[2, 3] == pytest.approx(-FLOOR_LAYERS * 0.005)  # a cell border lies at z = 0
+    corners = transform_points(invert_rigid(T_floor_grid), box.corners_floor())
+    assert corners[:, :2].min() >= MARGIN_M - 1e-9
+    assert (grid.size_m[:2] - corners[:, :2].max(axis=0)).min() >= MARGIN_M - 1e-9
+    assert grid.size_m[2] - corners[:, 2].max() >= MARGIN_M - 1e-9
+    assert np.all(grid.size_m - np.ptp(corners @ np.eye(3), axis=0) < 2 * MARGIN_M + 16 * 0.005 + 0.02)
+
+
+def test_too_large_an_object():
+    with pytest.raises(SegmentationError, match=r"too large for voxels of 1 mm.*box"):
+        object_grid(OrientedBox((0, 0, 1), (3, 3, 2)), FLOOR, 0.001)
+
+
+def test_folder_round_trip(chair, tmp_path: Path):
+    model = chair.model
+    write_object(model, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "floor.json", "mesh.ply", "volume.npz", "surround.npz", "quality.json"
+    }  # fmt: skip
+    again = read_object(tmp_path)
+    np.testing.assert_array_equal(again.floor.plane_world, model.floor.plane_world)
+    np.testing.assert_array_equal(again.floor.T_floor_world, model.floor.T_floor_world)
+    for name in ("solid", "labels"):
+        np.testing.assert_array_equal(getattr(again.shape, name), getattr(model.shape, name))
+    np.testing.assert_allclose(again.shape.probability, model.shape.probability, atol=1e-3)
+    np.testing.assert_allclose(again.shape.mesh.vertices, model.shape.mesh.vertices, atol=1e-6)
+    np.testing.assert_array_equal(again.shape.mesh.faces, model.shape.mesh.faces)
+    np.testing.assert_array_equal(again.surround_labels, model.surround_labels)
+    for one, other in ((again.shape.grid, model.shape.grid), (again.surround, model.surround)):
+        assert one.shape == other.shape and one.voxel_size_m == other.voxel_size_m
+        np.testing.assert_array_equal(one.T_world_grid, other.T_world_grid)
+    assert again.quality == json.loads(json.dumps(model.quality))
+    assert again.surface_sigma_m == model.surface_sigma_m
+    np.testing.assert_allclose(again.box.size_m, model.box.size_m, atol=1e-4)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    write_object(model, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert FUSION.voxel_size_m == again.shape.grid.voxel_size_m
+
+
+@pytest.mark.parametrize("name", ["floor.json", "mesh.ply", "volume.npz", "surround.npz", "quality.json"])
+@pytest.mark.parametrize("damage", ["missing", "cut", "other"])
+def test_damaged_folder(chair, tmp_path: Path, name: str, damage: str):
+    write_object(chair.model, tmp_path)
+    path = tmp_path / name
+    if damage == "missing":
+        path.unlink()
+    elif damage == "cut":
+        path.write_bytes(path.read_bytes()[:100])
+    elif name.endswith("npz"):
+        np.savez(path, x=np.zeros(3))
+    else:
+        path.write_text("{}")
+    with pytest.raises(StorageError, match=r"--force") as caught:
+        read_object(tmp_path)
+    assert str(tmp_path) in str(caught.value)
