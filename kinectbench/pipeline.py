@@ -73,8 +73,9 @@ def build_recording(
     except Exception as failure:
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
-        check_interrupt()
         error = internal_error(failure)
+    if error:
+        check_interrupt()  # an interrupt in the midst of an import may look like an error
     return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
 
 

@@ -139,15 +139,16 @@ LEVEL, DOWN = "-0.5 0.5 -0.5 0.5", "-0.653281 0.653281 -0.270598 0.270598"
 wall_only = in_front_of(lambda x, y: np.full(x.shape, 1.5), LEVEL)
 floor_only = in_front_of(lambda x, y: 1.2 * np.sqrt(2) / np.maximum(1 + y, 0.2), DOWN)
 
+LAYOUTS = "rosbag1: |tum: |7scenes: |folder: |depth.txt|ROSBAG"
 BAD_RECORDINGS = {
     "no such recording": (lost, "recordings/chair: no such recording|correct `path`|'chair'"),
-    "empty folder": (empty_folder, "recordings/chair: the folder is empty|depth.txt|ROSBAG"),
-    "unknown layout": (unknown_layout, "recordings/chair: not a recording of a known format|tum: |7scenes: |folder: |rosbag1: |depth.txt"),
+    "empty folder": (empty_folder, f"recordings/chair: the folder is empty|{LAYOUTS}"),
+    "unknown layout": (unknown_layout, f"recordings/chair: not a recording of a known format|{LAYOUTS}"),
     "colour of another size": (color_of_another_size, "colour is 320x240|depth is 160x120"),
     "depth of 8 bits": (depth_of_8_bits, "/depth/|.png: depth is 8-bit|16-bit|export"),
     "depth of another size": (depth_of_another_size, "/depth/|80x60|160x120"),
-    "a room of 60 m": (with_depth_scale(200), "median depth is|m at 200 native units|depth_scale: 5000"),
-    "a room of 6 cm": (with_depth_scale(200_000), "median depth is|m at 200000 native units|depth_scale: 5000"),
+    "a room of 60 m": (with_depth_scale(200), "m at 200 native units per metre|depth_scale: 5000"),
+    "a room of 6 cm": (with_depth_scale(200_000), "m at 200000 native units per metre|depth_scale: 5000"),
     "no intrinsics": (no_intrinsics, "recordings/chair: |fx, fy, cx, cy|camera: {fx"),
     "images cut in half": (halved_images, "/depth/|cut off after|3 of 24 frames"),
     "trajectory of another time": (
@@ -155,11 +156,12 @@ BAD_RECORDINGS = {
         "shares no time with the frames|1400000000",
     ),
     "NaN in the trajectory": (
-        edit_trajectory(lambda row: [row[0], "nan", *row[2:]]), "groundtruth.txt, line 1: the pose holds NaN or infinity|remove"
+        edit_trajectory(lambda row: [row[0], "nan", *row[2:]]),
+        "groundtruth.txt, line 1: the pose holds NaN or infinity|remove",
     ),
     "no floor": (wall_only, "no floor found"),
     "no object": (floor_only, "no object"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD_RECORDINGS)
