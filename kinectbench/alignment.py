@@ -16,8 +16,10 @@ from kinectbench.tracking.icp import (
 )
 
 ITERATIONS = 6
-STRIDE_PX = 3
-MIN_POINTS = 200
+WANTED_POINTS = 4000
+MAX_STRIDE_PX = 4
+MIN_POINTS = 100
+MUST_FALL_TO = 0.8
 NEAR_M = 0.06
 MAX_MOVE_M = 0.05
 MAX_TURN_RAD = 0.05
@@ -49,7 +51,8 @@ def align_view(
     """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
 
     Half of the view's points on the object are fitted; the correction is kept only if the residual of
-    the other half falls too, and if it moves by no more than 50 mm and 0.05 rad. The trajectory's pose
+    the other half falls to 80 % or less, and if it moves by no more than 50 mm and 0.05 rad: a right pose
+    stays as it is. The trajectory's pose
     is a prior of 20 mm and 0.015 rad, so motion that the object does not constrain stays at zero.
 
     Args:
@@ -61,7 +64,8 @@ def align_view(
     given = Alignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)
     near = (rendered_m > 0) & (np.abs(depth_m - rendered_m) < NEAR_M)
-    points = oriented_points(np.where(near, depth_m, np.float32(0)), camera, STRIDE_PX)
+    stride_px = int(np.clip(np.sqrt(near.sum() / WANTED_POINTS), 1, MAX_STRIDE_PX))
+    points = oriented_points(np.where(near, depth_m, np.float32(0)), camera, stride_px)
     fitted, held_out = points.every_second(0), points.every_second(1)
     if len(held_out.points) < MIN_POINTS:
         return given

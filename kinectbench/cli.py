@@ -312,6 +312,8 @@ def _run() -> tuple[int, str]:
     try:
         try:
             status = app(standalone_mode=False) or 0
+            if status == INTERRUPTED:
+                raise KeyboardInterrupt
             if status:
                 check_interrupt()
             return status, ""

@@ -5,6 +5,7 @@ ImportError; whoever runs for long asks here from time to time.
 """
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -24,6 +25,30 @@ def interrupts_remembered() -> Iterator[None]:
 def check_interrupt() -> None:
     """Raise KeyboardInterrupt if there was one, even if somebody has swallowed it."""
     if _asked:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Within the block no interrupt is answered, at its end it is; processes started in it never answer any.
+
+    Ctrl-C reaches all processes of a terminal. Workers must not answer it, each with a traceback of its own:
+    they inherit that the signal is blocked, and their parent stops them. The parent needs the handler too,
+    for threads of libraries take the signal although it is blocked here.
+    """
+    asked: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    on_main_thread = threading.current_thread() is threading.main_thread()
+    if on_main_thread:
+        signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        if on_main_thread:
+            signal.signal(signal.SIGINT, handler)
+    if asked:
         raise KeyboardInterrupt
 
 

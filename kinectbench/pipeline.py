@@ -74,7 +74,7 @@ def build_recording(
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
         error = internal_error(failure)
-    if error:
+    if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
 

@@ -2,13 +2,14 @@
 
 import multiprocessing
 import os
-import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
+
+from kinectbench.interrupts import interrupts_held
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -48,17 +49,10 @@ def worker_pool(
 def submit_all(
     pool: ProcessPoolExecutor, function: Callable[[Task], Result], tasks: Iterable[Task]
 ) -> list[Future[Result]]:
-    """Hand every task to the pool.
-
-    Ctrl-C reaches all processes of a terminal. Workers must not answer it, each with a traceback of its own;
-    they inherit that the signal is blocked, and the parent stops them.
-    """
-    resource_tracker.ensure_running()  # starting it unblocks the signal
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
+    """Hand every task to the pool, whose processes start now; Ctrl-C is their parent's to answer."""
+    resource_tracker.ensure_running()  # starting it later would unblock the signal
+    with interrupts_held():
         return [pool.submit(function, task) for task in tasks]
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:

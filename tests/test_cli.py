@@ -182,7 +182,7 @@ def cut_short(method: Path) -> None:
 NAN = np.full((8, 8, 8), np.nan, np.float32)
 BAD_PREDICTIONS = {
     "missing": (remove_first, "chair_01/000: no prediction; expected chair_01/000.npy"),
-    "wrong shape": (spoil_with(np.zeros((8, 8, 9), np.float32)), "chair_01/000.npy: shape (8, 8, 9): it must be"),
+    "wrong shape": (spoil_with(np.zeros((8, 8, 9), np.float32)), "000.npy: shape (8, 8, 9): it must be"),
     "NaN": (spoil_with(NAN), "chair_01/000.npy: nan at (0, 0, 0): every value must be in [0, 1]"),
     "out of range": (spoil_with(np.full((8, 8, 8), 1.5, np.float32)), "1.5 at (0, 0, 0): every value"),
     "integers": (spoil_with(np.zeros((8, 8, 8), np.int64)), "dtype int64 is not accepted"),

@@ -164,9 +164,11 @@ def test_interrupted_at_any_moment(fresh: Path, wait_s: float) -> None:
     assert leftovers(fresh) == []
 
 
-def test_interrupted_while_workers_start(fresh: Path) -> None:
+@pytest.mark.parametrize("wait_s", [0.0, 0.003, 0.01, 0.1])
+def test_interrupted_while_workers_start(fresh: Path, wait_s: float) -> None:
     process = start(fresh, "build", "--jobs", "2")
     wait_for(lambda: len(group(process)) >= 3, process)
+    time.sleep(wait_s)
     os.killpg(process.pid, signal.SIGINT)
     result = finish(process)
     assert result.status == 130

@@ -12,6 +12,10 @@ from kinectbench.geometry.box import yaw_rotation
 
 CELL_M = 0.03
 MIN_CELLS = 30
+# A piece whose lowest point is higher hangs in the air, and something not too far away holds it.
+GROUNDED_M = 0.12
+MAX_HANGING_GAP_M = 0.3
+MIN_HANGING_CELLS = 10
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,10 @@ def convergence_point(T_world_camera: NDArray[np.float64]) -> NDArray[np.float64
 def select_object(
     points_floor: NDArray[np.float64], floor_cut_m: float, target_floor: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Choose the connected piece above the floor that lies nearest to a target point.
+    """Choose the piece above the floor that lies nearest to a target point.
+
+    Pieces are connected surface. One that hangs in the air, such as a table top whose underside nobody
+    saw, belongs to the nearest one that stands on the floor.
 
     Args:
         points_floor: (n, 3) evenly spread surface points, floor frame, metres.
@@ -90,7 +97,7 @@ def select_object(
     occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     occupied[tuple(cells.T)] = True
     labels, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
-    label = labels[tuple(cells.T)]
+    label = _with_hanging(labels[tuple(cells.T)], points_floor[above])
     sizes = np.bincount(label, minlength=count + 1)
     distance_m = np.full(count + 1, np.inf)
     np.minimum.at(distance_m, label, np.linalg.norm(points_floor[above] - target_floor, axis=1))
@@ -102,6 +109,28 @@ def select_object(
     chosen = np.zeros(len(points_floor), dtype=bool)
     chosen[above[label == np.argmin(distance_m)]] = True
     return chosen
+
+
+def _with_hanging(label: NDArray[np.int32], points_floor: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Labels (n,) in which pieces that do not reach down to the floor have the label of what holds them."""
+    from scipy.spatial import cKDTree
+
+    count = int(label.max()) + 1
+    lowest_m = np.full(count, np.inf)
+    np.minimum.at(lowest_m, label, points_floor[:, 2])
+    stands = lowest_m <= GROUNDED_M
+    sizes = np.bincount(label, minlength=count)
+    if not stands[label].any():
+        return label
+    standing = np.flatnonzero(stands[label])
+    tree = cKDTree(points_floor[standing])
+    holder = np.arange(count, dtype=label.dtype)
+    for piece in np.flatnonzero(~stands & (sizes >= MIN_HANGING_CELLS)):
+        distance_m, nearest = tree.query(points_floor[label == piece])
+        closest = int(np.argmin(distance_m))
+        if distance_m[closest] <= MAX_HANGING_GAP_M:
+            holder[piece] = label[standing[nearest[closest]]]
+    return holder[label]
 
 
 def select_in_box(points_floor: NDArray[np.float64], in_box: NDArray[np.bool_]) -> NDArray[np.bool_]:

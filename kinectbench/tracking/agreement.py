@@ -24,7 +24,7 @@ from kinectbench.tracking.icp import (
 
 KEYFRAMES = 60
 ITERATIONS = 5
-MIN_OVERLAP_POINTS = 300
+MIN_OVERLAP_POINTS = 150
 # A pose is believed to within this before the depth is asked: keeps weakly constrained motion at zero.
 PRIOR_SIGMA_M = 0.05
 PRIOR_SIGMA_RAD = 0.03

@@ -49,7 +49,7 @@ def track(
     poses = poses_at(sequence.given_trajectory, sequence.stamps_ns, settings.max_stamp_gap_s)
     lost = np.flatnonzero(np.isnan(poses[:, 0, 0]))
     if len(lost) > len(sequence) - MIN_GOOD_FRAMES:
-        raise TrackingError(_no_common_time(sequence))
+        raise TrackingError(_too_few_poses(sequence, len(sequence) - len(lost)))
     agreement = measure_agreement(sequence, poses, settings, progress)
     wrong = agreement.disagreeing(settings.max_disagreement_m)
     posed = len(sequence) - len(lost)
@@ -62,6 +62,12 @@ def track(
     used = poses.copy()
     used[wrong] = np.nan
     warnings = [REFINE_WARNING] if mode == "refine" else []
+    unchecked = int(np.isnan(agreement.shift_m).sum()) - len(lost)
+    if unchecked > 0.5 * posed:
+        warnings.append(
+            f"{unchecked} of {posed} poses could not be checked: too little of the frames overlaps; lower "
+            "tracking.check_stride_px"
+        )
     health = _health(sequence, poses, used, "trust", agreement, warnings)
     return Trajectory(sequence.stamps_ns, used, "trust", health)
 
@@ -154,13 +160,13 @@ def _mm(value_m: float | np.floating[Any]) -> float | None:
     return None if np.isnan(value_m) else round(float(value_m) * 1000, 1)
 
 
-def _no_common_time(sequence: Sequence) -> str:
+def _too_few_poses(sequence: Sequence, posed: int) -> str:
     given = sequence.given_trajectory
     ranges = [
         f"{stamps[0] / 1e9:.3f}-{stamps[-1] / 1e9:.3f} s"
         for stamps in (sequence.stamps_ns, given.stamps_ns if given else sequence.stamps_ns)
     ]
     return (
-        f"the given trajectory shares no time with the frames: frames {ranges[0]}, trajectory {ranges[1]}; "
-        "use stamps of one clock, or `trajectory: ignore`"
+        f"the given trajectory gives {posed} of {len(sequence)} frames a pose, {MIN_GOOD_FRAMES} are needed: "
+        f"frames {ranges[0]}, trajectory {ranges[1]}; use stamps of one clock, or `trajectory: ignore`"
     )
