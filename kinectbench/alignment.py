@@ -15,9 +15,9 @@ from kinectbench.tracking.icp import (
     turn_rad,
 )
 
-ITERATIONS = 6
+ITERATIONS = 12
 WANTED_POINTS = 4000
-MAX_STRIDE_PX = 4
+MIN_STRIDE_PX, MAX_STRIDE_PX = 2, 4
 MIN_POINTS = 100
 MUST_FALL_TO = 0.8
 NEAR_M = 0.06
@@ -64,7 +64,7 @@ def align_view(
     given = Alignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)
     near = (rendered_m > 0) & (np.abs(depth_m - rendered_m) < NEAR_M)
-    stride_px = int(np.clip(np.sqrt(near.sum() / WANTED_POINTS), 1, MAX_STRIDE_PX))
+    stride_px = int(np.clip(np.sqrt(near.sum() / WANTED_POINTS), MIN_STRIDE_PX, MAX_STRIDE_PX))
     points = oriented_points(np.where(near, depth_m, np.float32(0)), camera, stride_px)
     fitted, held_out = points.every_second(0), points.every_second(1)
     if len(held_out.points) < MIN_POINTS:

@@ -1,5 +1,6 @@
 """The command line: parse, call, show. Every algorithm lives in the rooms below."""
 
+import gc
 import json
 import os
 import sys
@@ -301,9 +302,13 @@ def main() -> None:
         from kinectbench import console
 
         console.lines("error", [message], "red")
-    # Python ends by SIGINT, not with a status, if an interrupt has ever left an exec() of text, as
-    # libraries use it; the next such exec() makes it forget.
-    exec("")
+    if status == INTERRUPTED:
+        # Libraries that were interrupted while they were imported complain at the end of Python, or end it
+        # with a status of their own.
+        gc.collect()  # what processes shared goes now
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
     sys.exit(status)
 
 

@@ -166,7 +166,8 @@ def _too_few_poses(sequence: Sequence, posed: int) -> str:
         f"{stamps[0] / 1e9:.3f}-{stamps[-1] / 1e9:.3f} s"
         for stamps in (sequence.stamps_ns, given.stamps_ns if given else sequence.stamps_ns)
     ]
+    problem = f"gives {posed} of {len(sequence)} frames a pose, and {MIN_GOOD_FRAMES} are needed"
     return (
-        f"the given trajectory gives {posed} of {len(sequence)} frames a pose, {MIN_GOOD_FRAMES} are needed: "
-        f"frames {ranges[0]}, trajectory {ranges[1]}; use stamps of one clock, or `trajectory: ignore`"
+        f"the given trajectory {problem if posed else 'shares no time with the frames'}: frames {ranges[0]}, "
+        f"trajectory {ranges[1]}; use stamps of one clock, or `trajectory: ignore`"
     )
