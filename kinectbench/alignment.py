@@ -21,10 +21,12 @@ MIN_STRIDE_PX, MAX_STRIDE_PX = 2, 4
 MIN_POINTS = 100
 MUST_FALL_TO = 0.8
 NEAR_M = 0.06
-MAX_MOVE_M = 0.05
-MAX_TURN_RAD = 0.05
-PRIOR_SIGMA_M = 0.02
-PRIOR_SIGMA_RAD = 0.015
+# How far off a pose may be that was never checked; and at least, however well it was found to agree.
+UNCHECKED_SIGMA_M = 0.02
+LEAST_SIGMA_M = 0.003
+# A pose off by 10 mm at the object is off by about 0.01 rad, at a metre.
+RAD_PER_M = 0.75
+MAX_SIGMAS = 2.5
 
 
 @dataclass(frozen=True)
@@ -47,19 +49,21 @@ def align_view(
     camera: Camera,
     T_world_camera: NDArray[np.float64],
     renderer: DepthRenderer,
+    pose_sigma_m: float = UNCHECKED_SIGMA_M,
 ) -> Alignment:
     """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
 
     Half of the view's points on the object are fitted; the correction is kept only if the residual of
-    the other half falls to 80 % or less, and if it moves by no more than 50 mm and 0.05 rad: a right pose
-    stays as it is. The trajectory's pose
-    is a prior of 20 mm and 0.015 rad, so motion that the object does not constrain stays at zero.
+    the other half falls to 80 % or less: a right pose stays as it is. The trajectory's pose is a prior
+    as strong as it was found to agree with the other frames, so motion that the object does not
+    constrain stays near zero, and more than 2.5 times its uncertainty is refused.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
         T_world_camera: (4, 4) as the trajectory says.
         renderer: of the object's closed mesh.
+        pose_sigma_m: by how much the pose may be off, metres.
     """
     given = Alignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)
@@ -69,7 +73,8 @@ def align_view(
     fitted, held_out = points.every_second(0), points.every_second(1)
     if len(held_out.points) < MIN_POINTS:
         return given
-    prior = np.diag([PRIOR_SIGMA_RAD**-2] * 3 + [PRIOR_SIGMA_M**-2] * 3)
+    sigma_m = max(pose_sigma_m, LEAST_SIGMA_M)
+    prior = np.diag([(RAD_PER_M * sigma_m) ** -2] * 3 + [sigma_m**-2] * 3)
     motion = np.eye(4)
     for _ in range(ITERATIONS):
         A, b, _ = normal_equations(fitted, rendered_m, motion, camera)
@@ -81,7 +86,7 @@ def align_view(
     helps = _residual_m(held_out, rendered_m, motion, camera) < _residual_m(
         held_out, rendered_m, np.eye(4), camera
     )
-    if not helps or moved_m > MAX_MOVE_M or turned_rad > MAX_TURN_RAD:
+    if not helps or moved_m > MAX_SIGMAS * sigma_m:
         return given
     return Alignment(T_world_camera @ motion, moved_m, turned_rad)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.alignment import Alignment, align_view
+from kinectbench.alignment import UNCHECKED_SIGMA_M, Alignment, align_view
 from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask
@@ -114,7 +114,10 @@ def sample_views(
         if len(views) == settings.count:
             break
         depth_m = sequence.depth_m(frame)
-        alignment = align_view(depth_m, sequence.camera, trajectory.T_world_camera[frame], renderer)
+        pose_sigma_m = trajectory.pose_sigma_m(frame) or UNCHECKED_SIGMA_M
+        alignment = align_view(
+            depth_m, sequence.camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m
+        )
         T_world_camera = alignment.T_world_camera
         rendered_m = renderer.depth_m(sequence.camera, T_world_camera)
         mask = agreement_mask(depth_m, rendered_m, segmentation.mask_tolerance_m)
