@@ -179,11 +179,11 @@ def test_bad_recording(command: Command, one: Path, name: str) -> None:
 
 def test_a_trajectory_that_shakes(command: Command, one: Path) -> None:
     def shaken(row: list[str]) -> list[str]:
-        odd = round(float(row[0]) * 5) % 2
-        return [*row[:3], str(float(row[3]) + 0.1 * odd), *row[4:]]
+        step = round(float(row[0]) * 5) % 3
+        return [*row[:3], str(float(row[3]) + 0.1 * step), *row[4:]]
 
     edit_trajectory(shaken)(one / "recordings" / "chair")
-    strict = ["--set", "tracking.check_stride_px=2", "--set", "tracking.max_disagreement_m=0.005"]
+    strict = ["--set", "tracking.check_stride_px=1", "--set", "tracking.max_disagreement_m=0.005"]
     check_line(command(one, "build", *strict), 1, "does not fit the depth|`trajectory: ignore`")
 
 
@@ -271,7 +271,7 @@ def test_truncated_or_lost_artefact_is_made_again(
     assert hashes(one / "build") == before
 
 
-@pytest.mark.parametrize("garbage", [b"\xff", b"{", b"\0", b"1 "])
+@pytest.mark.parametrize("garbage", [b"\xff", b"1 "])
 @pytest.mark.parametrize("file", ARTEFACTS)
 def test_garbage_of_the_same_size_is_named(command: Command, one: Path, file: str, garbage: bytes) -> None:
     path = one / "build" / "chair" / file

@@ -152,7 +152,7 @@ def test_interrupted(command: Command, small: Path, fresh: Path, jobs: str, whom
         assert hashes(fresh / "build") == hashes(small / "build")
 
 
-@pytest.mark.parametrize("wait_s", [0.0, 0.15, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("wait_s", [0.0, 0.3, 0.6, 0.9])
 def test_interrupted_at_any_moment(fresh: Path, wait_s: float) -> None:
     """Also while libraries are imported, some of which swallow an interrupt."""
     process = start(fresh, "build", "chair")
@@ -245,14 +245,18 @@ WRITES = {
 }
 
 
-@pytest.mark.parametrize("name", WRITES)
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EIO])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [(name, errno.ENOSPC) for name in WRITES]
+    + [("pairs", n) for n in (errno.EROFS, errno.EACCES, errno.EIO)],
+)
 def test_no_disk_while_a_stage_is_written(
     command: Command, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, number: int
 ) -> None:
     """What was there before is untouched, whatever the operating system says."""
     root = copied(small, tmp_path / "b")
-    assert command(root, "publish").status == 0
+    if name == "publish":
+        assert command(root, "publish").status == 0
     before = hashes(root)
 
     def fail(*_: object) -> None:
