@@ -55,8 +55,7 @@ def make_pair(view: View, sequence: Sequence, model: ObjectModel, settings: Pair
         grid = view_cube(camera.backproject(depth_m)[view.mask & (depth_m > 0)], T_world_camera)
     full = voxelize_solid(mesh.vertices, mesh.faces, grid)
     solid = unpack(full)
-    volume_m3 = int(model.shape.solid.sum()) * model.shape.grid.voxel_size_m**3
-    cut_share = max(0.0, 1.0 - int(solid.sum()) * grid.voxel_size_m**3 / volume_m3)
+    cut_share = max(0.0, 1.0 - int(solid.sum()) * grid.voxel_size_m**3 / mesh.volume_m3)
     if settings.framing == "view" and cut_share > MAX_CUT_SHARE:
         return MadePair(None, cut_share, f"the cube of framing view cuts off {cut_share:.0%} of the shape")
     cells = depth_cells(depth_m, view.mask, camera, T_world_camera, grid)

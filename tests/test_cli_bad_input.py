@@ -249,7 +249,7 @@ ARTEFACTS = {
     "object/quality.json": "sample-views",
     "views/views.json": "pairs",
     "views/000.mask.png": "pairs",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(

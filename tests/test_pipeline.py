@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_benchmark import STAGE_FOLDERS, Run, copied, finish, hashes, leftovers, run, start
 
-pytestmark = pytest.mark.xdist_group("commands")
+pytestmark = pytest.mark.xdist_group("resume")
 
 Command = Callable[..., Run]
 ALL = tuple(STAGE_FOLDERS)

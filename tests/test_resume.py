@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from small_benchmark import Run, copied, finish, hashes, leftovers, start
 
-pytestmark = pytest.mark.xdist_group("commands")
+pytestmark = pytest.mark.xdist_group("resume")
 
 Command = Callable[..., Run]
 STOPPED = "error: stopped; run the same command again to go on from here\n"

@@ -25,6 +25,12 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     colors: NDArray[np.uint8] | None = None
 
+    @property
+    def volume_m3(self) -> float:
+        """Volume enclosed by a closed mesh (divergence theorem), cubic metres."""
+        a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
+        return float((a * np.cross(b, c)).sum() / 6.0)
+
     def keep_faces(self, mask: NDArray[np.bool_]) -> "TriangleMesh":
         """The mesh of the faces where mask (m,) is true, without vertices that no face uses."""
         faces = self.faces[mask]
