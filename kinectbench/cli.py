@@ -30,6 +30,7 @@ from kinectbench.commands import (
     release_page,
     run_stage,
     tell_problems,
+    tell_written,
     workers,
     write_page,
 )
@@ -174,6 +175,7 @@ def baseline(
     config: Config = DEFAULT_CONFIG,
     overrides: Set = None,
     jobs: Jobs = None,
+    as_json: Json = False,
 ) -> None:
     """Write the trivial methods' predictions: empty, base-rate, partial, hull."""
     from kinectbench import console
@@ -184,7 +186,7 @@ def baseline(
     folder = out or (Path("predictions") if benchmark else config.parent / "predictions")
     with console.bar("baseline") as progress:
         write_baselines(release, folder, tuple(names or BASELINES), workers(jobs), progress)
-    typer.echo(f"wrote {', '.join(names or BASELINES)}: {folder}")
+    tell_written([folder / name for name in names or BASELINES], as_json)
     exit_for(rows)
 
 
@@ -237,13 +239,19 @@ def score(
 
 @app.command()
 def report(
+    ids: Ids = None,
     config: Config = DEFAULT_CONFIG,
     overrides: Set = None,
     scores: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
 ) -> None:
     """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
+    settings, root = open_benchmark(config, overrides)
+    rows = build_recordings(settings, root, ids, "pairs", jobs)
     page = write_page(config, overrides, scores or config.parent / "scores")
-    typer.echo(f"page: {page.resolve()}")
+    tell_written([page.resolve()], as_json)
+    exit_for(rows)
 
 
 @app.command()
@@ -253,6 +261,7 @@ def simulate(
     frames: Annotated[int, typer.Option(min=2, help="number of frames")] = 72,
     samples: Annotated[Path | None, typer.Option(help="write the sample recordings here")] = None,
     demo: Annotated[Path | None, typer.Option(help="write the demo's further recordings here")] = None,
+    as_json: Json = False,
 ) -> None:
     """Write a simulated recording, with the exact truth beside it in <name>.truth/."""
     from kinectbench import console
@@ -262,14 +271,14 @@ def simulate(
         written = simulate_named(
             out, object_name, frames, samples, demo, lambda name, *done: progress(name, "simulate", *done)
         )
-    for path in written:
-        typer.echo(f"wrote {path}")
+    tell_written(written, as_json)
 
 
 @app.command()
 def init(
     folder: Annotated[Path, typer.Argument(help="recordings are looked for here and below")],
     force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
+    as_json: Json = False,
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
     from kinectbench.benchmark_file import init_benchmark
@@ -285,9 +294,7 @@ def init(
     text = init_benchmark(folder, found)
     with replaced_file(target) as temporary:
         temporary.write_text(text)
-    typer.echo(
-        f"wrote {target} with {len(found)} recordings: fill in the categories, then `kinectbench build`"
-    )
+    tell_written([target], as_json)
 
 
 # UsageError, wherever typer has it from.

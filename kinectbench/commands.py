@@ -164,6 +164,15 @@ def tell_problems(problems: list[str], as_json: bool, well: str, status: int) ->
         raise typer.Exit(status)
 
 
+def tell_written(paths: list[Path], as_json: bool) -> None:
+    """One line per file or folder that was written."""
+    if as_json:
+        typer.echo(json.dumps([str(path) for path in paths]))
+    else:
+        for path in paths:
+            typer.echo(f"wrote {path}")
+
+
 def workers(jobs: int | None) -> int:
     """The number of processes: as asked for, or one per core."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.alignment import UNCHECKED_SIGMA_M, Alignment, align_view
 from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask
+from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask, stray_masks
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.sequence import Sequence
 from kinectbench.shape.object_model import ObjectModel
@@ -136,7 +136,10 @@ def sample_views(
     if not views:
         first = refused[0][1] if refused else "no frame has a pose"
         raise SegmentationError(f"no view fits the object: {len(refused)} frames refused ({first})")
-    return Views(views, refused, _warnings(views, settings, len(order)))
+    warnings = _warnings(views, settings, len(order))
+    if masks is not None:
+        warnings += stray_masks(masks, [view.name for view in views])
+    return Views(views, refused, warnings)
 
 
 def _measure(

@@ -59,6 +59,15 @@ def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
     return result
 
 
+def stray_masks(folder: Path, views: list[str]) -> list[str]:
+    """One warning per PNG in the folder whose name is no view's, and which is therefore not used."""
+    return [
+        f"{path}: no view of that name; masks are called <view>.png, as in {views[0]}.png"
+        for path in sorted(folder.glob("*.png"))
+        if path.name.split(".")[0] not in views
+    ]
+
+
 def _read(path: Path, shape: tuple[int, ...]) -> Bools:
     import cv2
 
