@@ -312,7 +312,11 @@ def main() -> None:
     if status == INTERRUPTED:
         # Libraries that were interrupted while they were imported complain at the end of Python, or end it
         # with a status of their own.
-        gc.collect()  # what processes shared goes now
+        gc.collect()
+        if "kinectbench.processes" in sys.modules:
+            from kinectbench.processes import give_back_shared
+
+            give_back_shared()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
+from multiprocessing import resource_tracker, util
 from typing import Any, TypeVar
 
 from kinectbench.interrupts import interrupts_held
@@ -53,6 +53,14 @@ def submit_all(
     resource_tracker.ensure_running()  # starting it later would unblock the signal
     with interrupts_held():
         return [pool.submit(function, task) for task in tasks]
+
+
+def give_back_shared() -> None:
+    """Unlink the semaphores that processes shared, for an exit that runs no exit handlers.
+
+    Left alone they are unlinked too, but by a helper process of the library that complains about them.
+    """
+    util._run_finalizers(0)  # type: ignore[attr-defined]
 
 
 def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
