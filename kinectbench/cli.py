@@ -295,6 +295,8 @@ def init(
     with replaced_file(target) as temporary:
         temporary.write_text(text)
     tell_written([target], as_json)
+    if not as_json:
+        typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
 # UsageError, wherever typer has it from.
