@@ -48,6 +48,7 @@ app = typer.Typer(
 
 INTERRUPTED = 130
 
+SHOWN_FAILURES = 20
 STAGES = {
     "build": "Run every stage up to the pairs; what is current is not made again.",
     "ingest": "Read recordings of any known format.",
@@ -225,7 +226,11 @@ def score(
         )
     for table in tables:
         console.lines(f"{table.method}: warning", table.warnings, "yellow")
-        console.lines(f"{table.method}: error", [f["reason"] for f in table.failures], "red")
+        reasons = [failure["reason"] for failure in table.failures]
+        if len(reasons) > SHOWN_FAILURES:
+            more = f"and {len(reasons) - SHOWN_FAILURES} more; scores.json and `kinectbench check` list all"
+            reasons = [*reasons[:SHOWN_FAILURES], more]
+        console.lines(f"{table.method}: error", reasons, "red")
     page = release_page(release, folder) if benchmark else write_page(config, overrides, folder)
     if as_json:
         typer.echo(json.dumps([{"method": t.method, "overall": t.overall} for t in tables]))
