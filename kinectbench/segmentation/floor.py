@@ -18,6 +18,9 @@ BELOW_M = 0.05
 MIN_INLIER_SHARE = 0.01
 FOCUS_M = 1.2
 MIN_NEAR_POINTS = 100
+# Clutter that a plane happens to cut spreads evenly about it (30 mm); a real floor does not.
+MAX_NOISE_M = 0.02
+NO_FLOOR = "no floor found: no plane below all cameras that faces up; record with more of the floor in view"
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,7 @@ def find_floor(
         if qualifies and (best is None or inliers.sum() > best[0]):
             best = (int(inliers.sum()), plane)
     if best is None:
-        raise SegmentationError(
-            "no floor found: no plane below all cameras that faces up; record with more of the floor in view"
-        )
+        raise SegmentationError(NO_FLOOR)
     plane = best[1]
     flat = (np.linalg.norm(points_world - focus_world, axis=1) < FOCUS_M) & (normals_world @ plane[:3] > 0.9)
     near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * BELOW_M)]
@@ -152,4 +153,7 @@ def _refine(points: NDArray[np.float64], plane: NDArray[np.float64], reach_m: fl
 def _describe(plane: NDArray[np.float64], points_world: NDArray[np.float64], inlier_share: float) -> Floor:
     distance_m = points_world @ plane[:3] + plane[3]
     near = np.abs(distance_m[np.abs(distance_m) < 2 * INLIER_M])
-    return Floor(plane, floor_frame(plane), float(1.4826 * np.median(near)), inlier_share)
+    noise_m = float(1.4826 * np.median(near))
+    if noise_m > MAX_NOISE_M:
+        raise SegmentationError(NO_FLOOR)
+    return Floor(plane, floor_frame(plane), noise_m, inlier_share)
