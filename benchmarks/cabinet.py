@@ -19,8 +19,8 @@ from figures import Figure, arguments, at_least, at_most, equals, run, told
 from numpy.typing import NDArray
 
 from kinectbench.config import BenchmarkSettings, BoxSettings
-from kinectbench.fusion.mesh_file import read_ply
 from kinectbench.geometry import OrientedBox
+from kinectbench.mesh_file import read_ply
 from kinectbench.segmentation.floor import Floor
 from kinectbench.shape.object_folder import read_object
 from kinectbench.stages import Job

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinectbench.benchmark_file import load_benchmark
 from kinectbench.config import BenchmarkSettings
-from kinectbench.simulate.truth import truth_folder, truth_occupancy
+from kinectbench.simulate.truth import Truth, read_truth, truth_folder, truth_occupancy
 from kinectbench.stages import Job
 from kinectbench.views import View
 from kinectbench.views_folder import read_views
@@ -56,17 +56,17 @@ def settings_with_truth(folder: Path, overrides: Sequence[str] = ()) -> Benchmar
 
 def against_truth(job: Job) -> list[PairAgainstTruth]:
     """Every pair of a built recording against the truth."""
-    truth = truth_folder(job.source)
+    truth = read_truth(truth_folder(job.source))
     views = [v for v in read_views(job.build / "views") if (job.build / "pairs" / f"{v.name}.npz").is_file()]
     return [_against_truth(job, view, truth) for view in views]
 
 
-def _against_truth(job: Job, view: View, truth: Path) -> PairAgainstTruth:
+def _against_truth(job: Job, view: View, truth: Truth) -> PairAgainstTruth:
     pair = read_pair(job.build / "pairs" / f"{view.name}.npz")
     full, shell, known = unpack(pair.full), unpack(pair.shell), unpack(pair.known)
     solid = truth_occupancy(truth, pair.grid)
     valid = _image(job.build / "views" / f"{view.name}.depth.png") > 0
-    silhouette = _image(truth / "masks" / f"{view.frame:06d}.png") > 0
+    silhouette = truth.mask(view.frame)
     return PairAgainstTruth(
         full=iou(full, solid),
         known=iou(full & known, solid & known),

@@ -13,7 +13,7 @@ from kinectbench.config import BenchmarkSettings
 from kinectbench.config_words import Location, choices_of, field_at, model_of, suggestion, wanted
 from kinectbench.errors import SettingsError
 
-__all__ = ["init_benchmark", "load_benchmark"]
+__all__ = ["init_benchmark", "load_benchmark", "parse_benchmark"]
 
 
 def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettings:
@@ -31,10 +31,15 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
         SettingsError: one line for each error, in the file's order: file and line (or the
             override), dotted key, what was found and what is wanted.
     """
-    root = yaml_nodes.compose(_read(path), str(path))
+    return parse_benchmark(_read(path), str(path), overrides)
+
+
+def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> BenchmarkSettings:
+    """`load_benchmark` of the text of a benchmark.yaml; errors start with `source`."""
+    root = yaml_nodes.compose(text, source)
     if root.tag == yaml_nodes.NULL_TAG:
         raise SettingsError(
-            f"{path}: holds no settings; `kinectbench init FOLDER` writes a file to start from"
+            f"{source}: holds no settings; `kinectbench init FOLDER` writes a file to start from"
         )
     if not isinstance(root, yaml.MappingNode):
         raise SettingsError(

@@ -34,6 +34,7 @@ from kinectbench.commands import (
     workers,
     write_page,
 )
+from kinectbench.commands_truth import evaluate, simulate, synthesize
 from kinectbench.errors import KinectBenchError, SettingsError, internal_error
 from kinectbench.interrupts import check_interrupt, interrupts_remembered
 
@@ -260,26 +261,6 @@ def report(
 
 
 @app.command()
-def simulate(
-    out: Annotated[Path | None, typer.Argument(help="the recording: a folder (TUM) or a .bag")] = None,
-    object_name: Annotated[str, typer.Option("--object", help="furniture and seed")] = "chair:seed=0",
-    frames: Annotated[int, typer.Option(min=2, help="number of frames")] = 72,
-    samples: Annotated[Path | None, typer.Option(help="write the sample recordings here")] = None,
-    demo: Annotated[Path | None, typer.Option(help="write the demo's further recordings here")] = None,
-    as_json: Json = False,
-) -> None:
-    """Write a simulated recording, with the exact truth beside it in <name>.truth/."""
-    from kinectbench import console
-    from kinectbench.simulate.run import simulate_named
-
-    with console.recording_bars() as progress:
-        written = simulate_named(
-            out, object_name, frames, samples, demo, lambda name, *done: progress(name, "simulate", *done)
-        )
-    tell_written(written, as_json)
-
-
-@app.command()
 def init(
     folder: Annotated[Path, typer.Argument(help="recordings are looked for here and below")],
     force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
@@ -303,6 +284,9 @@ def init(
     if not as_json:
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
+
+for _command in (simulate, synthesize, evaluate):
+    app.command()(_command)
 
 # UsageError, wherever typer has it from.
 USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)

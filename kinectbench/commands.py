@@ -75,12 +75,18 @@ def build_recordings(
     force: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Build, tell warnings and errors, and return a summary row per recording, with its `error` or None."""
+    return build_jobs(_chosen(settings, root, ids), upto, workers(jobs), force)
+
+
+def build_jobs(
+    chosen: "Sequence[Job]", upto: str, processes: int, force: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """`build_recordings` of jobs that are known already, on so many processes."""
     from kinectbench import console
     from kinectbench.pipeline import build, summary
 
-    chosen = _chosen(settings, root, ids)
     with console.recording_bars() as progress:
-        outcomes = build(chosen, upto, force, workers(jobs), progress)
+        outcomes = build(chosen, upto, force, processes, progress)
     rows = []
     for job, outcome in zip(chosen, outcomes, strict=True):
         row = summary(job)
@@ -171,6 +177,16 @@ def tell_written(paths: list[Path], as_json: bool) -> None:
     else:
         for path in paths:
             typer.echo(f"wrote {path}")
+
+
+def tell_table(rows: dict[str, str], as_json: bool) -> None:
+    """One line per name with what it stands for."""
+    if as_json:
+        typer.echo(json.dumps(rows))
+    else:
+        width = max(map(len, rows))
+        for name, text in rows.items():
+            typer.echo(f"{name:<{width}}  {text}")
 
 
 def workers(jobs: int | None) -> int:

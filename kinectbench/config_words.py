@@ -32,14 +32,14 @@ def choices_of(annotation: Any) -> tuple[str, ...]:
     return get_args(inner) if get_origin(inner) is Literal else ()
 
 
-def field_at(location: Location) -> tuple[Any, Sequence[Any], int]:
-    """Follow a location into the models as far as they go.
+def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tuple[Any, Sequence[Any], int]:
+    """Follow a location into the models as far as they go, starting from `root`.
 
     Returns:
         The annotation and its constraints there, and how many parts of the location were used: a
         number inside a vector belongs to the vector's field.
     """
-    annotation: Any = BenchmarkSettings
+    annotation: Any = root
     constraints: Sequence[Any] = ()
     for used, part in enumerate(location):
         model = model_of(annotation)

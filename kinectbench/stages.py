@@ -89,7 +89,7 @@ def _fuse(job: Job, folder: Path, progress: Progress) -> None:
 
 
 def _segment(job: Job, folder: Path, progress: Progress) -> None:
-    from kinectbench.fusion.mesh_file import read_ply
+    from kinectbench.mesh_file import read_ply
     from kinectbench.shape import build_object
     from kinectbench.shape.object_folder import write_object
     from kinectbench.stored import read_tracked

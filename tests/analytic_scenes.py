@@ -7,10 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, rigid
+from kinectbench.geometry import Camera, Grid, TriangleMesh, rigid
 from kinectbench.sequence import GivenTrajectory, MemoryFrames, Sequence
-from kinectbench.simulate.orbit import look_at
-from kinectbench.simulate.simulate import Simulation, SimulationSpec, prepare, record
+from kinectbench.simulate.path import look_at
+from kinectbench.simulate.simulation import Simulation, prepare, record
+from kinectbench.simulate.spec import SimulationSpec
+from kinectbench.simulate.truth import floor_plane, mesh_occupancy
 from kinectbench.tracking.trajectory import Trajectory
 
 # 20 units a millimetre: depth is exact to 0.025 mm, up to 3.27 m.
@@ -124,23 +126,49 @@ class Furniture:
     masks: list[NDArray[np.bool_]]
 
     @property
+    def T_world_object(self) -> Float64:
+        return self.simulation.T_world_object
+
+    @property
+    def mesh_world(self) -> TriangleMesh:
+        return self.simulation.subject.mesh.transformed(self.T_world_object)
+
+    @property
+    def floor_plane_world(self) -> Float64:
+        return floor_plane(self.T_world_object)
+
+    def occupancy(self, grid: Grid) -> NDArray[np.bool_]:
+        return mesh_occupancy(self.mesh_world, grid)
+
+    @property
     def trajectory(self) -> Trajectory:
         return Trajectory(self.sequence.stamps_ns, self.simulation.T_world_camera, "trust")
+
+
+def small_spec(
+    name: str, frames: int, *, seed: int = 0, arc_rad: float = 2.2 * np.pi, world: str = "upright"
+) -> SimulationSpec:
+    """A recording of 320x240 pixels at 5 Hz."""
+    return SimulationSpec.model_validate(
+        {
+            "object": name,
+            "seed": seed,
+            "world": world,
+            "path": {"frames": frames, "rate_hz": 5.0, "arc_rad": arc_rad},
+            # The true poses are judged against this depth: no distortion that they could make up for.
+            "sensor": {"width": 320, "height": 240, "distortion": 0.0},
+        }
+    )
 
 
 def furniture(spec: SimulationSpec, frames: int | None = None, depth_scale: float = 5000.0) -> Furniture:
     """Simulate in memory; with `frames`, only the first ones of the orbit."""
     simulation = prepare(spec)
-    count = spec.frames if frames is None else frames
-    simulation = replace(simulation, T_room_camera=simulation.T_room_camera[:count])
-    depth, color, masks = [], [], []
-    for index in range(count):
-        frame, _, mask = record(simulation, index)
-        depth.append(frame.depth_native(depth_scale))
-        color.append(cv2.imencode(".png", frame.color_rgb[..., ::-1])[1].tobytes())
-        masks.append(mask)
-    stamps_ns = np.array([spec.stamp_ns(i) for i in range(count)], np.int64)
+    simulation = replace(simulation, frames=simulation.frames[:frames])
+    recorded = [record(simulation, index) for index in range(len(simulation.frames))]
+    depth = [each.frame.depth_native(depth_scale) for each in recorded]
+    color = [cv2.imencode(".png", each.frame.color_rgb[..., ::-1])[1].tobytes() for each in recorded]
+    stamps_ns = np.array([each.frame.stamp_ns for each in recorded], np.int64)
     given = GivenTrajectory(stamps_ns, simulation.T_world_camera)
-    store = FurnitureFrames(depth, color)
-    sequence = Sequence(spec.camera, depth_scale, stamps_ns, True, given, store)
-    return Furniture(simulation, sequence, masks)
+    sequence = Sequence(spec.camera, depth_scale, stamps_ns, True, given, FurnitureFrames(depth, color))
+    return Furniture(simulation, sequence, [each.mask for each in recorded])

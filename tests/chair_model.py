@@ -3,12 +3,11 @@
 import functools
 from dataclasses import dataclass
 
-from analytic_scenes import Furniture, furniture
+from analytic_scenes import Furniture, furniture, small_spec
 
 from kinectbench.config import FusionSettings, SegmentationSettings, TrackingSettings
 from kinectbench.fusion import fuse
 from kinectbench.shape import ObjectModel, build_object
-from kinectbench.simulate.simulate import SimulationSpec
 from kinectbench.tracking import Trajectory, track
 
 FUSION = FusionSettings(voxel_size_m=0.008, scene_voxel_size_m=0.016, max_depth_m=2.4)
@@ -25,7 +24,7 @@ class Chair:
 
 @functools.cache
 def chair() -> Chair:
-    recorded = furniture(SimulationSpec("chair", seed=5, frames=24, world="random"))
+    recorded = furniture(small_spec("chair:seed=9", 24, world="random"))
     trajectory = track(recorded.sequence, "trust", TrackingSettings())
     scene = fuse(recorded.sequence, trajectory, FUSION).mesh
     model = build_object(recorded.sequence, trajectory, scene, None, SegmentationSettings(), FUSION)

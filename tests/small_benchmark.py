@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from kinectbench import cli
-from kinectbench.simulate.simulate import SimulationSpec, simulate
+from kinectbench.simulate.simulate import simulate
+from kinectbench.simulate.spec import SimulationSpec
 
 YAML = """\
 name: small
@@ -46,7 +47,14 @@ class Run:
 
 def small_spec(family: str, form: str = "tum", frames: int = 24) -> SimulationSpec:
     """160 x 120 pixels, an orbit of 24 frames."""
-    return SimulationSpec(family, 0, frames=frames, width=160, height=120, format=form)  # type: ignore[arg-type]
+    return SimulationSpec.model_validate(
+        {
+            "object": f"{family}:seed=0",
+            "format": form,
+            "path": {"frames": frames, "rate_hz": 5.0},
+            "sensor": {"width": 160, "height": 120},
+        }
+    )
 
 
 def make_benchmark(root: Path) -> Path:

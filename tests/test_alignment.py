@@ -7,7 +7,6 @@ from chair_model import Chair
 from chair_model import chair as make_chair
 
 from kinectbench.alignment import align_view
-from kinectbench.fusion.mesh import TriangleMesh
 from kinectbench.geometry import invert_rigid, rigid, transform_points
 from kinectbench.segmentation.render import DepthRenderer
 
@@ -25,8 +24,7 @@ def chair() -> Chair:
 @pytest.fixture(scope="module")
 def renderer(chair) -> DepthRenderer:
     """Of the true object, so that the true pose is the right answer."""
-    mesh = chair.recorded.simulation.truth.mesh_world()
-    return DepthRenderer(TriangleMesh(mesh.vertices, mesh.triangles.astype(np.int32)))
+    return DepthRenderer(chair.recorded.mesh_world)
 
 
 def error_m(chair: Chair, frame: int, T_world_camera) -> float:

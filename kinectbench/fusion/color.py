@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from kinectbench.fusion.mesh import TriangleMesh
-from kinectbench.geometry import invert_rigid, transform_points
+from kinectbench.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
 

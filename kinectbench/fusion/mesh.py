@@ -1,44 +1,12 @@
 """From a TSDF to a triangle mesh: marching cubes where all eight corners were observed."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
-from kinectbench.geometry import transform_points
+from kinectbench.geometry import TriangleMesh, transform_points
 
 BRICK_BLOCKS = 8
-
-
-@dataclass(frozen=True)
-class TriangleMesh:
-    """Triangles over shared vertices.
-
-    Attributes:
-        vertices: (n, 3) float64, metres, in the frame its owner says (`world` if not said).
-        faces: (m, 3) int32, counter-clockwise seen from outside.
-        colors: (n, 3) uint8 RGB, or None.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    colors: NDArray[np.uint8] | None = None
-
-    @property
-    def volume_m3(self) -> float:
-        """Volume enclosed by a closed mesh (divergence theorem), cubic metres."""
-        a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
-        return float((a * np.cross(b, c)).sum() / 6.0)
-
-    def keep_faces(self, mask: NDArray[np.bool_]) -> "TriangleMesh":
-        """The mesh of the faces where mask (m,) is true, without vertices that no face uses."""
-        faces = self.faces[mask]
-        used = np.zeros(len(self.vertices), dtype=bool)
-        used[faces] = True
-        renumber = np.cumsum(used, dtype=np.int32) - 1
-        colors = None if self.colors is None else self.colors[used]
-        return TriangleMesh(self.vertices[used], renumber[faces], colors)
 
 
 def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = None) -> TriangleMesh:

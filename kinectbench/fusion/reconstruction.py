@@ -18,8 +18,8 @@ from kinectbench.fusion.blocks import (
 )
 from kinectbench.fusion.color import color_vertices
 from kinectbench.fusion.integrate import integrate
-from kinectbench.fusion.mesh import TriangleMesh, extract_mesh
-from kinectbench.geometry import Grid
+from kinectbench.fusion.mesh import extract_mesh
+from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.fusion.mesh_file import write_ply
 from kinectbench.fusion.reconstruction import Reconstruction
+from kinectbench.mesh_file import write_ply
 from kinectbench.voxels.npz import npz_bytes
 
 

@@ -3,6 +3,7 @@
 from kinectbench.geometry.box import OrientedBox
 from kinectbench.geometry.camera import Camera
 from kinectbench.geometry.grid import Grid
+from kinectbench.geometry.mesh import TriangleMesh
 from kinectbench.geometry.rigid import (
     closest_rotation,
     interpolate_rigid,
@@ -18,6 +19,7 @@ __all__ = [
     "Camera",
     "Grid",
     "OrientedBox",
+    "TriangleMesh",
     "closest_rotation",
     "interpolate_rigid",
     "invert_rigid",

@@ -18,6 +18,9 @@ FORMATS = {
 }
 
 
+TRUTH = "truth.json"
+
+
 def reader_of(name: str) -> type[Recording]:
     """The class that reads the format of that name in FORMATS."""
     module, _, class_name = FORMATS[name].partition(":")
@@ -59,9 +62,12 @@ def source_files(path: Path) -> list[Path]:
 def find_recordings(folder: Path) -> list[tuple[Path, str]]:
     """Every recording in a folder and below, as (path, format), sorted; none lies inside another.
 
-    A folder that cannot be read, or that begins with a dot, is passed over.
+    A folder that cannot be read, that begins with a dot, or that holds the truth of a simulated recording is
+    passed over.
     """
     try:
+        if (folder / TRUTH).is_file():
+            return []
         name = format_of(folder)
         if name is not None:
             return [(folder, name)]

@@ -1,6 +1,7 @@
 """The card of a release: README.md from the template card.md."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -11,16 +12,41 @@ from kinectbench.release.release import SPLITS, Target
 TEMPLATE = Path(__file__).with_name("card.md")
 
 
-def card(info: ReleaseInfo, targets: Sequence[Target], warnings: Sequence[str]) -> str:
+@dataclass(frozen=True)
+class CardTexts:
+    """What a card says that depends on where the pairs come from.
+
+    Attributes:
+        source: end of the first sentence: "A benchmark for ... shape completion from".
+        beside: what the folders beside `pairs/` hold.
+    """
+
+    source: str
+    beside: str
+
+
+RECORDED = CardTexts(
+    "real RGB-D recordings",
+    "Depth and\nmask of each view are in `views/`, the floor, the closed mesh and the labelled volume of "
+    "each object in `objects/`.",
+)
+
+
+def card(
+    info: ReleaseInfo, targets: Sequence[Target], warnings: Sequence[str], texts: CardTexts = RECORDED
+) -> str:
     """The card as Markdown.
 
     Args:
         info: benchmark.json.
         targets: every pair.
         warnings: one line each.
+        texts: what depends on where the pairs come from.
     """
     return Template(TEMPLATE.read_text()).substitute(
         name=info.name,
+        source=texts.source,
+        beside=texts.beside,
         license=info.license,
         framing=info.framing,
         partial_rule=info.partial_rule,

@@ -1,34 +1,19 @@
 """Publish what was built as a release: one folder that is enough to predict, to score and to check."""
 
-import platform
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings, RecordingSettings
 from kinectbench.errors import PairError, ReleaseError
-from kinectbench.release.card import card
-from kinectbench.release.layout import (
-    BENCHMARK_JSON,
-    CARD,
-    FORMAT_VERSION,
-    SHA256SUMS,
-    SPLITS_JSON,
-    TARGETS_CSV,
-    benchmark_sha256,
-    release_files,
-    sums_text,
-)
-from kinectbench.release.metadata import RecordingInfo, ReleaseInfo, read_text, strict_json
-from kinectbench.release.release import Target, recordings_by_split, targets_text
+from kinectbench.release.metadata import RecordingInfo, read_text, strict_json
+from kinectbench.release.release import Target
+from kinectbench.release.small_files import Head, write_small_files
 from kinectbench.voxels.pair_file import read_pair
-from kinectbench.workspace import pretty_json, replaced_folder, sha256_file
+from kinectbench.workspace import replaced_folder, sha256_file
 
-PACKAGES = ("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "trimesh")
 OBJECT_FILES = ("floor.json", "mesh.ply", "volume.npz", "quality.json")
 
 
@@ -168,27 +153,11 @@ def _write_small_files(
     warnings: Sequence[str],
 ) -> str:
     """Write targets, splits, card, benchmark.json and the checksums; return the release's identity."""
-    content = {
-        "name": settings.name,
-        "license": settings.license,
-        "format_version": FORMAT_VERSION,
-        "package_version": __version__,
-        "benchmark_sha256": "0" * 64,
-        "framing": settings.pairs.framing,
-        "partial_rule": settings.pairs.partial_rule,
-        "settings": _public_settings(settings),
-        "packages": _packages(),
-        "recordings": {name: info.model_dump() for name, info in infos.items()},
-    }
-    (folder / TARGETS_CSV).write_text(targets_text(targets))
-    (folder / SPLITS_JSON).write_text(pretty_json(recordings_by_split(targets)))
-    (folder / CARD).write_text(card(ReleaseInfo.model_validate(content), targets, warnings))
-    sums = {path.relative_to(folder).as_posix(): sha256_file(path) for path in release_files(folder)}
-    content["benchmark_sha256"] = benchmark_sha256(sums_text(sums))
-    (folder / BENCHMARK_JSON).write_text(pretty_json(content))
-    sums[BENCHMARK_JSON] = sha256_file(folder / BENCHMARK_JSON)
-    (folder / SHA256SUMS).write_text(sums_text(sums))
-    return str(content["benchmark_sha256"])
+    pairs = settings.pairs
+    head = Head(
+        settings.name, settings.license, pairs.framing, pairs.partial_rule, _public_settings(settings)
+    )
+    return write_small_files(head, folder, targets, infos, warnings)
 
 
 def _public_settings(settings: BenchmarkSettings) -> dict[str, Any]:
@@ -198,17 +167,6 @@ def _public_settings(settings: BenchmarkSettings) -> dict[str, Any]:
         recording.pop("path")
         recording.pop("masks")
     return public
-
-
-def _packages() -> dict[str, str]:
-    """Versions of Python and of the packages that the data was computed with."""
-    versions = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:  # another distribution of the same package
-            versions[name] = "unknown"
-    return versions
 
 
 def _json(path: Path) -> dict[str, Any]:

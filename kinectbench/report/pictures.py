@@ -1,4 +1,4 @@
-"""Shaded pictures of meshes and voxel grids, in parallel projection.
+"""Rendering pictures of meshes and voxel grids, in parallel projection.
 
 A viewpoint's axes are optical: right, down, forward.
 """

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.fusion.mesh import TriangleMesh
-from kinectbench.geometry import Camera
+from kinectbench.geometry import Camera, TriangleMesh
 
 
 class DepthRenderer:

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.config import SegmentationSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.fusion.mesh import TriangleMesh
-from kinectbench.geometry import Grid, OrientedBox, transform_points
+from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, transform_points
 from kinectbench.segmentation.floor import Floor, find_floor
 from kinectbench.segmentation.select import (
     CELL_M,

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import SegmentationError
-from kinectbench.fusion.mesh import TriangleMesh
-from kinectbench.geometry import OrientedBox
+from kinectbench.geometry import OrientedBox, TriangleMesh
 from kinectbench.geometry.box import yaw_rotation
 
 CELL_M = 0.03

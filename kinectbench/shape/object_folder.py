@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import StorageError
-from kinectbench.fusion.mesh_file import read_ply, write_ply
 from kinectbench.geometry import Grid, OrientedBox
+from kinectbench.mesh_file import read_ply, write_ply
 from kinectbench.segmentation.floor import Floor
 from kinectbench.shape.object_model import ObjectModel
 from kinectbench.shape.solid import SolidShape

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from kinectbench.config import FusionSettings, SegmentationSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.fusion.blocks import BLOCK_VOXELS
-from kinectbench.fusion.mesh import TriangleMesh
 from kinectbench.fusion.reconstruction import Observation, merge, observe
-from kinectbench.geometry import Grid, OrientedBox, rigid, transform_points
+from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
 from kinectbench.segmentation.floor import Floor
 from kinectbench.segmentation.segment import Segmentation, segment

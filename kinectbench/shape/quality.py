@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.fusion.mesh import TriangleMesh
 from kinectbench.fusion.reconstruction import Observation
-from kinectbench.geometry import OrientedBox, transform_points
+from kinectbench.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.segmentation.segment import Segmentation
 from kinectbench.segmentation.select import fit_box
 from kinectbench.shape.labels import Label

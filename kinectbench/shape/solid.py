@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import ShapeError
-from kinectbench.fusion.mesh import TriangleMesh, isosurface
+from kinectbench.fusion.mesh import isosurface
 from kinectbench.fusion.reconstruction import Observation
-from kinectbench.geometry import Grid, transform_points
+from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure
 from kinectbench.shape.labels import Label
 

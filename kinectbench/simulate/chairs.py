@@ -1,107 +1,337 @@
-"""Chairs: seat, four legs or a pedestal, a solid, slatted or ladder back, perhaps armrests."""
+"""Chairs: wooden ones, Windsors, shells, upholstered ones, tubular cantilevers and office chairs."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.simulate.joinery import CLOTHS, WOODS, board, four_legs, pedestal, pick
-from kinectbench.simulate.solid import Outline, Part, Vector3
+from kinectbench.simulate import backs, bases
+from kinectbench.simulate.backs import Back
+from kinectbench.simulate.joinery import (
+    CLOTHS,
+    LEATHERS,
+    METALS,
+    PLASTICS,
+    WOODS,
+    Look,
+    Part,
+    between,
+    chance,
+    choose,
+    pick,
+)
+from kinectbench.simulate.shapes import (
+    Points,
+    bent,
+    bowed,
+    box,
+    cushion,
+    ellipse,
+    leaned,
+    leg,
+    plate,
+    rectangle,
+    ribbon,
+    rod,
+    rounded_path,
+    tube,
+)
+
+SIDES = (-1, 1)
 
 
 @dataclass(frozen=True)
-class _Back:
-    """Where the back stands: all in metres, object frame."""
+class _Size:
+    """Half width and half depth of the seat, its upper face, and the top of the back; metres."""
 
-    half_width: float
+    x: float
     y: float
     seat: float
     top: float
-    lean: float
-    thick: float
-    color: Vector3
-
-    def y_at(self, z: float) -> float:
-        """The middle of the leaning back at height z."""
-        return self.y - self.lean * (z - self.seat) / (self.top - self.seat)
-
-    def upright(self, name: str, low_x: float, high_x: float) -> Part:
-        """A leaning piece from the seat to the top."""
-        half = self.thick / 2
-        low, high = (low_x, self.y - half, self.seat), (high_x, self.y + half, self.top)
-        return board(name, low, high, self.color, lean_m=self.lean)
-
-    def rail(self, low_z: float, high_z: float) -> Part:
-        """A cross piece over the whole width, leaning as the back does."""
-        y, half = self.y_at(low_z), self.thick / 2
-        low, high = (-self.half_width, y - half, low_z), (self.half_width, y + half, high_z)
-        return board("rail", low, high, self.color, lean_m=y - self.y_at(high_z))
 
 
 def chair(rng: np.random.Generator) -> list[Part]:
     """Draw a chair whose front faces +y."""
-    width, depth = float(rng.uniform(0.40, 0.52)), float(rng.uniform(0.40, 0.50))
-    seat, thick = float(rng.uniform(0.41, 0.48)), float(rng.uniform(0.03, 0.08))
-    wood, cloth = pick(rng, WOODS), pick(rng, CLOTHS + WOODS)
-    outline: Outline = "rounded" if rng.random() < 0.5 else "rectangle"
-    half = (width / 2, depth / 2)
-    parts = [board("seat", (-half[0], -half[1], seat - thick), (*half, seat), cloth, outline)]
-    leg = float(rng.uniform(0.032, 0.055))
-    under = seat - thick / 2
-    if rng.random() < 0.7:
-        inset = leg / 2 + 0.015
-        parts += four_legs(rng, (half[0] - inset, half[1] - inset), under, leg, wood)
-    else:
-        parts += pedestal(rng, float(rng.uniform(0.22, 0.29)), under, float(rng.uniform(0.05, 0.08)), wood)
-    back_thick = float(rng.uniform(0.028, 0.045))
-    back = _Back(
-        half_width=half[0] - 0.015,
-        y=-half[1] + back_thick / 2 + 0.012,
-        seat=under,
-        top=seat + float(rng.uniform(0.36, 0.55)),
-        lean=float(rng.uniform(0.0, 0.13)),
-        thick=back_thick,
-        color=wood if rng.random() < 0.6 else cloth,
+    size = _Size(
+        x=between(rng, 0.20, 0.255),
+        y=between(rng, 0.20, 0.24),
+        seat=(seat := between(rng, 0.42, 0.48)),
+        top=seat + between(rng, 0.34, 0.55),
     )
-    parts += _back(rng, back)
-    if rng.random() < 0.4:
-        parts += _arms(rng, back, half[1], seat, wood)
-    return parts
+    kinds = [_wooden, _wooden, _wooden, _board, _windsor, _shell, _shell, _upholstered, _tubular, _office]
+    return choose(rng, kinds)(rng, size)
 
 
-def _back(rng: np.random.Generator, back: _Back) -> list[Part]:
-    """A solid panel, vertical slats under a top rail, or a ladder of rails."""
-    kind = rng.choice(["solid", "slats", "ladder"])
-    if kind == "solid":
-        return [back.upright("back", -back.half_width, back.half_width)]
-    post = max(0.03, back.thick)
-    parts = [
-        back.upright("upright", -back.half_width, -back.half_width + post),
-        back.upright("upright", back.half_width - post, back.half_width),
-        back.rail(back.top - float(rng.uniform(0.06, 0.1)), back.top),
-    ]
-    clear = back.top - back.seat
-    if kind == "slats":
-        slats = int(rng.integers(2, 5))
-        for x in np.linspace(-back.half_width, back.half_width, slats + 2)[1:-1]:
-            parts.append(back.upright("slat", float(x) - 0.02, float(x) + 0.02))
-        return parts
-    for share in np.linspace(0.35, 0.7, int(rng.integers(1, 3))):
-        z = back.seat + clear * float(share)
-        parts.append(back.rail(z - 0.03, z + 0.03))
-    return parts
+def _wooden(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """Front legs, rear legs that go on as posts of the back, a seat, perhaps aprons, stretchers and arms."""
+    wood, thick, post = pick(rng, WOODS), between(rng, 0.018, 0.03), between(rng, 0.028, 0.042)
+    under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
+    rake, slope = between(rng, 0.0, 0.06), between(rng, 0.05, 0.26)
+    foot = max(0.022, post * between(rng, 0.7, 1.0))
+    parts = [Part("seat", plate(rectangle((2 * size.x, 2 * size.y)), under, size.seat), wood)]
+    for s in SIDES:
+        front = leg((s * x, y, 0.0), (s * x, y, under + 0.01), (foot, foot), (post, post))
+        rear = leg((s * x, -y - rake, 0.0), (s * x, -y, size.seat), (foot, foot), (post, post))
+        parts += [Part("front leg", front, wood), Part("rear leg", rear, wood)]
+    bow = between(rng, 0.015, 0.045) if chance(rng, 0.6) else 0.0
+    back = Back(x, -y, size.seat, size.top, slope, bow, post, wood)
+    parts += back.posts() + backs.filling(rng, back)
+    if chance(rng, 0.7):
+        parts += bases.apron((x, y), under + 0.005, between(rng, 0.045, 0.08), wood)
+    if chance(rng, 0.5):
+        z = between(rng, 0.12, 0.24)
+        parts += bases.stretchers(rng, (x, y), z, wood, rake * (1 - z / size.seat))
+    parts += _seat_pad(rng, size, wood)
+    return parts + (_post_arms(rng, size, back) if chance(rng, 0.35) else [])
 
 
-def _arms(
-    rng: np.random.Generator, back: _Back, half_depth: float, seat: float, color: Vector3
-) -> list[Part]:
-    """Two armrests from the back to posts that stand on the seat."""
-    z, wide = seat + float(rng.uniform(0.18, 0.24)), float(rng.uniform(0.04, 0.06))
-    front = half_depth - float(rng.uniform(0.03, 0.12))
+def _seat_pad(rng: np.random.Generator, size: _Size, wood: Look) -> list[Part]:
+    """A cushion on the seat, or none."""
+    if chance(rng, 0.55):
+        return []
+    look, inset, thick = pick(rng, CLOTHS + LEATHERS), between(rng, 0.012, 0.03), between(rng, 0.025, 0.05)
+    low = (-size.x + inset, -size.y + 0.05, size.seat - 0.008)
+    high = (size.x - inset, size.y - inset * 0.5, size.seat + thick)
+    return [Part("cushion", cushion(low, high, 0.018, 0.015), look)]
+
+
+def _post_arms(rng: np.random.Generator, size: _Size, back: Back) -> list[Part]:
+    """Wooden armrests from the back's posts to posts that stand on the front legs or on the seat."""
+    z, wide = size.seat + between(rng, 0.18, 0.24), between(rng, 0.035, 0.06)
+    front = size.y - (back.thick / 2 if chance(rng, 0.6) else between(rng, 0.08, 0.14))
+    out = between(rng, 0.0, 0.03)
     parts = []
-    for side in (-1, 1):
-        x = side * (back.half_width - wide / 2)
-        low, high = (x - wide / 2, back.y_at(z), z - 0.03), (x + wide / 2, front, z)
-        parts.append(board("armrest", low, high, color))
-        post = board("post", (x - 0.016, front - 0.05, seat - 0.02), (x + 0.016, front - 0.015, z), color)
-        parts.append(post)
+    for s in SIDES:
+        rear = back.point(back.half, z)[1] - back.thick / 4
+        x = s * back.half
+        bottom = box((x - 0.016, rear, z - 0.024), (x + 0.016, rear + 0.03, z))
+        tip = box(
+            (x + s * out - wide / 2, front - 0.03, z - 0.022), (x + s * out + wide / 2, front + 0.03, z)
+        )
+        arm = type(tip).batch_hull([bottom, tip])
+        post = leg(
+            (x, front, size.seat - 0.015), (x + s * out, front, z - 0.008), (0.028, 0.028), (0.024, 0.024)
+        )
+        parts += [Part("armrest", arm, back.look), Part("arm post", post, back.look)]
+    return parts
+
+
+def _board(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """A modern wooden or plastic chair: a seat with round corners on legs, and a bent board as a back."""
+    wood = pick(rng, WOODS)
+    look = wood if chance(rng, 0.5) else pick(rng, PLASTICS)
+    thick = between(rng, 0.024, 0.04)
+    under = size.seat - thick
+    outline = rectangle((2 * size.x, 2 * size.y), between(rng, 0.04, 0.15))
+    parts = [Part("seat", plate(outline, under, size.seat, 0.01), look)]
+    leg_m = between(rng, 0.03, 0.04)
+    parts += bases.wooden_legs(rng, (size.x - 0.06, size.y - 0.06), under + 0.014, leg_m, wood)
+    back = Back(
+        size.x - 0.03,
+        -size.y + 0.05,
+        size.seat,
+        size.top - 0.05,
+        between(rng, 0.1, 0.25),
+        between(rng, 0.02, 0.05),
+        0.026,
+        look,
+    )
+    return parts + backs.board_back(rng, back)
+
+
+def _windsor(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """A thick seat on splayed round legs, and a hoop with spindles."""
+    wood, thick = pick(rng, WOODS), between(rng, 0.032, 0.045)
+    seat = plate(ellipse((2 * size.x, 2 * size.y)), size.seat - thick, size.seat, 0.012)
+    parts = [Part("seat", seat, wood)]
+    x, y, splay, head = 0.55 * size.x, 0.55 * size.y, between(rng, 0.05, 0.08), size.seat - thick / 2
+    for sx in SIDES:
+        for sy in SIDES:
+            foot = (sx * (x + splay), sy * (y + splay), 0.0)
+            shape = leg(foot, (sx * x, sy * y, head), (0.024, 0.024), (0.036, 0.036), is_round=True)
+            parts.append(Part("leg", shape, wood))
+    z = 0.4 * head
+    out = splay * (1 - z / head)
+    for s in SIDES:
+        ends = (s * (x + out), -y - out, z), (s * (x + out), y + out, z)
+        parts.append(Part("stretcher", rod(*ends, 0.01), wood))
+    parts.append(Part("stretcher", rod((-x - out, 0.0, z), (x + out, 0.0, z), 0.0085), wood))
+    # The hoop's ends stand where the round seat is still wide enough.
+    slope = between(rng, 0.12, 0.25)
+    half = 0.72 * size.x
+    back = Back(half, -0.56 * size.y, size.seat, size.top + 0.04, slope, 0.2 * size.y, 0.024, wood)
+    return parts + backs.hoop(rng, back)
+
+
+def _shell(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """A seat and back in one bent piece, on legs, a tube frame, a column or a star."""
+    look = pick(rng, PLASTICS + WOODS[:5] + CLOTHS[:5])
+    thick, lean = between(rng, 0.017, 0.022), between(rng, 0.08, 0.17)
+    under = size.seat - thick
+    path = [
+        (size.y, size.seat - 0.035),
+        (size.y - 0.06, under + thick / 2),
+        (-size.y + 0.02, under + thick / 2),
+        (-size.y - lean, size.top),
+    ]
+    wide = size.x + 0.01
+    strip = ribbon(rounded_path(path, between(rng, 0.07, 0.14)), (-wide, wide), thick)
+    corner = between(rng, 0.05, 0.14)
+    plan = plate(rectangle((2 * size.x, 2.0), corner), -1.0, 3.0).translate(
+        (0.0, size.y + thick / 2 - 1.002, 0.0)
+    )
+    front = plate(rectangle((2 * size.x, 3.0), corner), -2.0, 2.0).rotate((90.0, 0.0, 0.0))
+    strip = strip ^ plan ^ front.translate((0.0, 0.0, size.top + thick / 2 - 1.502))
+    if chance(rng, 0.25):
+        hole = plate(rectangle((0.14, 0.04), 0.019), -2.0, 2.0).rotate((90.0, 0.0, 0.0))
+        strip = strip - hole.translate((0.0, 0.0, size.top - 0.09))
+    dish, hug = between(rng, 0.0, 0.02), between(rng, 0.0, 0.06)
+
+    def bucket(points: Points) -> Points:
+        side = (points[:, 0] / size.x) ** 2
+        upright = np.clip((points[:, 2] - size.seat) / 0.2, 0, 1)
+        upright = upright**2 * (3 - 2 * upright)
+        # The sides of the seat rise, and the sides of the back come forward.
+        return points + np.column_stack(
+            [np.zeros(len(points)), hug * side * upright, dish * side * (1 - upright)]
+        )
+
+    parts = [Part("shell", bent(strip, bucket, 0.04), look)]
+    return parts + _shell_base(rng, size, under)
+
+
+def _shell_base(rng: np.random.Generator, size: _Size, under: float) -> list[Part]:
+    """What a shell stands on; a plate under the seat makes up for its dished underside."""
+    metal, wood, head = pick(rng, METALS), pick(rng, WOODS), under + 0.008
+    kind = choose(rng, ["wood", "tube", "sled", "star", "column"])
+    if kind == "wood":
+        hub = Part("hub", box((-0.12, -0.12, under - 0.02), (0.12, 0.12, head)), wood)
+        legs = []
+        for sx in SIDES:
+            for sy in SIDES:
+                foot = (sx * (size.x - 0.02), sy * (size.y - 0.02), 0.0)
+                shape = leg(
+                    foot, (sx * 0.1, sy * 0.1, head - 0.006), (0.024, 0.024), (0.036, 0.036), is_round=True
+                )
+                legs.append(Part("leg", shape, wood))
+        return [hub, *legs]
+    if kind == "tube":
+        return bases.tube_legs((0.6 * size.x, 0.7 * size.y), head, between(rng, 0.009, 0.012), 0.06, metal)
+    if kind == "sled":
+        return bases.sled((0.6 * size.x, size.y), head, between(rng, 0.009, 0.011), metal)
+    if kind == "star":
+        count, wheels = int(rng.integers(4, 6)), chance(rng, 0.4)
+        return bases.star(rng, count, between(rng, 0.27, 0.31), head, 0.05, metal, wheels=wheels)
+    return bases.column(rng, between(rng, 0.23, 0.27), head, between(rng, 0.05, 0.07), metal)
+
+
+def _upholstered(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """A padded seat and a padded back on wooden legs, perhaps with padded sides."""
+    look, wood = pick(rng, CLOTHS + LEATHERS), pick(rng, WOODS)
+    x, y, thick = size.x + between(rng, 0.0, 0.04), size.y + between(rng, 0.0, 0.03), between(rng, 0.07, 0.11)
+    under, deep = size.seat - thick, between(rng, 0.06, 0.09)
+    slope = between(rng, 0.08, 0.25)
+    seat = cushion((-x, -y, under), (x, y, size.seat), 0.03, 0.02)
+    low = (-x + 0.004, -y, under + 0.02)
+    high = (x - 0.004, -y + deep, size.top - between(rng, 0.0, 0.1))
+    back = leaned(cushion(low, high, 0.03), size.seat, slope)
+    parts = [Part("seat", seat, look), Part("back", back, look)]
+    parts += bases.wooden_legs(rng, (x - 0.05, y - 0.045), under + 0.02, between(rng, 0.03, 0.042), wood)
+    if chance(rng, 0.4):
+        top, wide = size.seat + between(rng, 0.14, 0.22), between(rng, 0.055, 0.08)
+        for s in SIDES:
+            out = s * (x + wide / 2 - 0.015)
+            side = cushion((out - wide / 2, -y + 0.01, under), (out + wide / 2, y - 0.03, top), 0.026)
+            parts.append(Part("armrest", side, look))
+    return parts
+
+
+def _tubular(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """A cantilever: one bent tube at each side carries a pad for the seat and one for the back."""
+    metal, look = pick(rng, METALS), pick(rng, LEATHERS + CLOTHS + WOODS[:3])
+    radius, x, y = between(rng, 0.0095, 0.0125), size.x, size.y
+    lean, z = between(rng, 0.05, 0.13), size.seat - 0.03
+    parts = []
+    for s in SIDES:
+        path = [
+            (s * x, -y - lean, size.top),
+            (s * x, -y, z + 0.06),
+            (s * x, -y + 0.02, z),
+            (s * x, y, z),
+            (s * x, y - 0.03, radius),
+            (s * x, -y - 0.02, radius),
+        ]
+        parts.append(Part("frame", tube(rounded_path(path, 0.07), radius), metal))
+    for at, height in ((-y - 0.02, radius), (y - 0.08, z), (-y + 0.1, z)):
+        # A rail a little thinner than the frame touches none of its edges.
+        parts.append(Part("rail", rod((-x, at, height), (x, at, height), 0.9 * radius), metal))
+    pad = cushion((-x - 0.004, -y + 0.05, z - 0.004), (x + 0.004, y - 0.02, size.seat + 0.01), 0.016)
+    low, slope = size.top - between(rng, 0.2, 0.3), lean / (size.top - z - 0.06)
+    deep = between(rng, 0.018, 0.035)
+    board = bowed((-x, -y - deep / 2, low), (x, -y + deep / 2, size.top - 0.01), between(rng, 0.0, 0.04))
+    parts += [Part("seat", pad, look), Part("back", leaned(board, z + 0.06, slope), look)]
+    if chance(rng, 0.45):
+        parts += _tube_arms(rng, size, slope, z, radius, metal)
+    return parts
+
+
+def _tube_arms(
+    rng: np.random.Generator, size: _Size, slope: float, frame_z: float, radius: float, look: Look
+) -> list[Part]:
+    """Two bent tubes from the back to the front of the frame's sides."""
+    z, front = size.seat + between(rng, 0.17, 0.23), size.y - between(rng, 0.05, 0.12)
+    wood, parts = pick(rng, WOODS), []
+    for s in SIDES:
+        rear = -size.y - slope * (z - frame_z - 0.06)
+        path = [(s * size.x, rear, z), (s * size.x, front, z), (s * size.x, front, frame_z)]
+        parts.append(Part("armrest", tube(rounded_path(path, 0.06), 0.94 * radius), look))
+        pad = cushion(
+            (s * size.x - 0.022, rear + 0.07, z), (s * size.x + 0.022, front - 0.07, z + radius + 0.016), 0.01
+        )
+        parts.append(Part("arm pad", pad, wood))
+    return parts
+
+
+def _office(rng: np.random.Generator, size: _Size) -> list[Part]:
+    """A padded seat on a star with castors, a back on a spine, perhaps armrests."""
+    look, metal = pick(rng, CLOTHS + LEATHERS), pick(rng, METALS)
+    thick, x, y = between(rng, 0.06, 0.09), size.x, size.y
+    under, slope = size.seat - thick, between(rng, 0.08, 0.2)
+    parts = [Part("seat", cushion((-x, -y, under), (x, y, size.seat), 0.03, 0.015), look)]
+    parts += bases.star(rng, 5, between(rng, 0.29, 0.32), under + 0.02, 0.055, metal, wheels=True)
+    low, wide, rear = size.seat + between(rng, 0.02, 0.14), x * between(rng, 0.8, 1.0), -y - 0.02
+    pad = cushion((-wide, rear - 0.01, low), (wide, rear + 0.05, size.top + 0.05), 0.024)
+    hug = between(rng, 0.02, 0.05)
+
+    def wrap(points: Points) -> Points:
+        return points + np.array([0.0, hug, 0.0]) * (points[:, :1] / wide) ** 2
+
+    parts.append(Part("back", leaned(bent(pad, wrap, 0.06), size.seat, slope), look))
+    top = size.seat + 0.65 * (size.top - size.seat)
+    path = [(0.05, under - 0.004), (rear - 0.01, under - 0.004), (rear - slope * (top - size.seat), top)]
+    parts.append(Part("spine", ribbon(rounded_path(path, 0.06), (-0.03, 0.03), 0.02), metal))
+    return parts + (_office_arms(rng, size, under, metal) if chance(rng, 0.6) else [])
+
+
+def _office_arms(rng: np.random.Generator, size: _Size, under: float, look: Look) -> list[Part]:
+    """Armrests like a T on brackets under the seat, or closed loops."""
+    z, out = size.seat + between(rng, 0.19, 0.24), size.x + 0.035
+    loop = chance(rng, 0.4)
+    parts = []
+    for s in SIDES:
+        if loop:
+            x = s * out
+            path = [
+                (x, 0.1, under + 0.002),
+                (x, 0.14, z - 0.012),
+                (x, -0.16, z - 0.012),
+                (x, -0.08, under + 0.002),
+            ]
+            parts.append(Part("arm post", tube(rounded_path([*path, path[0]], 0.05), 0.012), look))
+        else:
+            post = box((s * out - 0.012, -0.03, under - 0.012), (s * out + 0.012, 0.03, z - 0.01))
+            parts.append(Part("arm post", post, look))
+        low, high = sorted([s * out + s * 0.01, s * 0.08])
+        parts.append(Part("bracket", box((low, -0.025, under - 0.012), (high, 0.025, under + 0.008)), look))
+        pad = cushion((s * out - 0.035, -0.13, z - 0.02), (s * out + 0.035, 0.13, z + 0.012), 0.014)
+        parts.append(Part("arm pad", pad, Look((0.12, 0.12, 0.13), 0.10)))
     return parts

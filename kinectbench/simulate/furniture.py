@@ -3,15 +3,16 @@
 import difflib
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from kinectbench.errors import SettingsError
+from kinectbench.simulate.benches import bench
 from kinectbench.simulate.chairs import chair
-from kinectbench.simulate.seats import bench, couch
-from kinectbench.simulate.solid import Part, Solid
+from kinectbench.simulate.couches import couch
+from kinectbench.simulate.joinery import Part, assemble
+from kinectbench.simulate.subject import Subject
 from kinectbench.simulate.tables import table
 
 FAMILIES: dict[str, Callable[[np.random.Generator], list[Part]]] = {
@@ -54,29 +55,15 @@ def parse_object(text: str) -> ObjectName:
     return ObjectName(check_family(match[1]), int(match[2] or 0))
 
 
-def make_object(family: str, seed: int) -> Solid:
+def make_object(family: str, seed: int) -> Subject:
     """Draw a piece of furniture in its object frame: z up, on z = 0, centred at x = y = 0.
 
-    Chairs, benches and couches face +y. Every part is at least 25 mm thick. Same family and seed, same
-    solid. The proportions are own choices.
+    Chairs, benches and couches face +y. Nothing is thinner than 15 mm. Its mesh is the union of its pieces.
+    Same family and seed, same vertices. The proportions are own choices.
 
     Raises:
         SettingsError: there is no such family.
     """
     rng = np.random.default_rng([*check_family(family).encode(), seed])
-    return centred(Solid(tuple(FAMILIES[family](rng))))
-
-
-def centred(solid: Solid) -> Solid:
-    """Move a solid so that its bounding box is centred at x = y = 0 and stands on z = 0."""
-    low, high = solid.bounds_m()
-    shift = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]])
-
-    def moved(part: Part) -> Part:
-        (bx, by, bz), (tx, ty, tz) = (
-            (np.array(part.bottom_m) + shift).tolist(),
-            (np.array(part.top_m) + shift).tolist(),
-        )
-        return replace(part, bottom_m=(bx, by, bz), top_m=(tx, ty, tz))
-
-    return Solid(tuple(moved(part) for part in solid.parts))
+    name = f"{family}:seed={seed}"
+    return assemble(name, FAMILIES[family](rng), "parametric furniture: exact union of its pieces")

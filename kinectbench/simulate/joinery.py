@@ -1,118 +1,130 @@
-"""Pieces that several families of furniture share: boards, legs, pedestals, rails, colours."""
+"""What all families of furniture share: parts with a look, drawing by chance, gluing parts to an object."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from kinectbench.simulate.solid import Outline, Part, Vector3
+from kinectbench.geometry import TriangleMesh
+from kinectbench.simulate.shapes import surface, union
+from kinectbench.simulate.subject import Piece, Subject, Vector3
 
-WOODS: tuple[Vector3, ...] = (
-    (0.72, 0.53, 0.34),
-    (0.50, 0.33, 0.20),
-    (0.82, 0.69, 0.50),
-    (0.33, 0.22, 0.16),
-    (0.86, 0.85, 0.82),
-    (0.25, 0.26, 0.28),
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+Choice = TypeVar("Choice")
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a material looks.
+
+    Attributes:
+        color_rgb: each in [0, 1].
+        albedo: share of infrared light that it reflects, in [0, 1].
+    """
+
+    color_rgb: Vector3
+    albedo: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """A closed part of a piece of furniture, with one look; frame `object`, metres."""
+
+    name: str
+    shape: "Manifold"
+    look: Look
+
+
+# Colours and infrared albedos are own choices: dyes and varnish take little infrared light, black pigment
+# takes most.
+BLACK_STEEL = Look((0.09, 0.09, 0.10), 0.07)
+WOODS: tuple[Look, ...] = (
+    Look((0.76, 0.60, 0.40), 0.72),
+    Look((0.62, 0.43, 0.26), 0.65),
+    Look((0.45, 0.28, 0.17), 0.55),
+    Look((0.84, 0.72, 0.53), 0.78),
+    Look((0.55, 0.29, 0.17), 0.58),
+    Look((0.27, 0.18, 0.13), 0.42),
+    Look((0.88, 0.87, 0.84), 0.80),
+    Look((0.12, 0.11, 0.11), 0.12),
 )
-CLOTHS: tuple[Vector3, ...] = (
-    (0.62, 0.16, 0.15),
-    (0.18, 0.32, 0.55),
-    (0.25, 0.45, 0.28),
-    (0.75, 0.58, 0.20),
-    (0.45, 0.43, 0.42),
+CLOTHS: tuple[Look, ...] = (
+    Look((0.62, 0.17, 0.16), 0.66),
+    Look((0.19, 0.31, 0.52), 0.58),
+    Look((0.27, 0.44, 0.30), 0.60),
+    Look((0.78, 0.60, 0.22), 0.72),
+    Look((0.50, 0.49, 0.47), 0.62),
+    Look((0.78, 0.73, 0.65), 0.78),
+    Look((0.28, 0.29, 0.31), 0.45),
+    Look((0.58, 0.42, 0.50), 0.64),
 )
+LEATHERS: tuple[Look, ...] = (
+    Look((0.47, 0.26, 0.14), 0.55),
+    Look((0.70, 0.48, 0.30), 0.62),
+    Look((0.08, 0.08, 0.08), 0.06),
+    Look((0.80, 0.76, 0.70), 0.70),
+)
+PLASTICS: tuple[Look, ...] = (
+    Look((0.90, 0.90, 0.88), 0.80),
+    Look((0.76, 0.20, 0.16), 0.68),
+    Look((0.90, 0.70, 0.18), 0.74),
+    Look((0.22, 0.52, 0.54), 0.62),
+    Look((0.46, 0.54, 0.36), 0.62),
+    Look((0.12, 0.12, 0.13), 0.10),
+)
+METALS: tuple[Look, ...] = (
+    Look((0.66, 0.67, 0.69), 0.50),
+    Look((0.86, 0.86, 0.85), 0.76),
+    BLACK_STEEL,
+    Look((0.40, 0.41, 0.43), 0.45),
+)
+IRONS: tuple[Look, ...] = (BLACK_STEEL, Look((0.16, 0.27, 0.21), 0.40), Look((0.40, 0.41, 0.43), 0.45))
+STONES: tuple[Look, ...] = (Look((0.66, 0.65, 0.62), 0.62), Look((0.52, 0.48, 0.45), 0.52))
 
 
-def pick(rng: np.random.Generator, colors: tuple[Vector3, ...]) -> Vector3:
-    """One of the colours."""
-    return colors[int(rng.integers(len(colors)))]
+def choose(rng: np.random.Generator, options: Sequence[Choice]) -> Choice:
+    """One of the options, all alike likely."""
+    return options[int(rng.integers(len(options)))]
 
 
-def board(
-    name: str,
-    low_m: Vector3,
-    high_m: Vector3,
-    color_rgb: Vector3,
-    outline: Outline = "rectangle",
-    lean_m: float = 0.0,
-) -> Part:
-    """A plate between two corners (object frame, metres) whose top is moved by `lean_m` towards -y."""
-    x, y = (low_m[0] + high_m[0]) / 2, (low_m[1] + high_m[1]) / 2
-    size = (high_m[0] - low_m[0], high_m[1] - low_m[1])
-    return Part(name, outline, size, (x, y, low_m[2]), (x, y - lean_m, high_m[2]), color_rgb=color_rgb)
+def pick(rng: np.random.Generator, looks: Sequence[Look]) -> Look:
+    """One of the looks, a little lighter or darker."""
+    look, tint = choose(rng, looks), between(rng, 0.88, 1.08)
+    red, green, blue = (min(1.0, value * tint) for value in look.color_rgb)
+    return Look((red, green, blue), look.albedo)
 
 
-def four_legs(
-    rng: np.random.Generator, half_m: tuple[float, float], height_m: float, thick_m: float, color_rgb: Vector3
-) -> list[Part]:
-    """Four legs, square or round, perhaps splayed and tapered, perhaps joined by stretchers.
+def between(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number drawn evenly from a range."""
+    return float(rng.uniform(low, high))
+
+
+def chance(rng: np.random.Generator, probability: float) -> bool:
+    """True with that probability."""
+    return bool(rng.random() < probability)
+
+
+def assemble(name: str, parts: Sequence[Part], origin: str) -> Subject:
+    """Glue parts to one solid, centred by its bounding box at x = y = 0 and standing on z = 0.
 
     Args:
-        rng: draws splay, taper and stretchers.
-        half_m: x and y of a leg's centre at the top, metres.
-        height_m: height of the legs, metres.
-        thick_m: thickness at the top, metres; the foot is never below 25 mm.
-        color_rgb: colour.
+        name: of the subject.
+        parts: closed, overlapping one another, metres.
+        origin: where the solid comes from, one line.
     """
-    outline: Outline = "ellipse" if rng.random() < 0.4 else "rectangle"
-    splay = float(rng.uniform(0.0, 0.06)) if rng.random() < 0.5 else 0.0
-    foot = max(0.025, thick_m * float(rng.uniform(0.65, 1.0)))
-    corners = [(sx, sy) for sx in (-1, 1) for sy in (-1, 1)]
-    legs = [
-        Part(
-            "leg",
-            outline,
-            (foot, foot),
-            (sx * (half_m[0] + splay), sy * (half_m[1] + splay), 0.0),
-            (sx * half_m[0], sy * half_m[1], height_m),
-            thick_m / foot,
-            color_rgb=color_rgb,
-        )
-        for sx, sy in corners
+    whole = union([part.shape for part in parts])
+    # Where round parts fit into one another, a crack may be shut in: it is filled.
+    mesh = surface(union([body for body in whole.decompose() if body.volume() > 0]))
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+
+    def placed(mesh: TriangleMesh) -> TriangleMesh:
+        return TriangleMesh(mesh.vertices - shift, mesh.faces)
+
+    pieces = [
+        Piece(part.name, placed(surface(part.shape)), part.look.color_rgb, part.look.albedo) for part in parts
     ]
-    if rng.random() < 0.45:
-        z = height_m * float(rng.uniform(0.25, 0.5))
-        out = splay * (1 - z / height_m)
-        x, y, half = half_m[0] + out, half_m[1] + out, 0.0125
-        for s in (-1, 1):
-            legs.append(
-                board("stretcher", (s * x - half, -y, z - 0.015), (s * x + half, y, z + 0.015), color_rgb)
-            )
-        legs.append(board("stretcher", (-x, -half, z - 0.015), (x, half, z + 0.015), color_rgb))
-    return legs
-
-
-def pedestal(
-    rng: np.random.Generator, reach_m: float, height_m: float, thick_m: float, color_rgb: Vector3
-) -> list[Part]:
-    """A column on a round plate or on a star of four or five feet.
-
-    Args:
-        rng: chooses the base.
-        reach_m: radius of the base, metres.
-        height_m: height of the column's top, metres.
-        thick_m: diameter of the column, metres.
-        color_rgb: colour.
-    """
-    column = Part(
-        "column", "ellipse", (thick_m, thick_m), (0.0, 0.0, 0.0), (0.0, 0.0, height_m), color_rgb=color_rgb
-    )
-    if rng.random() < 0.5:
-        size = (2 * reach_m, 2 * reach_m)
-        plate = Part("base", "ellipse", size, (0, 0, 0), (0, 0, 0.04), 0.9, color_rgb=color_rgb)
-        return [column, plate]
-    count, start, width = int(rng.integers(4, 6)), float(rng.uniform(0, np.pi)), 0.055
-    feet = []
-    for k in range(count):
-        yaw = start + k * 2 * np.pi / count
-        middle = (reach_m / 2 * float(np.cos(yaw)), reach_m / 2 * float(np.sin(yaw)))
-        feet.append(
-            Part(
-                "foot",
-                "rectangle",
-                (reach_m, width),
-                (*middle, 0.0),
-                (*middle, 0.05),
-                yaw_rad=yaw,
-                color_rgb=color_rgb,
-            )
-        )
-    return [column, *feet]
+    return Subject(name, tuple(pieces), placed(mesh), origin)

@@ -1,32 +1,58 @@
-"""What a Kinect v1 makes of exact depth: noise, quantised disparity, drop-outs.
+"""What a Kinect v1 makes of exact depth: noise, quantised disparity, shadow, lost and misplaced pixels.
 
-Sources: Nguyen, Izadi, Lovell: Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking,
-3DIMPVT 2012 (axial noise); Khoshelham, Elberink: Accuracy and Resolution of Kinect Depth Data, Sensors 12(2),
-2012 (disparity in eighths of a pixel). Drop-outs at edges and grazing angles are own rules.
+Sources:
+    Nguyen, Izadi, Lovell: Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking, 3DIMPVT
+    2012 (axial and lateral noise). Khoshelham, Elberink: Accuracy and Resolution of Kinect Depth Data for
+    Indoor Mapping Applications, Sensors 12(2), 2012 (depth from disparity, its eighths of a pixel). Herrera,
+    Kannala, Heikkila: Joint Depth and Color Camera Calibration with Distortion Correction, PAMI 34(10), 2012,
+    and Teichman, Miller, Thrun: Unsupervised Intrinsic Calibration of Depth Sensors via SLAM, RSS 2013 (depth
+    distortion). What has no source there is an own choice, and says so. Pixels are those of the image.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.geometry import Camera
+from kinectbench.simulate.kinect_kernels import displace, projector_lit, sense
+from kinectbench.simulate.shading import Rendering
+
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+# Of the images that the pixel-valued parameters below were measured on: 640x480.
+FOCAL_PX = 525.0
+DISTORTION_WAVES = 4
+DISTORTION_AT_M, DISTORTION_SHARE = 4.0, 0.004
 
 
-@dataclass(frozen=True)
-class KinectNoise:
+class KinectNoise(NamedTuple):
     """Parameters of the sensor; the defaults are a Kinect v1.
 
     Attributes:
         min_range_m: nearer surfaces give no depth, metres.
         max_range_m: farther surfaces give no depth, metres.
-        focal_px: focal length of the infrared camera at its own resolution, pixels.
-        baseline_m: from projector to camera, metres.
-        steps_per_px: disparity steps per pixel.
-        edge_jump: relative change of depth in 3x3 pixels that counts as an edge.
-        edge_drop: share of edge pixels that give no depth.
-        graze_cos: below this cosine of incidence pixels begin to drop out; at half of it all have.
-        random_drop: share of all pixels that give no depth.
+        focal_px: focal length of the infrared camera at its own resolution, pixels (Khoshelham & Elberink).
+        baseline_m: from camera to projector, which stands in +x (Khoshelham & Elberink).
+        steps_per_px: disparity steps per pixel (Khoshelham & Elberink).
+        smooth_share: share of the drawn variance that neighbouring pixels have in common. Chosen so that
+            errors on planes correlate as measured in 7-Scenes' red kitchen (benchmarks/kinect_noise.py).
+        smooth_px: standard deviation of the blur that makes them common; chosen likewise.
+        same_surface: relative difference of depth up to which pixels lie on one surface (own choice).
+        weakest_signal: albedo * cos(incidence) / z² in 1/m² of which half the pixels are lost (own choice:
+            a grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
+        signal_softness: standard deviation of the logarithm of the signal that is needed (own choice).
+        sun: infrared light of full sun, relative to the pattern's at 1 m (own choice: with it the grey
+            wall is lost beyond 2.4 m).
+        graze_cos: cosine of incidence at which half the pixels are lost (own choice: 80°).
+        graze_softness: standard deviation of that cosine (own choice).
+        edge_margin: pixels at edges are lost where a normal variate exceeds this (own choice: 31 %).
+        edge_mix: they mix near and far where it is at most this much below that (own choice: 7 %).
+        hole_px: standard deviation of the blur that makes holes blobs (own choice).
+        any_margin: pixels anywhere are lost where it exceeds this (own choice: 0.1 %).
+        blind_share: share of the width at the right without depth: 8 of 640 columns, as in 7-Scenes.
     """
 
     min_range_m: float = 0.4
@@ -34,10 +60,67 @@ class KinectNoise:
     focal_px: float = 580.0
     baseline_m: float = 0.075
     steps_per_px: float = 8.0
-    edge_jump: float = 0.04
-    edge_drop: float = 0.6
-    graze_cos: float = 0.25
-    random_drop: float = 0.002
+    smooth_share: float = 0.85
+    smooth_px: float = 1.9
+    same_surface: float = 0.03
+    weakest_signal: float = 0.008
+    signal_softness: float = 0.5
+    sun: float = 20.0
+    graze_cos: float = 0.17
+    graze_softness: float = 0.03
+    edge_margin: float = 0.5
+    edge_mix: float = 0.2
+    hole_px: float = 4.0
+    any_margin: float = 3.0
+    blind_share: float = 8 / 640
+
+
+@dataclass(frozen=True)
+class Device:
+    """One Kinect, and the light that it works in.
+
+    Attributes:
+        noise: parameters that all devices share.
+        distortion_px: (height, width) float32, error of its disparity in pixels.
+        sunlight: on the scene, 0 to 1.
+    """
+
+    noise: KinectNoise
+    distortion_px: Float32
+    sunlight: float
+
+
+def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.random.Generator) -> Device:
+    """Draw a device's depth distortion: an error of disparity that varies smoothly over the image.
+
+    Herrera et al. correct disparity pixel by pixel, Teichman et al. find smooth maps whose effect grows with
+    distance. Here it is a sum of cosines with up to two periods over the image, without a constant, the same
+    at every distance, so that depth is off by z² / (f b) times it. (Herrera et al. let it decay with
+    disparity besides; that is left out.) Its size is an own choice: at `distortion` 1 its root mean square
+    is 0.4 % of depth at 4 m: 16 mm there, 2 mm at 1.5 m, as a factory calibration may leave it.
+
+    Args:
+        camera: whose depth is distorted.
+        distortion: 1 for a typical device, 0 for none.
+        sunlight: 0 to 1.
+        rng: draws the map.
+    """
+    noise = KinectNoise()
+    # A smaller image is a Kinect's image reduced: what is smooth over pixels is so over fewer.
+    scale = camera.fx / FOCAL_PX
+    noise = noise._replace(smooth_px=noise.smooth_px * scale, hole_px=noise.hole_px * scale)
+    waves = np.arange(DISTORTION_WAVES + 1)
+    weights = rng.standard_normal((len(waves), len(waves)))
+    weights /= 1 + waves[:, None] ** 2 + waves**2
+    weights[0, 0] = 0
+    down, across = (
+        np.cos(np.pi * waves[:, None] * (np.arange(size) + 0.5) / size)
+        for size in (camera.height, camera.width)
+    )
+    field = down.T @ weights @ across
+    typical_px = DISTORTION_SHARE * noise.focal_px * noise.baseline_m / DISTORTION_AT_M
+    field *= distortion * typical_px / np.sqrt(np.mean(field**2))
+    return Device(noise, field.astype(np.float32), sunlight)
 
 
 def axial_sigma_m(depth_m: Float, incidence_rad: Float) -> Float:
@@ -52,55 +135,71 @@ def axial_sigma_m(depth_m: Float, incidence_rad: Float) -> Float:
     return np.asarray(facing + np.where(incidence_rad > np.pi / 3, graze, 0.0), dtype=np.float64)
 
 
+def lateral_sigma_px(incidence_rad: Float) -> Float:
+    """Standard deviation of an edge's place in the image, pixels (Nguyen et al. 2012, eq. 1).
+
+    Args:
+        incidence_rad: angle between ray and surface normal, radians in [0, π/2).
+    """
+    return np.asarray(0.8 + 0.035 * incidence_rad / (np.pi / 2 - incidence_rad), dtype=np.float64)
+
+
 def depth_step_m(depth_m: Float, noise: KinectNoise) -> Float:
     """Distance between depths that the sensor can report, metres (Khoshelham & Elberink 2012)."""
     return depth_m**2 / (noise.focal_px * noise.baseline_m * noise.steps_per_px)
 
 
-def quantise(depth_m: Float, noise: KinectNoise) -> Float:
-    """Round depth in metres to the nearest disparity step; depth > 0."""
-    scale = noise.focal_px * noise.baseline_m * noise.steps_per_px
-    return scale / np.maximum(np.round(scale / depth_m), 1.0)
+def measure(rendering: Rendering, camera: Camera, device: Device, rng: np.random.Generator) -> Float32:
+    """What a Kinect reports of an exactly rendered frame: (height, width) metres, 0 = no measurement.
 
-
-def kinect_depth(
-    depth_m: NDArray[np.float32],
-    cos_incidence: NDArray[np.float32],
-    noise: KinectNoise,
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    """Exact depth (height, width) in metres to what the sensor reports; 0 = no measurement.
-
-    The published standard deviation was measured on real, that is quantised, depth. So the variance that
-    rounding adds (a step squared over 12) is taken off before the noise is drawn, and the sum has the
-    published value.
+    In this order, for each pixel:
+        1. Where the window of pixels that is matched straddles an edge, the surface that is measured is one
+           drawn from about the pixel (lateral noise), so that outlines are ragged.
+        2. No depth in the projector's shadow, out of range, in the blind columns, where the pattern's light
+           is too weak for the surface's albedo, incidence, distance and the sun, at grazing incidence, and
+           at some edges. The strength needed varies smoothly over the image, so that holes are blobs.
+        3. Some edge pixels mix the nearest and the farthest surface in 3x3 pixels, in disparity.
+        4. Distortion, axial noise, quantised disparity. The published standard deviation was measured on
+           real, that is quantised, depth. So the variance that rounding adds (a step squared over 12) is
+           taken off before the noise is drawn, and the sum has the published value.
 
     Args:
-        depth_m: exact depth along z, metres, 0 = nothing there.
-        cos_incidence: (height, width), cosine between ray and surface normal.
-        noise: parameters of the sensor.
-        rng: draws noise and drop-outs.
+        rendering: exact.
+        camera: that it was rendered with.
+        device: the Kinect.
+        rng: draws all noise of this frame.
     """
-    valid = depth_m > 0
-    z = np.where(valid, depth_m, 1.0).astype(np.float64)
-    # Beyond 85 degrees nothing is measured; the clip keeps the noise finite there.
-    incidence_rad = np.arccos(np.clip(cos_incidence.astype(np.float64), np.cos(np.radians(85)), 1.0))
-    variance = axial_sigma_m(z, incidence_rad) ** 2 - depth_step_m(z, noise) ** 2 / 12
-    noisy = z + rng.standard_normal(z.shape) * np.sqrt(np.maximum(variance, 0))
-    measured = quantise(np.maximum(noisy, 0.1), noise)
-    valid &= (z >= noise.min_range_m) & (z <= noise.max_range_m) & (measured <= noise.max_range_m)
-    valid &= rng.random(z.shape) >= _drop_share(depth_m, cos_incidence, noise)
-    return np.where(valid, measured, 0.0).astype(np.float32)
-
-
-def _drop_share(
-    depth_m: NDArray[np.float32], cos_incidence: NDArray[np.float32], noise: KinectNoise
-) -> NDArray[np.float32]:
-    """Probability (height, width) that a pixel gives no depth."""
     import cv2
 
-    around = np.ones((3, 3), np.uint8)
-    edge = cv2.dilate(depth_m, around) - cv2.erode(depth_m, around) > noise.edge_jump * depth_m
-    graze = np.clip(2 - 2 * cos_incidence / noise.graze_cos, 0, 1)
-    kept = (1 - noise.random_drop) * (1 - noise.edge_drop * edge) * (1 - graze)
-    return np.asarray(1 - kept, dtype=np.float32)
+    noise = device.noise
+    height, width = rendering.depth_m.shape
+    white = rng.standard_normal((height, width), dtype=np.float32)
+    smooth = _smooth_normal((height, width), noise.smooth_px, rng)
+    white *= np.float32(np.sqrt(1 - noise.smooth_share))
+    axial = white + np.float32(np.sqrt(noise.smooth_share)) * smooth
+    # Half the resolution will do for what decides where an edge or a hole lies.
+    half = ((height + 1) // 2, (width + 1) // 2)
+    right, down = (_smooth_normal(half, noise.smooth_px / 2, rng) for _ in range(2))
+    weak = _smooth_normal(half, noise.hole_px / 2, rng)
+    lit = projector_lit(rendering.depth_m, camera.fx * noise.baseline_m)
+    seen_m = rendering.depth_m * lit
+    window = np.ones((3, 3), np.uint8)
+    near = (cv2.erode(seen_m, window), cv2.dilate(seen_m, window))
+    wide = (cv2.erode(near[0], window), cv2.dilate(near[1], window))
+    source = displace(seen_m, wide, right, down, rendering.cos_incidence, noise)
+    surface = (rendering.cos_incidence, rendering.albedo)
+    settings = (noise, device.distortion_px, device.sunlight)
+    return np.asarray(sense(seen_m, near, source, surface, settings, (axial, weak)))
+
+
+def _smooth_normal(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> Float32:
+    """A field of normal variates of standard deviation 1, blurred."""
+    import cv2
+
+    reach = int(np.ceil(3 * blur_px))
+    kernel = cv2.getGaussianKernel(2 * reach + 1, blur_px)
+    # The sum of independent variates times weights has the weights' norm as standard deviation.
+    kernel /= np.linalg.norm(kernel)
+    # A border of variates of its own, since a mirrored one would change the spread there.
+    field = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32)
+    return np.asarray(cv2.sepFilter2D(field, -1, kernel, kernel)[reach:-reach, reach:-reach])

@@ -1,4 +1,4 @@
-"""The room around the subject: textured floor, walls, and clutter that does not touch it.
+"""What stands around the subject: a room or open ground, and clutter that hides nothing of it.
 
 Frame `room`: z up, floor at z = 0, the subject's origin at the room's origin.
 """
@@ -8,20 +8,40 @@ from typing import Literal
 
 import numpy as np
 
-from kinectbench.geometry import OrientedBox, transform_points
-from kinectbench.simulate.joinery import CLOTHS, WOODS, pick
-from kinectbench.simulate.solid import Mesh, Part, Solid, Vector3
+from kinectbench.geometry import OrientedBox, TriangleMesh
+from kinectbench.geometry.mesh import box_mesh
+from kinectbench.simulate.spec import SceneSettings
+from kinectbench.simulate.subject import Subject, Vector3
 
 Role = Literal["subject", "floor", "wall", "clutter"]
 
-HALF_ROOM_M = 4.0
 WALL_HEIGHT_M = 2.6
+WALL_CLEARANCE_M = 0.5
+THICK_M = 0.1
+GROUND_HALF_M = 15.0
 CLEARANCE_M = 0.6
+# A touching neighbour reaches this far into the subject's bounding box.
+TOUCH_M = 0.005
+FLOOR_RGB: tuple[Vector3, ...] = (
+    (0.62, 0.55, 0.46),
+    (0.45, 0.32, 0.22),
+    (0.55, 0.56, 0.58),
+    (0.40, 0.42, 0.40),
+)
+GROUND_RGB: tuple[Vector3, ...] = ((0.50, 0.50, 0.49), (0.36, 0.42, 0.26), (0.58, 0.50, 0.42))
+THING_RGB: tuple[Vector3, ...] = (
+    (0.72, 0.53, 0.34),
+    (0.62, 0.16, 0.15),
+    (0.18, 0.32, 0.55),
+    (0.25, 0.45, 0.28),
+    (0.75, 0.58, 0.20),
+    (0.30, 0.30, 0.33),
+)
 
 
 @dataclass(frozen=True)
 class Item:
-    """One closed mesh of the scene and how it looks.
+    """One mesh of the scene and how it looks.
 
     Attributes:
         role: what it is to the benchmark.
@@ -29,13 +49,15 @@ class Item:
         color_rgb: mean colour, each in [0, 1].
         contrast: strength of its texture in [0, 1].
         tile_m: size of tiles with dark joints, metres; 0 for none.
+        albedo: share of infrared light that it reflects, in [0, 1].
     """
 
     role: Role
-    mesh: Mesh
+    mesh: TriangleMesh
     color_rgb: Vector3
     contrast: float
     tile_m: float = 0.0
+    albedo: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -45,49 +67,120 @@ class Scene:
     items: tuple[Item, ...]
 
 
-def make_scene(subject: Solid, yaw_rad: float, rng: np.random.Generator) -> Scene:
-    """Put a subject, turned by `yaw_rad` about z, into a room drawn by `rng`.
+def make_scene(
+    subject: Subject, yaw_rad: float, reach_m: float, settings: SceneSettings, rng: np.random.Generator
+) -> Scene:
+    """Put a subject, turned by `yaw_rad` about z, into surroundings drawn by `rng`.
 
-    Clutter keeps at least 0.6 m away from the subject and stays low, so that it hides nothing of it.
+    Near clutter keeps 0.6 m away from the subject and stays low, tall clutter stands behind the camera's
+    path, so that neither hides anything of the subject. Own choices throughout.
+
+    Args:
+        subject: stands at the room's origin.
+        yaw_rad: its turn, radians.
+        reach_m: largest distance of the camera from the vertical through the origin, metres.
+        settings: what there is.
+        rng: draws the rest.
     """
     T_room_object = OrientedBox((0, 0, 0), (1, 1, 1), yaw_rad).T_floor_box
-    subjects = []
-    for part in subject.parts:
-        mesh = part.mesh()
-        turned = Mesh(transform_points(T_room_object, mesh.vertices), mesh.triangles)
-        subjects.append(Item("subject", turned, part.color_rgb, 0.25))
-    radius = float(np.linalg.norm(subject.mesh().vertices[:, :2], axis=1).max())
-    return Scene((*subjects, *_shell(rng), *_clutter(rng, radius)))
-
-
-def _shell(rng: np.random.Generator) -> list[Item]:
-    """Floor and two or three walls."""
-    half, thick = HALF_ROOM_M, 0.1
-    tint = float(rng.uniform(0.8, 1.0))
-    floor = Part("floor", "rectangle", (2 * half, 2 * half), (0, 0, -thick), (0, 0, 0))
-    items = [Item("floor", floor.mesh(), (0.62 * tint, 0.55 * tint, 0.46 * tint), 0.45, 0.28)]
+    mesh_room = subject.mesh.transformed(T_room_object)
+    radius_m = float(np.linalg.norm(mesh_room.vertices[:, :2], axis=1).max())
+    items = [
+        Item("subject", piece.mesh.transformed(T_room_object), piece.color_rgb, 0.25, albedo=piece.albedo)
+        for piece in subject.pieces
+    ]
+    outdoor = settings.place == "outdoor"
+    items.append(_ground(rng) if outdoor else _floor(rng))
+    walls = settings.walls
+    if walls is None:
+        walls = 0 if outdoor else int(rng.integers(2, 4))
+    wall_m = max(3.0, reach_m + WALL_CLEARANCE_M) + float(rng.uniform(0, 0.5))
     first = int(rng.integers(4))
-    for k in range(int(rng.integers(2, 4))):
-        turn, at = (first + k) * np.pi / 2, float(rng.uniform(3.0, 3.5))
-        middle = (at * float(np.cos(turn)), at * float(np.sin(turn)))
-        size = (thick, 2 * half)
-        wall = Part("wall", "rectangle", size, (*middle, 0.0), (*middle, WALL_HEIGHT_M), yaw_rad=turn)
-        gray = float(rng.uniform(0.7, 0.85))
-        items.append(Item("wall", wall.mesh(), (gray, gray, 0.92 * gray), 0.4))
+    for k in range(walls):
+        items += _wall((first + k) * np.pi / 2, wall_m, rng)
+    clutter = int(rng.integers(1, 3)) if settings.clutter is None else settings.clutter
+    items += _low_clutter(clutter, radius_m, rng)
+    if settings.touching:
+        items.append(_neighbour(mesh_room, rng))
+    return Scene(tuple(items))
+
+
+def _floor(rng: np.random.Generator) -> Item:
+    """An indoor floor: tiles, or a carpet or boards without joints."""
+    tile_m = float(rng.choice([0.28, 0.45, 0.0], p=[0.5, 0.2, 0.3]))
+    mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (16.0, 16.0, THICK_M)))
+    return Item("floor", mesh, _shaded(_pick(rng, FLOOR_RGB), rng), 0.45, tile_m)
+
+
+def _ground(rng: np.random.Generator) -> Item:
+    """Open ground: paving, lawn or sand."""
+    size = (2 * GROUND_HALF_M, 2 * GROUND_HALF_M, THICK_M)
+    tile_m = float(rng.choice([0.0, 0.4]))
+    return Item(
+        "floor", box_mesh(OrientedBox((0, 0, -THICK_M / 2), size)), _pick(rng, GROUND_RGB), 0.6, tile_m
+    )
+
+
+def _wall(turn_rad: float, at_m: float, rng: np.random.Generator) -> list[Item]:
+    """A wall in one direction, with a cabinet or two standing against it."""
+    gray = float(rng.uniform(0.7, 0.85))
+    outward = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
+    along = np.array([-outward[1], outward[0], 0.0])
+
+    def box(middle_m: float, aside_m: float, size: Vector3) -> TriangleMesh:
+        x, y, _ = (outward * middle_m + along * aside_m).tolist()
+        return box_mesh(OrientedBox((x, y, size[2] / 2), size, turn_rad))
+
+    wall = box(at_m + THICK_M / 2, 0.0, (THICK_M, 16.0, WALL_HEIGHT_M))
+    items = [Item("wall", wall, (gray, gray, 0.92 * gray), 0.25)]
+    for _ in range(int(rng.integers(1, 3))):
+        deep, wide, high = (
+            float(rng.uniform(0.25, 0.4)),
+            float(rng.uniform(0.5, 1.2)),
+            float(rng.uniform(0.6, 1.9)),
+        )
+        mesh = box(at_m - deep / 2, float(rng.uniform(-2.2, 2.2)), (deep, wide, high))
+        items.append(Item("clutter", mesh, _pick(rng, THING_RGB), 0.5))
     return items
 
 
-def _clutter(rng: np.random.Generator, subject_radius_m: float) -> list[Item]:
-    """One or two low boxes around the subject."""
+def _low_clutter(count: int, subject_radius_m: float, rng: np.random.Generator) -> list[Item]:
+    """Low boxes on the floor around the subject, evenly spread."""
     items = []
     start = float(rng.uniform(0, 2 * np.pi))
-    for k in range(int(rng.integers(1, 3))):
-        size = (float(rng.uniform(0.15, 0.35)), float(rng.uniform(0.15, 0.35)))
-        reach = subject_radius_m + CLEARANCE_M + float(np.hypot(*size)) / 2 + float(rng.uniform(0.0, 0.3))
-        turn = start + k * float(rng.uniform(1.5, 4.5))
-        middle = (reach * float(np.cos(turn)), reach * float(np.sin(turn)))
-        top = (*middle, float(rng.uniform(0.12, 0.3)))
-        yaw = float(rng.uniform(0, np.pi))
-        part = Part("clutter", "rectangle", size, (*middle, 0.0), top, yaw_rad=yaw)
-        items.append(Item("clutter", part.mesh(), pick(rng, CLOTHS + WOODS), 0.5))
+    for k in range(count):
+        long, deep, high = (
+            float(rng.uniform(0.15, 0.35)),
+            float(rng.uniform(0.15, 0.35)),
+            float(rng.uniform(0.12, 0.3)),
+        )
+        reach = (
+            subject_radius_m + CLEARANCE_M + float(np.hypot(long, deep)) / 2 + float(rng.uniform(0.0, 0.3))
+        )
+        turn = start + (k + float(rng.uniform(-0.3, 0.3))) * 2 * np.pi / count
+        x, y = reach * float(np.cos(turn)), reach * float(np.sin(turn))
+        box = OrientedBox((x, y, high / 2), (long, deep, high), float(rng.uniform(0, np.pi)))
+        items.append(Item("clutter", box_mesh(box), _pick(rng, THING_RGB), 0.5))
     return items
+
+
+def _neighbour(subject_room: TriangleMesh, rng: np.random.Generator) -> Item:
+    """A box that stands against the subject's outermost vertex in a random direction."""
+    turn = float(rng.uniform(0, 2 * np.pi))
+    outward = np.array([np.cos(turn), np.sin(turn)])
+    flat = subject_room.vertices[:, :2]
+    reached = flat[np.argmax(flat @ outward)]
+    size = (float(rng.uniform(0.2, 0.35)), float(rng.uniform(0.2, 0.35)), 0.0)
+    high = float(rng.uniform(0.5, 0.9)) * float(subject_room.vertices[:, 2].max())
+    x, y = (reached + outward * (size[0] / 2 - TOUCH_M)).tolist()
+    box = OrientedBox((x, y, high / 2), (size[0], size[1], high), turn)
+    return Item("clutter", box_mesh(box), _pick(rng, THING_RGB), 0.5)
+
+
+def _pick(rng: np.random.Generator, colors: tuple[Vector3, ...]) -> Vector3:
+    return colors[int(rng.integers(len(colors)))]
+
+
+def _shaded(color: Vector3, rng: np.random.Generator) -> Vector3:
+    tint = float(rng.uniform(0.8, 1.0))
+    return color[0] * tint, color[1] * tint, color[2] * tint

@@ -9,35 +9,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench import __version__
-from kinectbench.errors import RecordingError
-from kinectbench.geometry import Grid, invert_rigid, transform_points
-from kinectbench.simulate.solid import Mesh, Part, Solid
+from kinectbench.errors import KinectBenchError, RecordingError
+from kinectbench.geometry import Camera, Grid, TriangleMesh
+from kinectbench.sequence import GivenTrajectory
 from kinectbench.workspace import pretty_json
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+# Noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.
+DEPTH_SCALE = 5000.0
 
 
 @dataclass(frozen=True)
-class ObjectTruth:
-    """The exact subject and where it stands.
+class SurfaceTruth:
+    """Samples spread evenly over the object's surface, and how often the cameras saw them.
 
     Attributes:
-        solid: union of convex parts, object frame.
-        T_world_object: (4, 4) float64.
+        points_world: (m, 3) float64, metres.
+        normals_world: (m, 3) float64, unit, outward.
+        frames_seen: (m,) uint16, number of frames in which the point was in view and not hidden;
+            0 = the camera never saw it.
     """
 
-    solid: Solid
+    points_world: NDArray[np.float64]
+    normals_world: NDArray[np.float64]
+    frames_seen: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Everything that is known of a simulated recording. Frames count as in the recording that was written.
+
+    Attributes:
+        folder: where masks and depth lie.
+        subject: name of the object, such as "chair:seed=3".
+        origin: where its solid comes from and how it was closed.
+        mesh_world: the solid's surface: watertight, outward; world frame, metres.
+        T_world_object: (4, 4) float64; frame `object` has z up, the floor at z = 0.
+        camera: the depth camera.
+        stamps_ns: (n,) int64, the recorded depth stamps, in the order of the frames.
+        T_world_camera: (n, 4, 4) float64; NaN where a frame shows another scene.
+        surface: samples of the object's surface.
+    """
+
+    folder: Path
+    subject: str
+    origin: str
+    mesh_world: TriangleMesh
     T_world_object: NDArray[np.float64]
+    camera: Camera
+    stamps_ns: NDArray[np.int64]
+    T_world_camera: NDArray[np.float64]
+    surface: SurfaceTruth
 
-    def mesh_world(self) -> Mesh:
-        """The closed parts' meshes in the world frame, metres."""
-        mesh = self.solid.mesh()
-        return Mesh(transform_points(self.T_world_object, mesh.vertices), mesh.triangles)
-
+    @property
     def floor_plane_world(self) -> NDArray[np.float64]:
         """The floor [a, b, c, d] with unit normal upwards: `a x + b y + c z + d` is the height in metres."""
-        up = self.T_world_object[:3, 2]
-        return np.append(up, -up @ self.T_world_object[:3, 3])
+        return floor_plane(self.T_world_object)
+
+    def mask(self, index: int) -> NDArray[np.bool_]:
+        """The object's silhouette in a frame's depth image: (height, width) bool.
+
+        Raises:
+            RecordingError: it is missing or damaged.
+        """
+        return np.asarray(_image(self.folder / "masks" / f"{index:06d}.png") > 0)
+
+    def depth_m(self, index: int) -> NDArray[np.float32] | None:
+        """Noise-free depth of a frame in metres, 0 = none: (height, width) float32; None if none is stored.
+
+        Raises:
+            RecordingError: it is damaged.
+        """
+        if not (self.folder / "depth").is_dir():
+            return None
+        return _image(self.folder / "depth" / f"{index:06d}.png").astype(np.float32) / np.float32(DEPTH_SCALE)
+
+
+def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The plane z = 0 of frame `object` (4, 4) as [a, b, c, d] in the world, unit normal upwards."""
+    up = T_world_object[:3, 2]
+    return np.append(up, -up @ T_world_object[:3, 3])
 
 
 def truth_folder(recording: Path) -> Path:
@@ -45,98 +96,112 @@ def truth_folder(recording: Path) -> Path:
     return recording.with_name(f"{recording.name.removesuffix('.bag')}.truth")
 
 
-def write_object_truth(folder: Path, truth: ObjectTruth, description: dict[str, Any]) -> None:
-    """Write truth.json (with `description` in it), floor.json and object.ply into an existing folder."""
+def write_truth(truth: Truth, description: dict[str, Any]) -> None:
+    """Write all but the images into the truth's folder, which exists.
+
+    truth.json (with `description` in it), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the
+    same as TUM text, without frames of another scene), floor.json, object.ply (world frame), surface.npz
+    (`points_world`, `normals_world`, `frames_seen`).
+    """
+    from kinectbench.ingest.trajectory_file import trajectory_text
+    from kinectbench.mesh_file import write_ply
+    from kinectbench.voxels.npz import npz_bytes
+
+    camera = {name: getattr(truth.camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    known = np.isfinite(truth.T_world_camera).all(axis=(1, 2))
     record = {
         "format_version": FORMAT_VERSION,
         "package_version": __version__,
-        **description,
+        "subject": truth.subject,
+        "origin": truth.origin,
+        "camera": camera,
+        "depth_scale": DEPTH_SCALE,
         "T_world_object": truth.T_world_object.tolist(),
-        "parts": [part.to_json() for part in truth.solid.parts],
+        "frames": len(truth.stamps_ns),
+        "foreign_frames": np.flatnonzero(~known).tolist(),
+        **description,
     }
+    folder = truth.folder
     (folder / "truth.json").write_text(pretty_json(record))
-    plane = {"plane_world": truth.floor_plane_world().tolist()}
-    (folder / "floor.json").write_text(pretty_json(plane))
-    (folder / "object.ply").write_bytes(ply_bytes(truth.mesh_world()))
+    frames = {"stamps_ns": truth.stamps_ns, "T_world_camera": truth.T_world_camera}
+    (folder / "frames.npz").write_bytes(npz_bytes(frames))
+    posed = GivenTrajectory(truth.stamps_ns[known], truth.T_world_camera[known])
+    (folder / "trajectory.txt").write_text(trajectory_text(posed))
+    (folder / "floor.json").write_text(pretty_json({"plane_world": truth.floor_plane_world.tolist()}))
+    write_ply(truth.mesh_world, folder / "object.ply")
+    surface: dict[str, NDArray[Any]] = {
+        "points_world": truth.surface.points_world.astype(np.float32),
+        "normals_world": truth.surface.normals_world.astype(np.float32),
+        "frames_seen": truth.surface.frames_seen,
+    }
+    (folder / "surface.npz").write_bytes(npz_bytes(surface, level=6))
 
 
-def read_object_truth(folder: Path) -> ObjectTruth:
+def read_truth(folder: Path) -> Truth:
     """Read the truth that was written beside a simulated recording.
 
     Raises:
         RecordingError: there is none, it is damaged, or it has another format version.
     """
+    from kinectbench.mesh_file import read_ply
+    from kinectbench.voxels.npz import UNREADABLE, load_arrays
+
     path = folder / "truth.json"
     try:
         record = json.loads(path.read_text())
-        version = record["format_version"]
-        if version != FORMAT_VERSION:
-            raise RecordingError(f"{path}: format version {version}; this package reads {FORMAT_VERSION}")
-        parts = tuple(Part.from_json(part) for part in record["parts"])
-        T_world_object = np.array(record["T_world_object"], dtype=np.float64)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordingError(f"{path}: no readable truth ({error}); simulate the recording again") from error
-    if not parts or T_world_object.shape != (4, 4) or not np.isfinite(T_world_object).all():
-        raise RecordingError(f"{path}: no parts or no 4x4 T_world_object; simulate the recording again")
-    return ObjectTruth(Solid(parts), T_world_object)
-
-
-def truth_occupancy(folder: Path, grid: Grid) -> NDArray[np.bool_]:
-    """Which cell centres of a grid lie inside the true object: bool (grid.shape), exact.
-
-    Raises:
-        RecordingError: the folder holds no readable truth.
-    """
-    truth = read_object_truth(folder)
-    return solid_occupancy(truth.solid, truth.T_world_object, grid)
-
-
-def solid_occupancy(solid: Solid, T_world_object: NDArray[np.float64], grid: Grid) -> NDArray[np.bool_]:
-    """Which cell centres of a grid lie inside or on a solid: bool (grid.shape).
-
-    Along the grid's z axis a convex part is one interval, so a plane costs a column, not a cell (own rule).
-    """
-    occupied = np.zeros(grid.shape, dtype=np.bool_)
-    T_object_grid = invert_rigid(T_world_object) @ grid.T_world_grid
-    for part in solid.parts:
-        corners = (
-            transform_points(invert_rigid(T_object_grid), part.mesh().vertices) / grid.voxel_size_m - 0.5
+        if record["format_version"] != FORMAT_VERSION:
+            raise RecordingError(
+                f"{path}: format version {record['format_version']}; this package reads {FORMAT_VERSION}; "
+                "simulate the recording again"
+            )
+        frames, surface = load_arrays(folder / "frames.npz"), load_arrays(folder / "surface.npz")
+        return Truth(
+            folder=folder,
+            subject=str(record["subject"]),
+            origin=str(record["origin"]),
+            mesh_world=read_ply(folder / "object.ply"),
+            T_world_object=np.array(record["T_world_object"], dtype=np.float64).reshape(4, 4),
+            camera=Camera(**record["camera"]),
+            stamps_ns=frames["stamps_ns"].astype(np.int64),
+            T_world_camera=frames["T_world_camera"].astype(np.float64).reshape(-1, 4, 4),
+            surface=SurfaceTruth(
+                surface["points_world"].astype(np.float64),
+                surface["normals_world"].astype(np.float64),
+                surface["frames_seen"],
+            ),
         )
-        low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
-        high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 1, grid.shape)
-        if np.all(low < high):
-            planes_grid = part.planes() @ T_object_grid
-            box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-            occupied[box] |= _convex_occupancy(planes_grid, low, high, grid.voxel_size_m)
-    return occupied
+    except RecordingError:
+        raise
+    except (KinectBenchError, OSError, ValueError, KeyError, TypeError, IndexError, *UNREADABLE) as error:
+        raise RecordingError(f"{path}: no readable truth ({error}); simulate the recording again") from error
 
 
-def _convex_occupancy(
-    planes_grid: NDArray[np.float64], low: NDArray[np.int_], high: NDArray[np.int_], voxel_size_m: float
-) -> NDArray[np.bool_]:
-    """Which cells from `low` up to `high` have their centres within all planes (m, 4) of frame `grid`."""
-    x, y, z = ((np.arange(a, b) + 0.5) * voxel_size_m for a, b in zip(low, high, strict=True))
-    first = np.full((len(x), len(y)), -np.inf)
-    last = np.full((len(x), len(y)), np.inf)
-    for a, b, c, d in planes_grid:
-        outside_m = a * x[:, None] + b * y[None, :] + d
-        if abs(c) < 1e-12:
-            last[outside_m > 0] = -np.inf
-        elif c > 0:
-            np.minimum(last, -outside_m / c, out=last)
-        else:
-            np.maximum(first, -outside_m / c, out=first)
-    inside: NDArray[np.bool_] = (z >= first[..., None]) & (z <= last[..., None])
-    return inside
+def truth_occupancy(truth: Truth, grid: Grid) -> NDArray[np.bool_]:
+    """Which cell centres of a grid lie inside the true object: bool (grid.shape).
+
+    The grid's last side must be a multiple of 8.
+    """
+    return mesh_occupancy(truth.mesh_world, grid)
 
 
-def ply_bytes(mesh: Mesh) -> bytes:
-    """A mesh as a binary little-endian PLY file (float32 vertices): same mesh, same bytes."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(mesh.triangles), dtype=[("count", "u1"), ("indices", "<i4", 3)])
-    faces["count"], faces["indices"] = 3, mesh.triangles
-    return header.encode() + mesh.vertices.astype("<f4").tobytes() + faces.tobytes()
+def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
+    """Which cell centres of a grid lie inside a closed mesh (world frame): bool (grid.shape).
+
+    The grid's last side must be a multiple of 8.
+    """
+    from kinectbench.voxels.pair_file import unpack
+    from kinectbench.voxels.solid import voxelize_solid
+
+    return unpack(voxelize_solid(mesh_world.vertices, mesh_world.faces, grid))
+
+
+def _image(path: Path) -> NDArray[np.uint16] | NDArray[np.uint8]:
+    import cv2
+
+    try:
+        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except (OSError, cv2.error) as error:
+        raise RecordingError(f"{path}: missing or damaged; simulate the recording again") from error
+    if image is None:
+        raise RecordingError(f"{path}: damaged; simulate the recording again")
+    return np.asarray(image)

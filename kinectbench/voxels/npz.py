@@ -40,7 +40,8 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
             entry.external_attr = 0o644 << 16
             payload = io.BytesIO()
             np.lib.format.write_array(payload, np.asarray(array, order="C"), allow_pickle=False)
-            archive.writestr(entry, payload.getvalue())
+            # An entry written by its ZipInfo does not take the archive's level.
+            archive.writestr(entry, payload.getvalue(), compresslevel=level)
     return buffer.getvalue()
 
 

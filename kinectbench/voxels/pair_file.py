@@ -1,6 +1,6 @@
 """The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis."""
 
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,12 @@ from kinectbench.errors import PairError
 from kinectbench.geometry import Grid
 from kinectbench.voxels.npz import UNREADABLE, load_arrays
 from kinectbench.voxels.npz import npz_bytes as npz_bytes
+from kinectbench.voxels.packed_npz import packed_npz_bytes
 
 FORMAT_VERSION = 1
 FULL_CELLS = 256
 PARTIAL_CELLS = 64
 BLOCK = FULL_CELLS // PARTIAL_CELLS
-# Deflate level: higher ones take twice the time for a few per cent.
-PAIR_LEVEL = 3
 
 Bools = NDArray[np.bool_]
 Packed = NDArray[np.uint8]
@@ -28,7 +27,7 @@ PACKED_SHAPES = {
     **dict.fromkeys(PACKED_256, (FULL_CELLS, FULL_CELLS, FULL_CELLS // 8)),
 }
 NUMBERS = ("voxel_size_m", "surface_sigma_m")
-TEXTS = ("framing", "partial_rule")
+TEXTS = ("framing", "partial_rule", "occupancy_rule")
 
 
 @dataclass(frozen=True)
@@ -50,6 +49,9 @@ class Pair:
         surface_sigma_m: standard deviation of the truth's surface, metres.
         framing: "object" or "view".
         partial_rule: "any" or "majority".
+        occupancy_rule: what makes a cell of `full` occupied: "winding" (its centre is inside a closed
+            mesh) or "six-rays" (the authors' rule for meshes that are not watertight); files without
+            the key are "winding".
     """
 
     partial: Packed
@@ -65,6 +67,7 @@ class Pair:
     surface_sigma_m: float
     framing: str
     partial_rule: str
+    occupancy_rule: str = "winding"
 
     @property
     def grid(self) -> Grid:
@@ -86,7 +89,7 @@ def pair_bytes(pair: Pair) -> bytes:
     """Serialise a pair as a compressed npz, the same bytes every time (np.savez stamps the time of day)."""
     arrays: dict[str, NDArray[np.generic]] = {f.name: np.asarray(getattr(pair, f.name)) for f in fields(pair)}
     arrays["format_version"] = np.asarray(FORMAT_VERSION)
-    return npz_bytes(arrays, level=PAIR_LEVEL)
+    return packed_npz_bytes(arrays)
 
 
 def read_pair(path: Path) -> Pair:
@@ -99,6 +102,9 @@ def read_pair(path: Path) -> Pair:
         values = load_arrays(path)
     except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
+    for field in fields(Pair):
+        if field.default is not MISSING:
+            values.setdefault(field.name, np.asarray(field.default))
     missing = [f.name for f in fields(Pair) if f.name not in values]
     if missing:
         raise PairError(f"{path}: not a pair file: the keys {', '.join(missing)} are missing")

@@ -8,9 +8,9 @@ import trimesh
 
 from kinectbench.errors import StorageError
 from kinectbench.fusion.blocks import blocks_of_grid, empty_volume
-from kinectbench.fusion.mesh import BRICK_BLOCKS, TriangleMesh, extract_mesh, isosurface
-from kinectbench.fusion.mesh_file import read_ply, write_ply
-from kinectbench.geometry import Grid, rigid, rotation_from_quaternion_xyzw, transform_points
+from kinectbench.fusion.mesh import BRICK_BLOCKS, extract_mesh, isosurface
+from kinectbench.geometry import Grid, TriangleMesh, rigid, rotation_from_quaternion_xyzw, transform_points
+from kinectbench.mesh_file import read_ply, write_ply
 
 
 def distance_field(shape, center, radius):

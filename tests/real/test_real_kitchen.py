@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from kinectbench.config import BenchmarkSettings
-from kinectbench.fusion.mesh_file import read_ply
 from kinectbench.geometry import transform_points
+from kinectbench.mesh_file import read_ply
 from kinectbench.pipeline import Outcome, build_recording
 from kinectbench.shape.object_folder import read_object
 from kinectbench.shape.object_model import ObjectModel

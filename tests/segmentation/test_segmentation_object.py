@@ -12,8 +12,7 @@ from analytic_scenes import plane as plane_surface
 from kinectbench.config import FusionSettings, SegmentationSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.fusion import fuse
-from kinectbench.fusion.mesh import TriangleMesh
-from kinectbench.geometry import Grid, OrientedBox, rigid, transform_points
+from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask

@@ -14,7 +14,6 @@ from kinectbench.segmentation.floor import Floor, floor_frame
 from kinectbench.shape.labels import Label
 from kinectbench.shape.object_folder import read_object, write_object
 from kinectbench.shape.object_model import FLOOR_LAYERS, MARGIN_M, object_grid
-from kinectbench.simulate.truth import solid_occupancy
 
 pytestmark = pytest.mark.xdist_group("chair_model")
 FLOOR = Floor(np.array([0.0, 0, 1, 0.3]), floor_frame(np.array([0.0, 0, 1, 0.3])), 0.001, 0.5)
@@ -26,9 +25,8 @@ def chair() -> Chair:
 
 
 def test_the_solid_is_the_true_chair(chair):
-    truth = chair.recorded.simulation.truth
     shape = chair.model.shape
-    true = solid_occupancy(truth.solid, truth.T_world_object, shape.grid)
+    true = chair.recorded.occupancy(shape.grid)
     iou = (shape.solid & true).sum() / (shape.solid | true).sum()
     assert iou > 0.78  # voxels of 8 mm, 24 noisy frames
     sure = np.isin(shape.labels, [Label.FREE, Label.SURFACE, Label.INTERIOR])
@@ -37,18 +35,15 @@ def test_the_solid_is_the_true_chair(chair):
 
 
 def test_the_floor_is_the_true_floor(chair):
-    true = chair.recorded.simulation.truth.floor_plane_world()
+    true = chair.recorded.floor_plane_world
     found = chair.model.floor.plane_world
     assert np.degrees(np.arccos(min(1.0, float(true[:3] @ found[:3])))) < 0.4
-    under = chair.recorded.simulation.truth.T_world_object[:3, 3]
+    under = chair.recorded.T_world_object[:3, 3]
     assert abs(found[:3] @ under + found[3]) < 0.005
 
 
 def test_the_box_holds_the_chair(chair):
-    truth = chair.recorded.simulation.truth
-    corners = transform_points(
-        chair.model.floor.T_floor_world @ truth.T_world_object, truth.solid.mesh().vertices
-    )
+    corners = transform_points(chair.model.floor.T_floor_world, chair.recorded.mesh_world.vertices)
     assert chair.model.box.grown(0.03).contains(corners).mean() > 0.99
     assert chair.model.box.size_m[2] == pytest.approx(corners[:, 2].max(), abs=0.02)
     json.dumps(chair.model.quality, allow_nan=False)
@@ -77,8 +72,8 @@ def test_the_surround_holds_every_cube(chair):
 
 def test_surround_agrees_with_the_truth(chair):
     """Nothing of the chair is free, and below the floor nothing is."""
-    model, truth = chair.model, chair.recorded.simulation.truth
-    true = solid_occupancy(truth.solid, truth.T_world_object, model.surround)
+    model = chair.model
+    true = chair.recorded.occupancy(model.surround)
     assert (model.surround_labels[true] == Label.FREE).mean() < 0.1
     index = np.argwhere(model.surround_labels == Label.FREE)
     points = transform_points(

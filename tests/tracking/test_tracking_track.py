@@ -6,13 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from analytic_scenes import Furniture, displaced, furniture
+from analytic_scenes import Furniture, displaced, furniture, small_spec
 
 from kinectbench.config import TrackingSettings
 from kinectbench.errors import KinectBenchError, StorageError, TrackingError
 from kinectbench.geometry import rigid
 from kinectbench.sequence import GivenTrajectory
-from kinectbench.simulate.simulate import SimulationSpec
 from kinectbench.tracking import Trajectory, track
 from kinectbench.tracking.agreement import measure_agreement
 from kinectbench.tracking.given import poses_at
@@ -25,7 +24,7 @@ WRONG = 11
 
 @pytest.fixture(scope="module")
 def chair() -> Furniture:
-    return furniture(SimulationSpec("chair", seed=3, frames=24, arc_rad=3.0))
+    return furniture(small_spec("couch:seed=4", 24, seed=1, arc_rad=3.0))
 
 
 def with_poses(chair: Furniture, poses: np.ndarray) -> Furniture:
@@ -177,7 +176,7 @@ def test_frames_outside_the_trajectory_are_lost(chair):
 
 
 def test_odometry_is_said_to_drift():
-    slow = furniture(SimulationSpec("chair", seed=3, frames=300), frames=8)
+    slow = furniture(small_spec("chair:seed=3", 300), frames=8)
     trajectory = track(slow.sequence, "ignore", SETTINGS)
     assert trajectory.source == "odometry"
     assert any("drifts" in warning for warning in trajectory.health["warnings"])
@@ -197,7 +196,7 @@ def test_odometry_that_loses_the_camera_says_where(chair):
 
 
 def test_frames_after_the_camera_was_lost_are_left_out():
-    slow = furniture(SimulationSpec("chair", seed=3, frames=300), frames=6)
+    slow = furniture(small_spec("chair:seed=3", 300), frames=6)
     depth = [*slow.sequence.frames.depth[:4], *(frame * 0 for frame in slow.sequence.frames.depth[4:])]
     blind = replace(slow.sequence, frames=replace(slow.sequence.frames, depth=depth))
     trajectory = track(blind, "ignore", SETTINGS)

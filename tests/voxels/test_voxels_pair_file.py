@@ -12,6 +12,7 @@ from kinectbench.errors import PairError, StorageError
 from kinectbench.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.voxels.morphology import shell_of
 from kinectbench.voxels.npz import npz_bytes, read_npz
+from kinectbench.voxels.packed_npz import packed_npz_bytes
 from kinectbench.voxels.pair_file import Pair, pack, pair_bytes, read_pair, unpack
 
 
@@ -168,3 +169,41 @@ def test_damaged_files(pair, tmp_path: Path, damage: str, reader):
     with pytest.raises((PairError, StorageError), match=r"000\.npz") as caught:
         reader(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_an_occupancy_rule_is_by_winding(pair, stored, tmp_path: Path):
+    """Files of before the key was added."""
+    path = tmp_path / "old.npz"
+    path.write_bytes(npz_bytes({name: value for name, value in stored.items() if name != "occupancy_rule"}))
+    assert read_pair(path).occupancy_rule == "winding"
+    path.write_bytes(pair_bytes(replace(pair, occupancy_rule="six-rays")))
+    assert read_pair(path).occupancy_rule == "six-rays"
+    path.write_bytes(npz_bytes({**stored, "occupancy_rule": np.asarray(3)}))
+    with pytest.raises(PairError, match="'occupancy_rule' is not a text"):
+        read_pair(path)
+
+
+@pytest.mark.parametrize("value", [None, 0, 255])
+def test_packed_npz_is_a_sound_zip_that_numpy_opens(value: int | None):
+    grid = np.random.default_rng(0).integers(0, 3, (16, 16, 4)).astype(np.uint8)
+    arrays = {
+        "grid": grid if value is None else np.full_like(grid, value),
+        "fortran": np.arange(12.0).reshape(3, 4).T,
+        "text": np.asarray("näh"),
+        "none": np.zeros((0, 3), np.uint8),
+    }
+    data = packed_npz_bytes(arrays)
+    assert data == packed_npz_bytes(arrays)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.testzip() is None
+        assert archive.namelist() == [f"{name}.npy" for name in arrays]
+        assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        for name, values in arrays.items():
+            np.testing.assert_array_equal(archive[name], values)
+            assert archive[name].dtype == values.dtype
+
+
+def test_npz_level_counts():
+    values = {"a": np.random.default_rng(0).integers(0, 3, 40000).astype(np.uint8)}
+    assert len(npz_bytes(values, level=9)) < len(npz_bytes(values, level=1))

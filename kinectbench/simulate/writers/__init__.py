@@ -1,21 +1,41 @@
 """Writers of recordings: one file per format, and one line here.
 
-A writer gets where to write, the camera and the frames, and writes them; it never sees the truth.
+A writer gets where to write, the cameras and the frames, and writes them; it never sees the truth.
 """
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from kinectbench.geometry import Camera
-from kinectbench.simulate.writers.frame import RecordedFrame
-from kinectbench.simulate.writers.rosbag1 import write_rosbag1
-from kinectbench.simulate.writers.tum import write_tum
+from kinectbench.simulate.spec import Format
+from kinectbench.simulate.writers.camera_text import camera_json
+from kinectbench.simulate.writers.cut import cut
+from kinectbench.simulate.writers.folder import write_folder
+from kinectbench.simulate.writers.frame import RecordedFrame, Rig
+from kinectbench.simulate.writers.rosbag1 import write_rosbag1, write_rosbag1_compressed
+from kinectbench.simulate.writers.seven_scenes import write_seven_scenes
+from kinectbench.simulate.writers.stamps import stamp_as_read
+from kinectbench.simulate.writers.tum import tum_line, write_tum
 
-Writer = Callable[[Path, Camera, Iterable[RecordedFrame]], None]
+Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
 
-WRITERS: dict[str, Writer] = {
+# A writer fills an empty folder; those of BAGS make a file that does not exist yet.
+WRITERS: dict[Format, Writer] = {
     "tum": write_tum,
+    "7scenes": write_seven_scenes,
+    "folder": write_folder,
     "bag": write_rosbag1,
+    "bag_compressed": write_rosbag1_compressed,
 }
+BAGS: frozenset[Format] = frozenset({"bag", "bag_compressed"})
 
-__all__ = ["WRITERS", "RecordedFrame", "Writer", "write_rosbag1", "write_tum"]
+__all__ = [
+    "BAGS",
+    "WRITERS",
+    "RecordedFrame",
+    "Rig",
+    "Writer",
+    "camera_json",
+    "cut",
+    "stamp_as_read",
+    "tum_line",
+]

@@ -1,11 +1,30 @@
-"""One frame as a recorder gets it, and its encoded images."""
+"""What a recorder gets: the rig of cameras, and one frame after another with its encoded images."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.geometry import Camera
+
 JPEG_QUALITY = 85
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The cameras that record together.
+
+    Attributes:
+        depth: intrinsics of the depth images.
+        color: intrinsics of the colour images.
+        color_registered: colour pixels lie on depth pixels; then `color` equals `depth`.
+        T_color_depth: (4, 4), depth camera to colour camera.
+    """
+
+    depth: Camera
+    color: Camera
+    color_registered: bool
+    T_color_depth: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -13,16 +32,18 @@ class RecordedFrame:
     """What the sensor delivers at one time.
 
     Attributes:
-        stamp_ns: time of depth and colour, nanoseconds.
+        stamp_ns: time of depth as recorded, nanoseconds.
         depth_m: (height, width) float32, metres along z, 0 = no measurement.
-        color_rgb: (height, width, 3) uint8, registered to depth.
-        T_world_camera: (4, 4) float64, optical camera axes.
+        color_stamp_ns: time of colour as recorded, nanoseconds.
+        color_rgb: (height, width, 3) uint8, the rig's colour camera.
+        T_world_camera: (4, 4) float64 as given with the recording, depth camera, optical axes; or None.
     """
 
     stamp_ns: int
     depth_m: NDArray[np.float32]
+    color_stamp_ns: int
     color_rgb: NDArray[np.uint8]
-    T_world_camera: NDArray[np.float64]
+    T_world_camera: NDArray[np.float64] | None
 
     def depth_native(self, depth_scale: float) -> NDArray[np.uint16]:
         """Depth in native units, `round(metres * depth_scale)`; what does not fit is no measurement."""
@@ -40,9 +61,11 @@ class RecordedFrame:
 
 
 def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    """A one-channel image (height, width) as a PNG file."""
+    """An image (height, width), or (height, width, 3) in blue, green, red, as a PNG file."""
     import cv2
 
-    ok, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    # A fixed filter and a low level: a third of the time of the defaults on noisy depth, 15 % more bytes.
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 3, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
+    ok, encoded = cv2.imencode(".png", image, options)
     assert ok
     return bytes(encoded)

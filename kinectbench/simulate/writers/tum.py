@@ -6,43 +6,47 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, quaternion_xyzw_from_rotation
-from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes
+from kinectbench.geometry import quaternion_xyzw_from_rotation
+from kinectbench.ingest.stamps import format_stamp
+from kinectbench.simulate.writers.camera_text import camera_json, color_json
+from kinectbench.simulate.writers.frame import RecordedFrame, Rig, png_bytes
 from kinectbench.workspace import pretty_json
 
 DEPTH_SCALE = 5000.0
+HEADERS = {
+    "rgb": "# timestamp filename",
+    "depth": "# timestamp filename",
+    "groundtruth": "# timestamp tx ty tz qx qy qz qw",
+}
 
 
-def write_tum(folder: Path, camera: Camera, frames: Iterable[RecordedFrame]) -> None:
+def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a recording into an empty folder: rgb.txt, depth.txt, groundtruth.txt, camera.json, rgb/, depth/.
 
-    `camera.json` holds width, height, fx, fy, cx, cy and depth_scale, which TUM folders by themselves do
-    not say.
+    The lists are in the order of the frames, colour with its own stamps. A frame without a pose has no row
+    in groundtruth.txt, which is not there at all if no frame has one. `camera.json` holds what TUM folders by
+    themselves do not say: width, height, fx, fy, cx, cy, depth_scale, and what `color_json` says of colour.
     """
-    (folder / "rgb").mkdir()
-    (folder / "depth").mkdir()
-    rgb, depth = ["# timestamp filename"], ["# timestamp filename"]
-    poses = ["# timestamp tx ty tz qx qy qz qw"]
+    rows = {name: [header] for name, header in HEADERS.items()}
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir()
     for frame in frames:
-        stamp = seconds(frame.stamp_ns)
-        (folder / "rgb" / f"{stamp}.jpg").write_bytes(frame.color_jpeg())
-        (folder / "depth" / f"{stamp}.png").write_bytes(png_bytes(frame.depth_native(DEPTH_SCALE)))
-        rgb.append(f"{stamp} rgb/{stamp}.jpg")
-        depth.append(f"{stamp} depth/{stamp}.png")
-        poses.append(tum_line(frame.stamp_ns, frame.T_world_camera))
-    for name, lines in (("rgb", rgb), ("depth", depth), ("groundtruth", poses)):
+        depth = png_bytes(frame.depth_native(DEPTH_SCALE))
+        rows["depth"].append(_add_image(folder, "depth", frame.stamp_ns, ".png", depth))
+        rows["rgb"].append(_add_image(folder, "rgb", frame.color_stamp_ns, ".jpg", frame.color_jpeg()))
+        if frame.T_world_camera is not None:
+            rows["groundtruth"].append(tum_line(frame.stamp_ns, frame.T_world_camera))
+    if len(rows["groundtruth"]) == 1:
+        del rows["groundtruth"]
+    for name, lines in rows.items():
         (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
-    (folder / "camera.json").write_text(pretty_json(camera_json(camera) | {"depth_scale": DEPTH_SCALE}))
-
-
-def camera_json(camera: Camera) -> dict[str, float]:
-    """Size and intrinsics in pixels as plain JSON values."""
-    return {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    camera = camera_json(rig.depth) | {"depth_scale": DEPTH_SCALE} | color_json(rig)
+    (folder / "camera.json").write_text(pretty_json(camera))
 
 
 def seconds(stamp_ns: int) -> str:
-    """A time stamp in seconds with six decimals, as TUM writes it."""
-    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9 // 1000:06d}"
+    """A time stamp in seconds with six decimals, as TUM writes it; what is below 1 µs is cut off."""
+    return format_stamp(stamp_ns // 1000 * 1000)[:-3]
 
 
 def tum_line(stamp_ns: int, T_world_camera: NDArray[np.float64]) -> str:
@@ -50,3 +54,14 @@ def tum_line(stamp_ns: int, T_world_camera: NDArray[np.float64]) -> str:
     quaternion_xyzw = quaternion_xyzw_from_rotation(T_world_camera[:3, :3])
     numbers = [*T_world_camera[:3, 3], *quaternion_xyzw]
     return " ".join([seconds(stamp_ns), *(f"{value:.9f}" for value in numbers)])
+
+
+def _add_image(folder: Path, name: str, stamp_ns: int, suffix: str, data: bytes) -> str:
+    """Write one image into `folder / name`, named by its stamp; its row of the list, `stamp file`."""
+    stamp = seconds(stamp_ns)
+    file, copies = folder / name / f"{stamp}{suffix}", 1
+    while file.exists():  # stamps may repeat, and every frame is kept
+        copies += 1
+        file = folder / name / f"{stamp}_{copies}{suffix}"
+    file.write_bytes(data)
+    return f"{stamp} {name}/{file.name}"

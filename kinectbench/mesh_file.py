@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.errors import StorageError
-from kinectbench.fusion.mesh import TriangleMesh
+from kinectbench.geometry import TriangleMesh
 
 
 def write_ply(mesh: TriangleMesh, path: Path) -> None:

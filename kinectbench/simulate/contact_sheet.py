@@ -1,0 +1,119 @@
+"""Contact sheets: shaded pictures of many pieces of furniture side by side, to be judged by eye."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import StorageError
+from kinectbench.geometry.mesh import join
+from kinectbench.report.pictures import LIGHT, PAPER, fit_viewpoint, look_along
+from kinectbench.simulate.furniture import FAMILIES, make_object
+from kinectbench.simulate.subject import Subject
+
+COLUMNS = 4
+LABEL_PX = 22
+SUPERSAMPLING = 2
+# From the front, the right and above.
+FORWARD = np.array([-0.55, -0.8, -0.42])
+
+
+def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
+    """Draw a subject's pieces in their colours, seen from its front, in parallel projection.
+
+    Args:
+        subject: what to draw.
+        size_px: edge of the picture.
+
+    Returns:
+        (size_px, size_px, 3) uint8 RGB.
+    """
+    import cv2
+    import open3d as o3d
+
+    whole = join([piece.mesh for piece in subject.pieces])
+    view = fit_viewpoint(whole.vertices, look_along(FORWARD, np.array([0.0, 0.0, 1.0])))
+    scene, tensor = o3d.t.geometry.RaycastingScene(nthreads=1), o3d.core.Tensor.from_numpy
+    for piece in subject.pieces:
+        mesh = piece.mesh
+        scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.faces.astype(np.uint32)))
+    fine_px = size_px * SUPERSAMPLING
+    offset_m = ((np.arange(fine_px) + 0.5) / fine_px * 2 - 1) * view.half_m
+    right, down, forward = view.R_frame_view.T
+    rays = np.empty((fine_px, fine_px, 6), np.float32)
+    start = view.center_m - view.depth_m * forward
+    rays[..., :3] = start + offset_m[None, :, None] * right + offset_m[:, None, None] * down
+    rays[..., 3:] = forward
+    hits = scene.cast_rays(tensor(rays), nthreads=1)
+    hit = np.isfinite(hits["t_hit"].numpy())
+    normals_view = hits["primitive_normals"].numpy().astype(np.float64) @ view.R_frame_view
+    normals_view *= np.where(normals_view[..., 2:] > 0, -1.0, 1.0)
+    shade = 0.5 + 0.55 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
+    colors = np.array([piece.color_rgb for piece in subject.pieces] + [(0.0, 0.0, 0.0)]) * 255
+    which = np.where(hit, hits["geometry_ids"].numpy(), len(subject.pieces)).astype(np.intp)
+    # Black pieces are drawn a little lighter, so that their shape can be seen.
+    drawn = np.where(hit[..., None], (25 + 0.9 * colors[which]) * shade[..., None], np.array(PAPER))
+    drawn_u8 = np.clip(drawn, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.resize(drawn_u8, (size_px, size_px), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
+    """Draw pieces of furniture of one family, each with its name and height below.
+
+    Args:
+        family: one of `FAMILIES`.
+        seeds: one picture each, four in a row.
+        size_px: edge of one picture.
+
+    Returns:
+        (rows * (size_px + 22), 4 * size_px, 3) uint8 RGB.
+
+    Raises:
+        SettingsError: there is no such family.
+    """
+    import cv2
+
+    rows = -(-len(seeds) // COLUMNS)
+    step_px = size_px + LABEL_PX
+    sheet = np.empty((rows * step_px, COLUMNS * size_px, 3), np.uint8)
+    sheet[:] = PAPER
+    for at, seed in enumerate(seeds):
+        subject = make_object(family, seed)
+        top, left = at // COLUMNS * step_px, at % COLUMNS * size_px
+        sheet[top : top + size_px, left : left + size_px] = picture(subject, size_px)
+        width, depth, height = (np.ptp(subject.mesh.vertices, axis=0) * 100).round().astype(int).tolist()
+        label = f"{subject.name}  {width} x {depth} x {height} cm"
+        where = (left + 6, top + size_px + 14)
+        cv2.putText(sheet, label, where, cv2.FONT_HERSHEY_SIMPLEX, 0.38, (70, 70, 70), 1, cv2.LINE_AA)
+    return sheet
+
+
+def write_contact_sheets(folder: Path, count: int = 12, size_px: int = 280) -> list[Path]:
+    """Write a PNG of the first objects of each family, `FAMILY.png`, into a folder.
+
+    Args:
+        folder: is made if it is not there.
+        count: seeds 0 to count - 1.
+        size_px: edge of one picture.
+
+    Returns:
+        The files, in the order of `FAMILIES`.
+
+    Raises:
+        StorageError: a file cannot be written.
+    """
+    import cv2
+
+    paths = [folder / f"{family}.png" for family in FAMILIES]
+    for family, path in zip(FAMILIES, paths, strict=True):
+        sheet = contact_sheet(family, range(count), size_px)
+        encoded = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(encoded.tobytes())
+        except OSError as error:
+            raise StorageError(
+                f"{path}: cannot be written ({error.strerror}); choose another folder"
+            ) from error
+    return paths

@@ -1,0 +1,21 @@
+"""What becomes of a frame's stamp in each format."""
+
+from kinectbench.simulate.spec import Format
+
+NS_PER_S = 10**9
+
+
+def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
+    """The stamp in nanoseconds under which a reader finds a frame (own rule).
+
+    Bags keep stamps, TUM folders keep microseconds. 7-Scenes and plain folders have none: there a frame's
+    number counts seconds.
+
+    Args:
+        file_format: of the recording.
+        index: the frame's place among those that were written, from 0.
+        stamp_ns: of the frame as written, nanoseconds.
+    """
+    if file_format in ("7scenes", "folder"):
+        return index * NS_PER_S
+    return stamp_ns // 1000 * 1000 if file_format == "tum" else stamp_ns

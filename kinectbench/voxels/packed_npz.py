@@ -1,0 +1,61 @@
+"""npz files of bit-packed grids, faster than by zipfile: long runs of equal bytes, often nothing else."""
+
+import io
+import struct
+import zlib
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# The version that reads it, flags, deflate, and midnight of 1 January 1980.
+_KIND = struct.pack("<5H", 20, 0, 8, 0, 1 << 5 | 1)
+# Written on Unix, as a file that all may read.
+_MADE_BY, _ATTRIBUTES = struct.pack("<H", 3 << 8 | 20), struct.pack("<3HI", 0, 0, 0, 0o644 << 16)
+
+
+def packed_npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The same as `npz_bytes`, with matches of runs only (zlib's Z_RLE).
+
+    On packed solids it takes two thirds of the time of level 3 for the same size. The layout is that of
+    PKWARE's APPNOTE, sections 4.3.7 (local header), 4.3.12 (directory) and 4.3.16 (its end).
+
+    Args:
+        arrays: name -> array, written in this order; below 4 GiB in all.
+    """
+    parts, directory, offset = list[bytes](), list[bytes](), 0
+    for name, array in arrays.items():
+        sizes, data = _entry(np.asarray(array, order="C"))
+        filename = f"{name}.npy".encode()
+        facts = _KIND + sizes + struct.pack("<2H", len(filename), 0)
+        local = b"PK\3\4" + facts + filename
+        directory += [b"PK\1\2", _MADE_BY, facts, _ATTRIBUTES, struct.pack("<I", offset), filename]
+        parts += [local, data]
+        offset += len(local) + len(data)
+    listing = b"".join(directory)
+    end = struct.pack("<4H2IH", 0, 0, len(arrays), len(arrays), len(listing), offset, 0)
+    return b"".join([*parts, listing, b"PK\5\6", end])
+
+
+def _entry(array: NDArray[Any]) -> tuple[bytes, bytes]:
+    """An array's checksum and sizes as a zip file states them, and its compressed npy file."""
+    if array.dtype == np.uint8 and array.size and (array == array.flat[0]).all():
+        return _constant_entry(array.shape, int(array.flat[0]))
+    return _deflated(array)
+
+
+@lru_cache(maxsize=8)
+def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
+    """`known` of most synthetic pairs, over and over."""
+    return _deflated(np.full(shape, value, np.uint8))
+
+
+def _deflated(array: NDArray[Any]) -> tuple[bytes, bytes]:
+    payload = io.BytesIO()
+    np.lib.format.write_array(payload, array, allow_pickle=False)
+    raw = payload.getbuffer()
+    squeezer = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, zlib.Z_RLE)
+    data = squeezer.compress(raw) + squeezer.flush()
+    return struct.pack("<3I", zlib.crc32(raw), len(data), len(raw)), data
