@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from figures import Figure, arguments, at_most, run, told
+from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera, OrientedBox, TriangleMesh, rigid
 from kinectbench.geometry.mesh import box_mesh, join
@@ -19,9 +20,11 @@ from kinectbench.simulate.kinect import draw_device, measure
 from kinectbench.simulate.path import look_at
 from kinectbench.simulate.render import Renderer
 from kinectbench.simulate.scene import make_scene
+from kinectbench.simulate.simulate import SURFACE_SAMPLES
 from kinectbench.simulate.spec import SceneSettings
 from kinectbench.simulate.subject import Piece, Subject
 from kinectbench.simulate.texture import make_texture
+from kinectbench.simulate.visibility import Visibility, sample_surface
 from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -30,8 +33,8 @@ BAR_S = 0.25
 TURN_RAD = 0.01
 
 
-def make_renderer() -> Renderer:
-    """A seat on four legs with a back, and a finely meshed ball on the seat, in a room."""
+def make_rendered() -> tuple[Renderer, Visibility, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """A seat on four legs with a back, and a finely meshed ball on the seat, in a room; and its samples."""
     import trimesh
 
     boxes = [((0, 0, 0.45), (0.45, 0.45, 0.04)), ((0, 0.2, 0.7), (0.4, 0.03, 0.45))]
@@ -43,7 +46,9 @@ def make_renderer() -> Renderer:
     pieces.append(Piece("ball", mesh, (0.1, 0.1, 0.1), 0.05))
     subject = Subject("scene", tuple(pieces), join([piece.mesh for piece in pieces]), "made here")
     rng = np.random.default_rng(0)
-    return Renderer(make_scene(subject, 0.4, 1.8, SceneSettings(), rng), make_texture(rng))
+    scene = make_scene(subject, 0.4, 1.8, SceneSettings(), rng)
+    samples = sample_surface(subject.mesh.vertices, subject.mesh.faces, SURFACE_SAMPLES, rng)
+    return Renderer(scene, make_texture(rng)), Visibility(scene), samples
 
 
 def cpu_s(stage: Callable[[int], object]) -> float:
@@ -60,7 +65,8 @@ def cpu_s(stage: Callable[[int], object]) -> float:
 def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
     """Time the stages of a frame, then add them up."""
     del options
-    renderer, T_room_camera = make_renderer(), look_at(np.array([1.2, -1.0, 1.2]), np.array([0, 0, 0.45]))
+    renderer, visibility, samples = make_rendered()
+    T_room_camera = look_at(np.array([1.2, -1.0, 1.2]), np.array([0, 0, 0.45]))
     T_room_color = T_room_camera @ rigid(np.eye(3), np.array([0.025, 0, 0]))
     exact = renderer.render(CAMERA, T_room_camera)
     device = draw_device(CAMERA, 1.0, 0.0, np.random.default_rng(1))
@@ -77,7 +83,8 @@ def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
     color_s = cpu_s(lambda i: expose(exact, CAMERA, poses, 1.1, np.random.default_rng(i)))
     record_s = cpu_s(lambda i: (png_bytes(frame.depth_native(5000)), frame.color_jpeg()))
     truth_s = cpu_s(lambda i: (png_bytes(true_mm), png_bytes(exact.mask.astype(np.uint8) * np.uint8(255))))
-    registered_s = render_s + noise_s + color_s + record_s + truth_s
+    seen_s = cpu_s(lambda i: visibility.visible(*samples, CAMERA, T_room_camera))
+    registered_s = render_s + noise_s + color_s + record_s + truth_s + seen_s
     return [
         told("ray casting and shading, s", render_s),
         told("the same for unregistered colour, s", second_s),
@@ -85,6 +92,7 @@ def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
         told("blur, exposure and grain of colour, s", color_s),
         told("encoding the recording's images, s", record_s),
         told("encoding the truth's images, s", truth_s),
+        told("which surface is in view, s", seen_s),
         at_most("a frame, colour registered, s", registered_s, BAR_S),
         at_most("a frame, colour unregistered, s", registered_s + second_s, BAR_S),
     ]
