@@ -17,12 +17,12 @@ from kinectbench.geometry import Camera, OrientedBox, TriangleMesh, rigid
 from kinectbench.geometry.mesh import box_mesh, join
 from kinectbench.simulate.color import expose
 from kinectbench.simulate.kinect import draw_device, measure
+from kinectbench.simulate.objects.subject import Piece, Subject
 from kinectbench.simulate.path import look_at
 from kinectbench.simulate.render import Renderer
 from kinectbench.simulate.scene import make_scene
 from kinectbench.simulate.simulate import SURFACE_SAMPLES
 from kinectbench.simulate.spec import SceneSettings
-from kinectbench.simulate.subject import Piece, Subject
 from kinectbench.simulate.texture import make_texture
 from kinectbench.simulate.visibility import Visibility, sample_surface
 from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes

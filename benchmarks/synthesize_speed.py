@@ -18,7 +18,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "synthesize"
 from recgan_reader import block_maximum, centring_shift, load
 
 from kinectbench.geometry import TriangleMesh
-from kinectbench.simulate.furniture import FAMILIES, make_object
+from kinectbench.simulate.objects.furniture import FAMILIES, make_object
 from kinectbench.synthesize.cells import packed_containment, partial_grids, visible_cells
 from kinectbench.synthesize.mesh_check import CheckedMesh, check_mesh
 from kinectbench.synthesize.pair import VOXELIZERS, make_pair

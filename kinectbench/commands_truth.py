@@ -49,7 +49,7 @@ def simulate(
         tell_table({name: text for name, (text, _) in PRESETS.items()}, as_json)
         return
     if contact_sheets is not None:
-        from kinectbench.simulate.contact_sheet import write_contact_sheets
+        from kinectbench.simulate.objects.contact_sheet import write_contact_sheets
 
         tell_written(write_contact_sheets(contact_sheets), as_json)
         return

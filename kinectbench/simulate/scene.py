@@ -10,8 +10,8 @@ import numpy as np
 
 from kinectbench.geometry import OrientedBox, TriangleMesh
 from kinectbench.geometry.mesh import box_mesh
+from kinectbench.simulate.objects.subject import Subject, Vector3
 from kinectbench.simulate.spec import SceneSettings
-from kinectbench.simulate.subject import Subject, Vector3
 
 Role = Literal["subject", "floor", "wall", "clutter"]
 

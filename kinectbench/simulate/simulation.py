@@ -13,15 +13,15 @@ from kinectbench.geometry import (
     rotation_from_quaternion_xyzw,
 )
 from kinectbench.simulate.color import expose, exposure_gains
-from kinectbench.simulate.furniture import make_object, parse_object
 from kinectbench.simulate.kinect import Device, draw_device, measure
+from kinectbench.simulate.objects.furniture import make_object, parse_object
+from kinectbench.simulate.objects.subject import Subject
 from kinectbench.simulate.path import CameraPath, draw_path
 from kinectbench.simulate.plan import PlannedFrame, plan_frames
 from kinectbench.simulate.render import Renderer
 from kinectbench.simulate.scene import Scene, make_scene
 from kinectbench.simulate.shading import Rendering
 from kinectbench.simulate.spec import DEVICE, PATH, SCENE, SENSOR, WORLD, SimulationSpec
-from kinectbench.simulate.subject import Subject
 from kinectbench.simulate.texture import make_texture
 from kinectbench.simulate.writers.frame import RecordedFrame, Rig
 
@@ -100,7 +100,7 @@ def make_subject(spec: SimulationSpec) -> Subject:
     """
     if spec.mesh is None:
         return make_object(*parse_object(spec.object))
-    from kinectbench.simulate.mesh_object import load_mesh_object
+    from kinectbench.simulate.objects.mesh_object import load_mesh_object
 
     return load_mesh_object(Path(spec.mesh), spec.mesh_up)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.simulate.furniture import FAMILIES, make_object
+from kinectbench.simulate.objects.furniture import FAMILIES, make_object
 from kinectbench.simulate.presets import PRESETS, preset_spec
 from kinectbench.simulate.simulation import prepare, record
 from kinectbench.workspace import canonical_json, sha256_text

@@ -12,10 +12,10 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from kinectbench.errors import SettingsError, StorageError
-from kinectbench.simulate import shapes
-from kinectbench.simulate.contact_sheet import contact_sheet, write_contact_sheets
-from kinectbench.simulate.furniture import FAMILIES, make_object, parse_object
-from kinectbench.simulate.subject import Subject
+from kinectbench.simulate.objects import shapes
+from kinectbench.simulate.objects.contact_sheet import contact_sheet, write_contact_sheets
+from kinectbench.simulate.objects.furniture import FAMILIES, make_object, parse_object
+from kinectbench.simulate.objects.subject import Subject
 
 SEEDS = range(15)
 # Width, depth and height of real furniture, metres: least and most of each.

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from kinectbench.errors import RecordingError
-from kinectbench.simulate import shapes
-from kinectbench.simulate.mesh_object import load_mesh_object
+from kinectbench.simulate.objects import shapes
+from kinectbench.simulate.objects.mesh_object import load_mesh_object
 
 FURNITURE = Path(__file__).parents[3] / "shared/data/furniture_meshes"
 

@@ -5,6 +5,7 @@ import pytest
 
 from kinectbench.geometry import Camera, OrientedBox, invert_rigid, transform_points
 from kinectbench.geometry.mesh import box_mesh, join
+from kinectbench.simulate.objects.subject import Piece, Subject
 from kinectbench.simulate.path import look_at
 from kinectbench.simulate.render import BACKGROUND_RGB, Renderer
 from kinectbench.simulate.scene import CLEARANCE_M, Item, Scene, make_scene
@@ -19,7 +20,6 @@ from kinectbench.simulate.shading import (
     shade,
 )
 from kinectbench.simulate.spec import SceneSettings
-from kinectbench.simulate.subject import Piece, Subject
 from kinectbench.simulate.texture import PIXELS_PER_M, TEXTURE_PX, make_texture
 
 CAMERA = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)

@@ -5,9 +5,9 @@ import pytest
 
 from kinectbench.geometry import OrientedBox
 from kinectbench.geometry.mesh import box_mesh
+from kinectbench.simulate.objects.subject import Piece, Subject
 from kinectbench.simulate.scene import CLEARANCE_M, make_scene
 from kinectbench.simulate.spec import SceneSettings
-from kinectbench.simulate.subject import Piece, Subject
 
 BOX = box_mesh(OrientedBox((0, 0, 0.4), (0.8, 0.5, 0.8)))
 SUBJECT = Subject("box", (Piece("box", BOX, (0.5, 0.4, 0.3), 0.2),), BOX, "exact")

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import TriangleMesh
-from kinectbench.simulate.shapes import surface, union
+from kinectbench.simulate.objects.shapes import surface, union
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from kinectbench.errors import RecordingError
 from kinectbench.geometry import Grid, TriangleMesh, rigid
 from kinectbench.geometry.mesh import join
-from kinectbench.simulate.mesh_repair import closed_bodies, merged, open_edges, united
-from kinectbench.simulate.shapes import surface
-from kinectbench.simulate.subject import Piece, Subject, Vector3
+from kinectbench.simulate.objects.mesh_repair import closed_bodies, merged, open_edges, united
+from kinectbench.simulate.objects.shapes import surface
+from kinectbench.simulate.objects.subject import Piece, Subject, Vector3
 
 if TYPE_CHECKING:
     import trimesh

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import TriangleMesh
-from kinectbench.simulate.subject import Vector3
+from kinectbench.simulate.objects.subject import Vector3
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from kinectbench.errors import SettingsError
-from kinectbench.simulate.benches import bench
-from kinectbench.simulate.chairs import chair
-from kinectbench.simulate.couches import couch
-from kinectbench.simulate.joinery import Part, assemble
-from kinectbench.simulate.subject import Subject
-from kinectbench.simulate.tables import table
+from kinectbench.simulate.objects.benches import bench
+from kinectbench.simulate.objects.chairs import chair
+from kinectbench.simulate.objects.couches import couch
+from kinectbench.simulate.objects.joinery import Part, assemble
+from kinectbench.simulate.objects.subject import Subject
+from kinectbench.simulate.objects.tables import table
 
 FAMILIES: dict[str, Callable[[np.random.Generator], list[Part]]] = {
     "chair": chair,

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.simulate import bases
-from kinectbench.simulate.backs import Back
-from kinectbench.simulate.joinery import (
+from kinectbench.simulate.objects import bases
+from kinectbench.simulate.objects.backs import Back
+from kinectbench.simulate.objects.joinery import (
     CLOTHS,
     LEATHERS,
     METALS,
@@ -20,7 +20,7 @@ from kinectbench.simulate.joinery import (
     choose,
     pick,
 )
-from kinectbench.simulate.shapes import box, cushion, leaned, leg, plate, rectangle, rod, union
+from kinectbench.simulate.objects.shapes import box, cushion, leaned, leg, plate, rectangle, rod, union
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

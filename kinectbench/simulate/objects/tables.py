@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.simulate import bases
-from kinectbench.simulate.joinery import (
+from kinectbench.simulate.objects import bases
+from kinectbench.simulate.objects.joinery import (
     METALS,
     PLASTICS,
     STONES,
@@ -17,7 +17,7 @@ from kinectbench.simulate.joinery import (
     choose,
     pick,
 )
-from kinectbench.simulate.shapes import box, ellipse, leg, plate, rectangle, rod
+from kinectbench.simulate.objects.shapes import box, ellipse, leg, plate, rectangle, rod
 
 SIDES = (-1, 1)
 

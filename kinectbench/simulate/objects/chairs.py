@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.simulate import backs, bases
-from kinectbench.simulate.backs import Back
-from kinectbench.simulate.joinery import (
+from kinectbench.simulate.objects import backs, bases
+from kinectbench.simulate.objects.backs import Back
+from kinectbench.simulate.objects.joinery import (
     CLOTHS,
     LEATHERS,
     METALS,
@@ -19,7 +19,7 @@ from kinectbench.simulate.joinery import (
     choose,
     pick,
 )
-from kinectbench.simulate.shapes import (
+from kinectbench.simulate.objects.shapes import (
     Points,
     bent,
     bowed,

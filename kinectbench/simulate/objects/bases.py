@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.simulate.joinery import BLACK_STEEL, Look, Part, between, chance, choose
-from kinectbench.simulate.shapes import (
+from kinectbench.simulate.objects.joinery import BLACK_STEEL, Look, Part, between, chance, choose
+from kinectbench.simulate.objects.shapes import (
     Vector2,
     box,
     leg,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from kinectbench.errors import StorageError
 from kinectbench.geometry.mesh import join
 from kinectbench.report.pictures import LIGHT, PAPER, fit_viewpoint, look_along
-from kinectbench.simulate.furniture import FAMILIES, make_object
-from kinectbench.simulate.subject import Subject
+from kinectbench.simulate.objects.furniture import FAMILIES, make_object
+from kinectbench.simulate.objects.subject import Subject
 
 COLUMNS = 4
 LABEL_PX = 22

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.simulate.joinery import CLOTHS, Look, Part, between, chance, choose, pick
-from kinectbench.simulate.shapes import bar, bowed, cushion, leaned, leg, plate, rectangle, rod, tube
-from kinectbench.simulate.subject import Vector3
+from kinectbench.simulate.objects.joinery import CLOTHS, Look, Part, between, chance, choose, pick
+from kinectbench.simulate.objects.shapes import bar, bowed, cushion, leaned, leg, plate, rectangle, rod, tube
+from kinectbench.simulate.objects.subject import Vector3
 
 SIDES = (-1, 1)
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from kinectbench.geometry import TriangleMesh
-from kinectbench.simulate.shapes import surface, union
-from kinectbench.simulate.subject import Piece, Subject, Vector3
+from kinectbench.simulate.objects.shapes import surface, union
+from kinectbench.simulate.objects.subject import Piece, Subject, Vector3
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

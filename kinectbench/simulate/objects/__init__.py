@@ -1,0 +1,1 @@
+"""What is recorded: parametric furniture, and objects from mesh files."""
