@@ -19,6 +19,7 @@ from kinectbench.commands import (
     tell_written,
     workers,
 )
+from kinectbench.errors import SettingsError
 
 
 def simulate(
@@ -44,10 +45,13 @@ def simulate(
     from kinectbench import console
     from kinectbench.simulate.presets import PRESETS
     from kinectbench.simulate.run import simulate_named
+    from kinectbench.simulate.truth import read_truth, truth_folder
 
     if presets:
         tell_table({name: text for name, (text, _) in PRESETS.items()}, as_json)
         return
+    if mesh is not None and object_name is not None:
+        raise SettingsError("simulate: give --object or --mesh, not both")
     if contact_sheets is not None:
         from kinectbench.simulate.objects.contact_sheet import write_contact_sheets
 
@@ -66,6 +70,10 @@ def simulate(
             samples,
             demo,
             lambda name, *done: progress(name, "simulate", *done),
+        )
+    if mesh is not None:
+        console.lines(
+            "note", [f"{mesh}: {read_truth(truth_folder(path)).origin}" for path in written], "yellow"
         )
     tell_written(written, as_json)
 

@@ -122,9 +122,20 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def _reachable(path: Path) -> Iterator[None]:
+    """Turn a way that leads nowhere into one clear line."""
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:
+        raise StorageError(
+            f"{path}: the way to it holds a file, a broken link or nothing; choose another place"
+        ) from error
+
+
+@contextlib.contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary sibling folder that takes `folder`'s place when the block ends well."""
-    with storage_errors(folder):
+    with storage_errors(folder), _reachable(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
         temporary.chmod(0o755)
@@ -132,9 +143,10 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
         with storage_errors(folder):
             yield temporary
             old = temporary.with_suffix(".old")
-            if folder.exists():
-                folder.rename(old)
-            temporary.rename(folder)
+            with _reachable(folder):
+                if folder.exists():
+                    folder.rename(old)
+                temporary.rename(folder)
             shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -146,7 +158,8 @@ def replaced_file(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with storage_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            with _reachable(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             temporary.replace(path)
     finally:

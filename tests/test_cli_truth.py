@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from small_benchmark import Run
+from small_benchmark import Run, copied
 
 from kinectbench.ingest.registry import open_recording
 from kinectbench.release.release import open_release
@@ -65,6 +65,19 @@ def test_evaluate_a_recording_of_the_benchmark(command: Command, small: Path, tm
     assert "ATE, rmse" in table.out and "index.html" in table.out
 
 
+def test_stages_left_over_from_other_settings_do_not_count(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "copy")
+    first = json.loads(command(root, "evaluate", "chair", "--json").out)
+    assert first["pairs"] is not None
+    changed = command(root, "track", "chair", "--set", "tracking.max_disagreement_m=0.02")
+    assert changed.status == 0, changed.err
+    found = json.loads(command(root, "evaluate", "build/chair", "--json").out)
+    assert found["trajectory"] is not None
+    assert found["solid"] is None and found["masks"] is None and found["pairs"] is None
+
+
 def test_evaluate_says_in_one_line_what_is_wrong(command: Command, small: Path) -> None:
     for arguments, says in (
         (("chiar",), "did you mean 'chair'"),
@@ -90,5 +103,15 @@ def test_synthesize_a_release_and_the_authors_layout(command: Command, tmp_path:
     assert authors.status == 0, authors.err
     folders = {path.name for path in (tmp_path / "theirs/P1_04379243_table").iterdir()}
     assert {"train_1_25d_vox256", "train_1_3d_vox256", "test_8_25d_vox256"} <= folders
+    (tmp_path / "made/notes.txt").write_text("mine")
+    (tmp_path / "other.work").mkdir()
+    (tmp_path / "other.work/notes.txt").write_text("mine")
+    for out in ("made", "other"):
+        refused = command(tmp_path, "synthesize", out, *few)
+        assert (refused.status, len(refused.err.splitlines())) == (2, 1)
+    assert (
+        (tmp_path / "made/notes.txt").read_text() == (tmp_path / "other.work/notes.txt").read_text() == "mine"
+    )
+    assert not (tmp_path / "made.work").exists()
     wrong = command(tmp_path, "synthesize", "x", "--layout", "recgn")
     assert (wrong.status, "wanted one of release, recgan" in wrong.err) == (2, True)

@@ -1,8 +1,10 @@
 """What kinectbench made of one recording, as far as it was built."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from kinectbench.shape.object_model import ObjectModel
 from kinectbench.tracking.trajectory import Trajectory
 from kinectbench.views import View
 from kinectbench.voxels.pair_file import Pair
+from kinectbench.workspace import MANIFEST
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,9 @@ class Build:
 def read_build(folder: Path) -> Build:
     """Open `build/<recording>/`; images and pairs are read when asked for.
 
+    A stage that was made from an earlier version of what it stands on counts as not built: it may be left
+    over from a run with other settings.
+
     Raises:
         StorageError: nothing was built there, or an artefact is damaged.
     """
@@ -49,8 +55,10 @@ def read_build(folder: Path) -> Build:
     from kinectbench.views_folder import read_views
     from kinectbench.voxels.pair_file import read_pair
 
+    current = _current_folders(folder)
+
     def built(stage: str) -> bool:
-        return (folder / stage).is_dir()
+        return stage in current
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
         from kinectbench.report.images import read_gray
@@ -74,3 +82,30 @@ def read_build(folder: Path) -> Build:
         pair_names=names if built("pairs") else None,
         pair=lambda name: read_pair(folder / "pairs" / f"{name}.npz"),
     )
+
+
+def _current_folders(build: Path) -> set[str]:
+    """Folders of the stages whose manifests name the inputs that lie there now (if they have manifests)."""
+    from kinectbench.stages import STAGES
+
+    fingerprints: dict[str, str | None] = {}
+    current = set()
+    for stage in STAGES:
+        folder = build / stage.folder
+        manifest = _manifest(folder)
+        inputs = manifest.get("inputs", {})
+        if folder.is_dir() and all(
+            stage_input in fingerprints and inputs.get(stage_input) == fingerprints[stage_input]
+            for stage_input in (stage.inputs if manifest else ())
+        ):
+            current.add(stage.folder)
+            fingerprints[stage.name] = manifest.get("fingerprint")
+    return current
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    try:
+        content = json.loads((folder / MANIFEST).read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}

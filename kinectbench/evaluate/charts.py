@@ -143,7 +143,9 @@ def slice_picture(solids: Solids) -> bytes:
 def _slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]
-    tinted: Float64 = np.where(known[..., None], colors, 0.45 * colors + 0.55 * UNKNOWN_COLOR)
+    # Errors keep their colour, unknown or not: tinted they would look like what is right.
+    plain = known | (true != built)
+    tinted: Float64 = np.where(plain[..., None], colors, 0.45 * colors + 0.55 * UNKNOWN_COLOR)
     return tinted
 
 

@@ -12,6 +12,11 @@ def iou(a: Bools, b: Bools) -> float:
     return int(np.count_nonzero(a & b)) / union if union else 1.0
 
 
+def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
+    """IoU over the known cells; None if none of the true cells is known, since then it says nothing."""
+    return iou(built & known, true & known) if bool(np.any(true & known)) else None
+
+
 def share(part: Bools, of: Bools) -> float:
     """Share of the cells of `of` that lie in `part`, in [0, 1]; 0 if there are none."""
     cells = int(np.count_nonzero(of))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.evaluate.build import Build
-from kinectbench.evaluate.overlap import iou, share
+from kinectbench.evaluate.overlap import iou, known_iou, share
 from kinectbench.evaluate.registration import Registration
 from kinectbench.geometry import Grid, invert_rigid
 from kinectbench.simulate.truth import Truth, truth_occupancy
@@ -24,7 +24,7 @@ class PairRow:
         view: its name.
         frame: index in the sequence.
         iou: of `full` and the true solid, over all cells.
-        known_iou: the same over `known` cells.
+        known_iou: the same over `known` cells; None if none of the true solid is known.
         true_unknown_share: share of the true solid that is not `known`.
         containment: share of the partial's cells (64^3) that lie in the true solid, dilated once.
     """
@@ -32,7 +32,7 @@ class PairRow:
     view: str
     frame: int
     iou: float
-    known_iou: float
+    known_iou: float | None
     true_unknown_share: float
     containment: float
 
@@ -123,7 +123,7 @@ def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: ND
         view=view,
         frame=frame,
         iou=iou(full, true),
-        known_iou=iou(full & known, true & known),
+        known_iou=known_iou(full, true, known),
         true_unknown_share=share(~known, of=true),
         containment=containment(touched, true),
     )
@@ -136,8 +136,9 @@ def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
 
 
 def _summary(rows: Sequence[PairRow], figure: str, worst: Callable[[list[float]], float]) -> Summary | None:
-    values = [float(getattr(row, figure)) for row in rows]
+    values = {row.view: float(getattr(row, figure)) for row in rows if getattr(row, figure) is not None}
     if not values:
         return None
-    least = worst(values)
-    return Summary(float(np.mean(values)), least, rows[values.index(least)].view)
+    least = worst(list(values.values()))
+    view = next(view for view, value in values.items() if value == least)
+    return Summary(float(np.mean(list(values.values()))), least, view)

@@ -59,6 +59,8 @@ def register(build: Build, truth: Truth, align: bool = True) -> Registration:
             "is it the truth of this recording?"
         )
     shown = matched & has_pose(truth.T_world_camera)[true_frame]
+    if not shown.any():
+        raise RecordingError(f"{truth.folder}: every frame shows another scene; there is nothing to compare")
     T_truth_built = np.eye(4)
     usable = shown.copy()
     if build.trajectory is not None:

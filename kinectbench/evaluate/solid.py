@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.evaluate.overlap import iou, share
+from kinectbench.evaluate.overlap import iou, known_iou, share
 from kinectbench.evaluate.registration import Registration
 from kinectbench.geometry import Grid, rigid
 from kinectbench.pairs import known_cells
@@ -41,14 +41,14 @@ class SolidOverlap:
     Attributes:
         cells: along an edge.
         iou: of the built and the true solid, over all cells.
-        known_iou: the same over known cells.
+        known_iou: the same over known cells; None if none of the true solid is known.
         true_unknown_share: share of the true solid that is labelled unknown.
         empty_unknown_share: share of the cube's empty space that is labelled unknown.
     """
 
     cells: int
     iou: float
-    known_iou: float
+    known_iou: float | None
     true_unknown_share: float
     empty_unknown_share: float
 
@@ -126,7 +126,7 @@ def overlap(solids: Solids) -> SolidOverlap:
     return SolidOverlap(
         cells=len(true),
         iou=iou(built, true),
-        known_iou=iou(built & known, true & known),
+        known_iou=known_iou(built, true, known),
         true_unknown_share=share(~known, of=true),
         empty_unknown_share=share(~known, of=~true),
     )

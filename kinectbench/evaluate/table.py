@@ -139,7 +139,7 @@ def _solid(figures: SolidFigures) -> Iterator[Row]:
 def _overlap(overlap: SolidOverlap) -> Iterator[Row]:
     grid = f"{overlap.cells}³"
     yield Row(f"IoU, {grid}", f"{overlap.iou:.4f}")
-    yield Row(f"IoU, {grid}, known cells", f"{overlap.known_iou:.4f}")
+    yield Row(f"IoU, {grid}, known cells", _share(overlap.known_iou))
     yield Row(f"true solid labelled unknown, {grid}", _percent(overlap.true_unknown_share), "%")
     yield Row(f"empty space labelled unknown, {grid}", _percent(overlap.empty_unknown_share), "%")
 

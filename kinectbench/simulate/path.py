@@ -19,6 +19,8 @@ REACH_SHARE = 0.04
 PROGRESS_STEP_S = 0.005
 JOLT_HZ, JOLT_DECAY_S = 4.0, 0.12
 FIT_MARGIN = 1.06
+# Nobody holds a camera closer to the floor, but for the shake.
+LOWEST_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ class CameraPath:
         share = np.interp(time_s, self.knots_s, self.knots_share)
         turn = self.start_rad + chosen.arc_rad * share
         swing = np.sin(2 * np.pi * chosen.swings * share + self.swing_phase_rad)
-        rise = chosen.elevation_rad + chosen.swing_rad * swing
+        lowest = np.arcsin(np.clip((LOWEST_M - self.target_room[2]) / self.distance_m, -1, 1))
+        rise = np.maximum(chosen.elevation_rad + chosen.swing_rad * swing, lowest)
         outward = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1)
         reach = self.distance_m * (1 + REACH_SHARE * self.reach.at(time_s))
         shake = self.shake.at(time_s)

@@ -8,11 +8,11 @@ import numpy as np
 from kinectbench.errors import SettingsError
 from kinectbench.simulate.simulation import Simulation, prepare, record
 from kinectbench.simulate.spec import SimulationSpec
-from kinectbench.simulate.truth import DEPTH_SCALE, SurfaceTruth, Truth, truth_folder, write_truth
+from kinectbench.simulate.truth import DEPTH_SCALE, SurfaceTruth, Truth, is_truth, truth_folder, write_truth
 from kinectbench.simulate.visibility import Visibility, sample_surface
 from kinectbench.simulate.writers import BAGS, WRITERS, cut, stamp_as_read
 from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes
-from kinectbench.workspace import replaced_file, replaced_folder, sha256_file
+from kinectbench.workspace import replaced_file, replaced_folder, sha256_file, sweep
 
 Progress = Callable[[int, int], None]
 
@@ -39,6 +39,8 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     _check_place(spec, out)
     simulation = prepare(spec)
     folder = truth_folder(out)
+    sweep(out)
+    sweep(folder)
     writer = WRITERS[spec.format]
     replaced = replaced_file if spec.format in BAGS else replaced_folder
     with replaced_folder(folder) as temporary:
@@ -109,10 +111,23 @@ class _Recorder:
 
 def _check_place(spec: SimulationSpec, out: Path) -> None:
     """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
-    if not out.name or (out.suffix == ".bag") != (spec.format in BAGS):
-        raise SettingsError(f"{out}: a bag's name must end in .bag, and no other recording's may")
-    if out.exists() and not (truth_folder(out) / "truth.json").is_file():
-        raise SettingsError(f"{out}: exists and is no simulated recording; choose another name or remove it")
+    if not out.name or (out.suffix == ".bag") != (spec.format in BAGS) or out.suffix in (".BAG", ".truth"):
+        raise SettingsError(
+            f"{out}: a bag's name must end in .bag, and no other recording's may; none may end in .truth"
+        )
+    truth = truth_folder(out)
+    for path in (out, truth):
+        if (path.exists() or path.is_symlink()) and not (_is_empty(path) or is_truth(truth)):
+            raise SettingsError(
+                f"{path}: exists and is no simulated recording; choose another name or remove it"
+            )
+    other = out.with_suffix("") if spec.format in BAGS else out.with_name(f"{out.name}.bag")
+    if other.exists():
+        raise SettingsError(f"{other}: is there already, and would share {truth}; choose another name")
+
+
+def _is_empty(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
 
 
 def _description(spec: SimulationSpec) -> dict[str, object]:

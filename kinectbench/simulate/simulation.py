@@ -161,6 +161,7 @@ def record(simulation: Simulation, index: int) -> Recorded:
         color_stamp_ns=plan.color_stamp_ns,
         color_rgb=color_rgb,
         T_world_camera=plan.T_world_given,
+        pose_stamp_ns=spec.stamp_ns(plan.source),
     )
     mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
     return Recorded(frame, exact.depth_m, mask)

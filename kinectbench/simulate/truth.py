@@ -96,6 +96,15 @@ def truth_folder(recording: Path) -> Path:
     return recording.with_name(f"{recording.name.removesuffix('.bag')}.truth")
 
 
+def is_truth(folder: Path) -> bool:
+    """Whether a folder holds the truth of a simulated recording, of whatever format version."""
+    try:
+        record = json.loads((folder / "truth.json").read_text())
+        return {"format_version", "package_version", "T_world_object", "spec"} <= set(record)
+    except (OSError, ValueError, TypeError):
+        return False
+
+
 def write_truth(truth: Truth, description: dict[str, Any]) -> None:
     """Write all but the images into the truth's folder, which exists.
 

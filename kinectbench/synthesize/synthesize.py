@@ -3,12 +3,14 @@
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from kinectbench.errors import KinectBenchError, SettingsError, ShapeError
-from kinectbench.release.layout import BENCHMARK_JSON
+from kinectbench.release.layout import BENCHMARK_JSON, SHA256SUMS, read_sums, release_files
+from kinectbench.release.metadata import read_text
 from kinectbench.scoring.workers import run_tasks
 from kinectbench.synthesize.assemble import SYNTHESIS_JSON, assemble
 from kinectbench.synthesize.make import Task, make_model
@@ -67,7 +69,8 @@ def synthesize(
     _check_target(out)
     models, left_out = _models(settings)
     work = out.absolute().with_name(f"{out.absolute().name}.work")
-    with locked(work):
+    _check_work(work)
+    with _kept_if_used(work), locked(work):
         sweep(out)
         check = partial(_check_all, max_faces=settings.max_faces, jobs=jobs, progress=tell)
         dealt = deal(models, settings, check)
@@ -91,11 +94,36 @@ def synthesize(
 
 def _check_target(out: Path) -> None:
     """Nothing but what `synthesize` wrote may be replaced."""
-    if out.exists() and not (
-        out.is_dir()
-        and (not any(out.iterdir()) or any((out / f).is_file() for f in (BENCHMARK_JSON, SYNTHESIS_JSON)))
-    ):
+    if not out.exists() and not out.is_symlink():
+        return
+    if not out.is_dir() or (any(out.iterdir()) and not _is_ours(out)):
         raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+
+
+def _is_ours(out: Path) -> bool:
+    """Whether a folder holds what `synthesize` wrote, and nothing else."""
+    if (out / SYNTHESIS_JSON).is_file():
+        return all(path.name == SYNTHESIS_JSON or path.name.startswith("P1_") for path in out.iterdir())
+    if not (out / BENCHMARK_JSON).is_file() or not (out / SHA256SUMS).is_file():
+        return False
+    sums = read_sums(read_text(out / SHA256SUMS), str(out / SHA256SUMS))
+    return all(path.relative_to(out).as_posix() in sums for path in release_files(out))
+
+
+def _check_work(work: Path) -> None:
+    """A folder of that name that is not an unfinished run's is somebody's."""
+    if work.exists() and not (work.is_dir() and ((work / ".lock").is_file() or not any(work.iterdir()))):
+        raise SettingsError(f"{work}: holds something else, and is needed for unfinished work; move it away")
+
+
+@contextmanager
+def _kept_if_used(work: Path) -> Iterator[None]:
+    """Remove the folder of unfinished work if the block leaves no finished model in it."""
+    try:
+        yield
+    finally:
+        if work.is_dir() and all(path.name == ".lock" for path in work.iterdir()):
+            shutil.rmtree(work, ignore_errors=True)
 
 
 def _models(settings: SynthesisSettings) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:

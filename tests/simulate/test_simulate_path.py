@@ -50,6 +50,13 @@ def test_without_a_distance_the_whole_subject_is_in_the_image():
     assert np.linalg.norm(near[:3, 3] - [0, 0, 0.4]) == pytest.approx(1.0, rel=0.15)
 
 
+def test_the_camera_stays_above_the_floor():
+    path = path_of(frames=200, elevation_rad=-0.2, swing_rad=1.0, swings=3.0)
+    heights_m = path.poses(times(path))[:, 2, 3]
+    assert 0.15 < heights_m.min() < 0.3
+    assert heights_m.max() > 1.0
+
+
 def test_a_path_is_smooth_in_time():
     path = path_of(frames=300)
     fine = path.poses(np.arange(0, path.duration_s, 0.002))

@@ -203,10 +203,38 @@ def test_damaged_truth_gives_one_line(ideal, tmp_path, damage, says):
 def test_what_is_no_simulated_recording_is_not_overwritten(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "photo.jpg").write_text("dear")
-    for out in (tmp_path / "mine", tmp_path / "x.bag", Path()):
-        with pytest.raises(KinectBenchError):
+    (tmp_path / "theirs.truth").mkdir()
+    (tmp_path / "theirs.truth" / "notes.txt").write_text("mine")
+    (tmp_path / "fake").mkdir()
+    (tmp_path / "fake" / "data").write_text("dear")
+    (tmp_path / "fake.truth").mkdir()
+    (tmp_path / "fake.truth" / "truth.json").write_text("{}")
+    (tmp_path / "dangling").symlink_to("nowhere")
+    (tmp_path / "twin.bag").write_text("a bag")
+    names = ("mine", "x.bag", "x.BAG", "x.truth", "theirs", "fake", "dangling", "twin")
+    before = files(tmp_path)
+    for out in (*(tmp_path / name for name in names), Path()):
+        with pytest.raises(KinectBenchError) as caught:
             simulate(spec_of(), out)
-    assert (tmp_path / "mine" / "photo.jpg").read_text() == "dear"
+        assert "\n" not in str(caught.value)
+    assert files(tmp_path) == before
+
+
+def test_an_empty_folder_and_an_earlier_simulation_are_filled(tmp_path):
+    (tmp_path / "r").mkdir()
+    (tmp_path / ".r.12.part").write_text("left by a run that was killed")
+    simulate(spec_of(), tmp_path / "r")
+    simulate(spec_of(object="table:seed=1"), tmp_path / "r")
+    assert read_truth(tmp_path / "r.truth").subject == "table:seed=1"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r", "r.truth"]
+
+
+def test_wrong_stamps_leave_the_given_trajectory_alone(tmp_path):
+    spec = spec_of(path={"frames": 4}, faults={"swapped_stamps": 1})
+    simulate(spec, tmp_path / "r")
+    rows = np.loadtxt(tmp_path / "r" / "groundtruth.txt")
+    assert np.allclose(rows[:, 0] * 1e9, [spec.stamp_ns(index) for index in range(4)], atol=1e3)
+    assert (np.diff(read_truth(tmp_path / "r.truth").stamps_ns) < 0).sum() == 1
 
 
 @pytest.mark.parametrize("name", ["benchmark.yaml", "demo/benchmark.yaml"])

@@ -37,6 +37,7 @@ class RecordedFrame:
         color_stamp_ns: time of colour as recorded, nanoseconds.
         color_rgb: (height, width, 3) uint8, the rig's colour camera.
         T_world_camera: (4, 4) float64 as given with the recording, depth camera, optical axes; or None.
+        pose_stamp_ns: time of that pose as recorded, nanoseconds; None: that of depth.
     """
 
     stamp_ns: int
@@ -44,6 +45,12 @@ class RecordedFrame:
     color_stamp_ns: int
     color_rgb: NDArray[np.uint8]
     T_world_camera: NDArray[np.float64] | None
+    pose_stamp_ns: int | None = None
+
+    @property
+    def given_ns(self) -> int:
+        """Time of the given pose as recorded, nanoseconds."""
+        return self.stamp_ns if self.pose_stamp_ns is None else self.pose_stamp_ns
 
     def depth_native(self, depth_scale: float) -> NDArray[np.uint16]:
         """Depth in native units, `round(metres * depth_scale)`; what does not fit is no measurement."""

@@ -79,7 +79,7 @@ class _MessageMaker:
             ("/camera/rgb/image_color/compressed", COMPRESSED_IMAGE, color),
         ]
         if frame.T_world_camera is not None:
-            pose = self._pose(self._header(index, frame.stamp_ns, "world"), frame.T_world_camera)
+            pose = self._pose(self._header(index, frame.given_ns, "world"), frame.T_world_camera)
             found.append(("/camera/pose", POSE, pose))
         return found
 

@@ -35,7 +35,7 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
         rows["depth"].append(_add_image(folder, "depth", frame.stamp_ns, ".png", depth))
         rows["rgb"].append(_add_image(folder, "rgb", frame.color_stamp_ns, ".jpg", frame.color_jpeg()))
         if frame.T_world_camera is not None:
-            rows["groundtruth"].append(tum_line(frame.stamp_ns, frame.T_world_camera))
+            rows["groundtruth"].append(tum_line(frame.given_ns, frame.T_world_camera))
     if len(rows["groundtruth"]) == 1:
         del rows["groundtruth"]
     for name, lines in rows.items():
