@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from kinectbench.simulate.spec import Format
-from kinectbench.simulate.writers.camera_text import camera_json
 from kinectbench.simulate.writers.cut import cut
 from kinectbench.simulate.writers.folder import write_folder
 from kinectbench.simulate.writers.frame import RecordedFrame, Rig
 from kinectbench.simulate.writers.rosbag1 import write_rosbag1, write_rosbag1_compressed
 from kinectbench.simulate.writers.seven_scenes import write_seven_scenes
 from kinectbench.simulate.writers.stamps import stamp_as_read
-from kinectbench.simulate.writers.tum import tum_line, write_tum
+from kinectbench.simulate.writers.tum import write_tum
 
 Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
 
@@ -34,8 +33,6 @@ __all__ = [
     "RecordedFrame",
     "Rig",
     "Writer",
-    "camera_json",
     "cut",
     "stamp_as_read",
-    "tum_line",
 ]
