@@ -167,10 +167,10 @@ def known_build(
     )
     made = {view.name: make_pair(view, sequence, model, PairSettings()).pair for view in views}
     pairs = {name: pair for name, pair in made.items() if pair is not None}
-    health = {"format_version": 1, "source": "odometry", "rejected": [], "per_frame": []}
+    health = {"format_version": 1, "source": "tracked", "rejected": [], "per_frame": []}
     build = Build(
         stamps_ns=truth.stamps_ns,
-        trajectory=Trajectory(truth.stamps_ns, cameras, "odometry", health),
+        trajectory=Trajectory(truth.stamps_ns, cameras, "tracked", health),
         model=model,
         views=views,
         valid_depth=lambda view: sequence.depth_m(view.frame) > 0,

@@ -34,6 +34,7 @@ from kinectbench.commands import (
     workers,
     write_page,
 )
+from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
 from kinectbench.errors import KinectBenchError, SettingsError, internal_error
 from kinectbench.interrupts import check_interrupt, interrupts_remembered
@@ -90,7 +91,10 @@ def _add_stage(name: str, text: str) -> None:
 
 
 for _name, _text in STAGES.items():
-    _add_stage(_name, _text)
+    if _name == "track":
+        app.command(_name, help=_text)(track)
+    else:
+        _add_stage(_name, _text)
 
 
 @app.command()

@@ -73,10 +73,14 @@ def _ingest(job: Job, folder: Path, progress: Progress) -> None:
 def _track(job: Job, folder: Path, progress: Progress) -> None:
     from kinectbench.ingest.sequence_folder import read_sequence
     from kinectbench.tracking import track
+    from kinectbench.tracking.pictures import write_pictures
     from kinectbench.tracking.trajectory_folder import write_trajectory
 
     sequence = read_sequence(job.build / "sequence")
-    write_trajectory(track(sequence, job.recording.trajectory, job.settings.tracking, progress), folder)
+    trajectory = track(sequence, job.recording.trajectory, job.settings.tracking, progress)
+    write_trajectory(trajectory, folder)
+    if trajectory.source != "trust":
+        write_pictures(folder, trajectory)
 
 
 def _fuse(job: Job, folder: Path, progress: Progress) -> None:

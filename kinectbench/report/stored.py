@@ -22,7 +22,7 @@ HIDDEN = ("verdict", "warnings", "format_version")
 # First words of verdicts.
 GOOD = {"good", "ok", "passed", "healthy", "usable"}
 DOUBTFUL = {"coarse", "could", "doubtful", "drift", "fair"}
-BAD = {"bad", "failed", "poor", "unusable"}
+BAD = {"bad", "failed", "not", "poor", "unusable"}
 
 
 @dataclass(frozen=True)

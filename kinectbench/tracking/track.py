@@ -1,7 +1,6 @@
-"""The stage `track`: a pose for every frame, checked against the depth."""
+"""The stage `track`: a pose for every frame that can be had, and how far it can be trusted."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,155 +8,85 @@ from numpy.typing import NDArray
 from kinectbench.config import TrackingSettings, TrajectoryMode
 from kinectbench.errors import TrackingError
 from kinectbench.sequence import Sequence
-from kinectbench.tracking.agreement import Agreement, measure_agreement
+from kinectbench.tracking.check_given import check_given, jumps
 from kinectbench.tracking.given import poses_at
-from kinectbench.tracking.odometry import odometry
+from kinectbench.tracking.health import GivenCheck, health
+from kinectbench.tracking.tracked import Tracked
+from kinectbench.tracking.tracker import track_frames
 from kinectbench.tracking.trajectory import Trajectory
+from kinectbench.tracking.trusted import trusted
+from kinectbench.tracking.verdict import Source
+
+Float64 = NDArray[np.float64]
+Progress = Callable[[int, int], None]
 
 MIN_GOOD_FRAMES = 3
-DRIFT_WARNING = (
-    "no trajectory was given: poses are chained by frame-to-frame odometry, which drifts by centimetres; "
-    "the ground truth may be wrong by as much"
-)
-REFINE_WARNING = "trajectory: refine is not offered by this version; the given trajectory is trusted as it is"
+MAX_JUMPS_TOLD = 5
 
 
 def track(
     sequence: Sequence,
     mode: TrajectoryMode | None,
     settings: TrackingSettings,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Trajectory:
-    """Give every frame a pose, and leave out the frames whose depth disagrees with it.
+    """Find the camera's pose for every frame; frames whose pose cannot be known are left out.
 
     Args:
         sequence: the recording.
-        mode: trust or ignore a given trajectory; None: trust it if there is one.
+        mode: of a given trajectory: trust it (frames that disagree with it are left out), refine it, or
+            ignore it. None: trust it if there is one.
         settings: what counts as disagreement.
         progress: called with (done, total).
 
     Raises:
         TrackingError: the given trajectory does not fit the frames, or too few frames have a pose.
     """
-    trusted = mode in ("trust", "refine") or (mode is None and sequence.given_trajectory is not None)
-    if not trusted:
-        return _track_by_odometry(sequence, settings, progress)
-    if sequence.given_trajectory is None:
+    given = sequence.given_trajectory
+    if mode == "ignore" or (mode is None and given is None):
+        return _finished(sequence, "tracked", track_frames(sequence, None, progress), [], None)
+    if given is None:
         raise TrackingError(
             f"trajectory: {mode} asks for a given trajectory, but the recording has none; use ignore"
         )
-    poses = poses_at(sequence.given_trajectory, sequence.stamps_ns, settings.max_stamp_gap_s)
-    lost = np.flatnonzero(np.isnan(poses[:, 0, 0]))
-    if len(lost) > len(sequence) - MIN_GOOD_FRAMES:
-        raise TrackingError(_too_few_poses(sequence, len(sequence) - len(lost)))
-    agreement = measure_agreement(sequence, poses, settings, progress)
-    wrong = agreement.disagreeing(settings.max_disagreement_m)
-    posed = len(sequence) - len(lost)
-    if wrong.sum() > 0.5 * posed:
-        raise TrackingError(
-            f"the given trajectory does not fit the depth: {wrong.sum()} of {posed} frames disagree by more "
-            f"than {settings.max_disagreement_m * 1000:.0f} mm; are the poses camera to world, in optical "
-            "axes, on the frames' clock, and is depth_scale right? `trajectory: ignore` does without them"
-        )
-    used = poses.copy()
-    used[wrong] = np.nan
-    warnings = [REFINE_WARNING] if mode == "refine" else []
-    unchecked = int(np.isnan(agreement.shift_m).sum()) - len(lost)
-    if unchecked > 0.5 * posed:
-        warnings.append(
-            f"{unchecked} of {posed} poses could not be checked: too little of the frames overlaps; lower "
-            "tracking.check_stride_px"
-        )
-    health = _health(sequence, poses, used, "trust", agreement, warnings)
-    return Trajectory(sequence.stamps_ns, used, "trust", health)
+    T_given = poses_at(given, sequence.stamps_ns, settings.max_stamp_gap_s)
+    posed = int(np.isfinite(T_given[:, 0, 0]).sum())
+    if posed < MIN_GOOD_FRAMES:
+        raise TrackingError(_too_few_poses(sequence, posed))
+    if mode != "refine":
+        return trusted(sequence, T_given, settings, progress)
+    refined = track_frames(sequence, T_given, progress)
+    check = check_given(sequence, T_given, refined, settings.check_neighbours, settings.max_disagreement_m)
+    warnings = _jump_warnings(sequence, T_given, refined, settings)
+    return _finished(sequence, "refine", refined, warnings, check)
 
 
-def _track_by_odometry(
-    sequence: Sequence, settings: TrackingSettings, progress: Callable[[int, int], None] | None
+def _finished(
+    sequence: Sequence, source: Source, tracked: Tracked, warnings: list[str], check: GivenCheck | None
 ) -> Trajectory:
-    poses, lost_from = odometry(sequence, progress)
-    warnings = [DRIFT_WARNING]
-    if lost_from is not None:
-        warnings.append(
-            f"odometry lost the camera at frame {lost_from}: that frame and all later ones are left out"
-        )
-    if np.isfinite(poses[:, 0, 0]).sum() < MIN_GOOD_FRAMES:
+    posed = int(np.isfinite(tracked.T_world_camera[:, 0, 0]).sum())
+    if posed < MIN_GOOD_FRAMES:
+        reasons = sorted(set(tracked.reasons.values()))
         raise TrackingError(
-            f"odometry lost the camera at frame {lost_from}; give a trajectory, or record more slowly"
+            f"only {posed} of {len(sequence)} frames could be tracked, and {MIN_GOOD_FRAMES} are needed"
+            f"{': ' if reasons else ''}{'; '.join(reasons)}; record more slowly, or give a trajectory"
         )
-    agreement = measure_agreement(sequence, poses, settings)
-    return Trajectory(
-        sequence.stamps_ns,
-        poses,
-        "odometry",
-        _health(sequence, poses, poses, "odometry", agreement, warnings),
-    )
+    figures = health(sequence, source, tracked, warnings, check)
+    return Trajectory(sequence.stamps_ns, tracked.T_world_camera, source, figures)
 
 
-def _health(
-    sequence: Sequence,
-    poses: NDArray[np.float64],
-    used: NDArray[np.float64],
-    source: str,
-    agreement: Agreement,
-    warnings: list[str],
-) -> dict[str, Any]:
-    """The figures of health.json, and a verdict in words."""
-    posed, kept = np.isfinite(poses[:, 0, 0]), np.isfinite(used[:, 0, 0])
-    rejected = [
-        {
-            "frame": int(frame),
-            "stamp_ns": int(sequence.stamps_ns[frame]),
-            "residual_mm": _mm(agreement.residual_m[frame]),
-            "shift_mm": _mm(agreement.shift_m[frame]),
-            "turn_deg": round(float(np.degrees(agreement.turn_rad[frame])), 2),
-            "reason": f"its depth disagrees with its pose by {_mm(agreement.shift_m[frame])} mm",
-        }
-        for frame in np.flatnonzero(posed & ~kept)
+def _jump_warnings(
+    sequence: Sequence, T_given: Float64, refined: Tracked, settings: TrackingSettings
+) -> list[str]:
+    found = jumps(T_given, refined, settings.max_disagreement_m)
+    told = [
+        f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame} "
+        f"({sequence.stamps_ns[frame] / 1e9:.3f} s)"
+        for frame, by_m in found[:MAX_JUMPS_TOLD]
     ]
-    shift_m = agreement.shift_m[kept & np.isfinite(agreement.shift_m)]
-    median_mm = _mm(np.median(shift_m)) if len(shift_m) else None
-    centres = used[kept][:, :3, 3]
-    return {
-        "format_version": 1,
-        "source": source,
-        "verdict": _verdict(source, median_mm),
-        "warnings": warnings,
-        "frames": len(sequence),
-        "tracked": int(kept.sum()),
-        "lost": [int(frame) for frame in np.flatnonzero(~posed)],
-        "rejected": rejected,
-        "median_shift_mm": median_mm,
-        "max_shift_mm": _mm(shift_m.max()) if len(shift_m) else None,
-        "median_residual_mm": _mm(np.nanmedian(agreement.residual_m[kept])) if len(shift_m) else None,
-        "unchecked": int((kept & np.isnan(agreement.shift_m)).sum()),
-        "path_length_m": round(float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()), 3),
-        "per_frame": [
-            {
-                "frame": int(f),
-                "residual_mm": _mm(agreement.residual_m[f]),
-                "shift_mm": _mm(agreement.shift_m[f]),
-            }
-            for f in np.flatnonzero(posed)
-        ],
-    }
-
-
-def _verdict(source: str, median_shift_mm: float | None) -> str:
-    if source == "odometry":
-        return "drift is likely: not good for ground truth unless checked by eye"
-    if median_shift_mm is None:
-        return "could not be checked: the frames do not overlap"
-    for limit_mm in (5, 10):
-        if median_shift_mm <= limit_mm:
-            return (
-                f"good for ground truth at {limit_mm} mm: frames agree within {median_shift_mm} mm (median)"
-            )
-    return f"coarse: frames agree within {median_shift_mm} mm (median) only"
-
-
-def _mm(value_m: float | np.floating[Any]) -> float | None:
-    return None if np.isnan(value_m) else round(float(value_m) * 1000, 1)
+    if len(found) > MAX_JUMPS_TOLD:
+        told.append(f"it jumps {len(found) - MAX_JUMPS_TOLD} more times")
+    return told
 
 
 def _too_few_poses(sequence: Sequence, posed: int) -> str:

@@ -16,7 +16,7 @@ class Trajectory:
     Attributes:
         stamps_ns: (n,) int64, the sequence's depth stamps.
         T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
-        source: "trust" or "odometry": where the poses come from.
+        source: "trust", "refine" or "tracked": where the poses come from.
         health: figures about it, plain JSON values, as stored in health.json.
     """
 

@@ -132,12 +132,6 @@ def test_a_wrong_frame_is_left_out_and_named(chair):
     assert trajectory.health["tracked"] == 23
 
 
-def test_refine_says_that_it_trusts(chair):
-    trajectory = track(chair.sequence, "refine", SETTINGS)
-    assert len(trajectory.good_frames) == 24
-    assert any("refine" in warning for warning in trajectory.health["warnings"])
-
-
 def test_a_trajectory_that_is_mostly_wrong_is_refused(chair):
     inverse = np.linalg.inv(chair.simulation.T_world_camera)
     rng = np.random.default_rng(0)
@@ -173,36 +167,6 @@ def test_frames_outside_the_trajectory_are_lost(chair):
     trajectory = track(replace(chair.sequence, given_trajectory=part), "trust", SETTINGS)
     assert trajectory.health["lost"] == [0, 1, 2, 20, 21, 22, 23]
     np.testing.assert_array_equal(trajectory.good_frames, np.arange(3, 20))
-
-
-def test_odometry_is_said_to_drift():
-    slow = furniture(small_spec("chair:seed=3", 300), frames=8)
-    trajectory = track(slow.sequence, "ignore", SETTINGS)
-    assert trajectory.source == "odometry"
-    assert any("drifts" in warning for warning in trajectory.health["warnings"])
-    assert "drift is likely" in trajectory.health["verdict"]
-    np.testing.assert_array_equal(trajectory.T_world_camera[0], np.eye(4))
-    truth = np.linalg.inv(slow.simulation.T_world_camera[0]) @ slow.simulation.T_world_camera
-    good = trajectory.good_frames
-    error_m = np.linalg.norm(trajectory.T_world_camera[good, :3, 3] - truth[good, :3, 3], axis=1)
-    assert len(good) >= 6 and error_m.max() < 0.05
-
-
-def test_odometry_that_loses_the_camera_says_where(chair):
-    depth = [frame if index < 1 else frame * 0 for index, frame in enumerate(chair.sequence.frames.depth)]
-    blind = replace(chair.sequence, frames=replace(chair.sequence.frames, depth=depth))
-    with pytest.raises(TrackingError, match=r"lost the camera at frame 1;.*record more slowly"):
-        track(blind, "ignore", SETTINGS)
-
-
-def test_frames_after_the_camera_was_lost_are_left_out():
-    slow = furniture(small_spec("chair:seed=3", 300), frames=6)
-    depth = [*slow.sequence.frames.depth[:4], *(frame * 0 for frame in slow.sequence.frames.depth[4:])]
-    blind = replace(slow.sequence, frames=replace(slow.sequence.frames, depth=depth))
-    trajectory = track(blind, "ignore", SETTINGS)
-    np.testing.assert_array_equal(trajectory.good_frames, range(4))
-    assert trajectory.health["lost"] == [4, 5]
-    assert any("lost the camera at frame 4" in warning for warning in trajectory.health["warnings"])
 
 
 # --- the folder

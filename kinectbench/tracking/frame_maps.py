@@ -1,0 +1,380 @@
+"""What registration needs of one frame: depth, normals and intensity at three resolutions, and points.
+
+The finest resolution is about 320 pixels wide: the depth of a Kinect holds no more (its noise is correlated
+over two pixels), and a fourth of the pixels is four times as fast.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.geometry import Camera
+from kinectbench.geometry.depth_noise import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.sequence import Sequence
+
+Float32 = NDArray[np.float32]
+
+WORKING_WIDTH_PX = 320
+# At most so many points are registered, per level, finest first.
+POINTS = (20_000, 3_000, 1_500)
+# Normals are told apart on a grid of this many cells each way over the half sphere that faces the camera.
+NORMAL_CELLS = 12
+MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
+# Columns of the points: position (3), normal (3), standard deviation of depth, intensity.
+POINT_COLUMNS = 8
+CACHED_FRAMES = 150
+# Averaged depth is kept in tenths of a millimetre: 6.5 m at most.
+STORED_PER_M = 10_000.0
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution of a frame.
+
+    Attributes:
+        camera: intrinsics at this resolution.
+        depth_m: (height, width) float32, 0 = none.
+        normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
+        intensity: (height, width) float32, 0 to 255; (0, 0) where colour is not registered to depth.
+        points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
+        normal_noise: standard deviation of the normals along either tangent, radians.
+    """
+
+    camera: Camera
+    depth_m: Float32
+    normals: Float32
+    intensity: Float32
+    points: Float32
+    normal_noise: float
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]:
+        """(4,): fx, fy, cx, cy in pixels."""
+        return np.array([self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy])
+
+
+class Levels:
+    """The resolutions of one frame, each half the one before; made when first asked for."""
+
+    def __init__(self, camera: Camera, depth_m: Float32, intensity: Float32) -> None:
+        self._inputs = [(camera, depth_m, intensity)]
+        self._made: dict[int, Level] = {}
+
+    def __getitem__(self, level: int) -> Level:
+        while len(self._inputs) <= level:
+            self._inputs.append(_halved_inputs(*self._inputs[-1]))
+        if level not in self._made:
+            self._made[level] = _level(*self._inputs[level], POINTS[level])
+        return self._made[level]
+
+
+@dataclass(frozen=True)
+class FrameMaps:
+    """One frame at three resolutions.
+
+    Attributes:
+        levels: by number, 0 the finest.
+    """
+
+    levels: Levels
+
+    @property
+    def has_intensity(self) -> bool:
+        """Whether the photometric term can be used."""
+        return self.levels[0].intensity.size > 0
+
+
+@dataclass
+class MapCache:
+    """The maps of a sequence's frames, made when asked for; the last 150 are kept, so memory is bounded.
+
+    Attributes:
+        sequence: the recording.
+        averaged: better depth of some frames, by index: see `improve`.
+        correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `correct`.
+    """
+
+    sequence: Sequence
+    averaged: dict[int, NDArray[np.uint16]] = field(default_factory=dict)
+    correction_per_m: Float32 | None = None
+    _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
+
+    def __getitem__(self, index: int) -> FrameMaps:
+        if index in self._kept:
+            self._kept.move_to_end(index)
+            return self._kept[index]
+        averaged = self.averaged.get(index)
+        depth_m = None if averaged is None else averaged.astype(np.float32) / np.float32(STORED_PER_M)
+        maps = frame_maps(self.sequence, index, depth_m, self.correction_per_m)
+        self._kept[index] = maps
+        if len(self._kept) > CACHED_FRAMES:
+            self._kept.popitem(last=False)
+        return maps
+
+    def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
+        """From now on use this depth for a frame: (height, width) uint16, 0.1 mm, working resolution."""
+        self.averaged[index] = depth
+        self._kept.pop(index, None)
+
+    def correct(self, correction_per_m: Float32 | None) -> None:
+        """From now on add this to 1 / depth of all frames; None: depth as recorded."""
+        self.correction_per_m = correction_per_m
+        self._kept.clear()
+
+
+def frame_maps(
+    sequence: Sequence, index: int, depth_m: Float32 | None = None, correction_per_m: Float32 | None = None
+) -> FrameMaps:
+    """Prepare one frame for registration; intensity only where colour is registered to depth.
+
+    Args:
+        sequence: the recording.
+        index: of the frame.
+        depth_m: (height, width) float32 metres at working resolution; default: as recorded.
+        correction_per_m: (height, width) float32, added to 1 / depth.
+    """
+    import cv2
+
+    reduction = max(1, round(sequence.camera.width / WORKING_WIDTH_PX))
+    if depth_m is None:
+        depth_m = _reduced_depth(sequence.frames.depth_native(index), sequence.depth_scale, reduction)
+    if correction_per_m is not None:
+        depth_m = depth_m / (1 + depth_m * correction_per_m)
+    gray = _gray(sequence, index) if sequence.color_registered else None
+    intensity = np.zeros((0, 0), np.float32)
+    if gray is not None:
+        size = depth_m.shape[::-1]
+        intensity = cv2.resize(
+            gray[: size[1] * reduction, : size[0] * reduction], size, interpolation=cv2.INTER_AREA
+        )
+        intensity = cv2.GaussianBlur(intensity.astype(np.float32), (0, 0), 0.7)
+    return FrameMaps(Levels(reduced_camera(sequence.camera, reduction), depth_m, intensity))
+
+
+def _halved_inputs(camera: Camera, depth_m: Float32, intensity: Float32) -> tuple[Camera, Float32, Float32]:
+    import cv2
+
+    half = _halved(depth_m)
+    if intensity.size:
+        even = intensity[: half.shape[0] * 2, : half.shape[1] * 2]
+        intensity = np.asarray(cv2.resize(even, half.shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
+    return reduced_camera(camera, 2), half, intensity
+
+
+def reduced_camera(camera: Camera, factor: int) -> Camera:
+    """The camera whose pixels are blocks of `factor` x `factor` pixels; a remainder is cut off."""
+    shift = (factor - 1) / 2
+    return Camera(
+        camera.width // factor,
+        camera.height // factor,
+        camera.fx / factor,
+        camera.fy / factor,
+        (camera.cx - shift) / factor,
+        (camera.cy - shift) / factor,
+    )
+
+
+def _gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
+    import cv2
+
+    encoded = sequence.frames.color_encoded(index)
+    if encoded is None:
+        return None
+    gray = cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_GRAYSCALE)
+    camera = sequence.camera
+    fits = gray is not None and gray.shape == (camera.height, camera.width)
+    return np.asarray(gray) if fits else None
+
+
+def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    normals = _normals(_smoothed(depth_m), intrinsics)
+    points = _points(depth_m, normals, intensity, intrinsics, n_points)
+    return Level(camera, depth_m, normals, intensity, points, _normal_noise(normals))
+
+
+def _normal_noise(normals: Float32) -> float:
+    """From what normals nine pixels apart differ by, in the median: most of them lie on one plane.
+
+    The squared difference of two normals with this noise along both tangents is exponential, its mean 4
+    sigma^2.
+    """
+    this, other = normals[::4, :-9:4], normals[::4, 9::4]
+    both = (this[..., 2] != 0) & (other[..., 2] != 0)
+    if not both.any():
+        return 1.0
+    squared = ((this[both] - other[both]) ** 2).sum(axis=1)
+    return float(np.sqrt(np.median(squared) / (4 * np.log(2)))) + 1e-4
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _reduced_depth(native, depth_scale, factor):  # type: ignore[no-untyped-def]
+    """Mean of each block's measurements that lie on its nearest surface: edges stay sharp."""
+    height, width = native.shape[0] // factor, native.shape[1] // factor
+    out = np.zeros((height, width), np.float32)
+    low, high = MIN_DEPTH_M * depth_scale, MAX_DEPTH_M * depth_scale
+    for v in range(height):
+        for u in range(width):
+            nearest = np.inf
+            for dv in range(factor):
+                for du in range(factor):
+                    d = native[v * factor + dv, u * factor + du]
+                    if low < d < high and d < nearest:
+                        nearest = float(d)
+            if nearest == np.inf:
+                continue
+            total, count = 0.0, 0
+            for dv in range(factor):
+                for du in range(factor):
+                    d = native[v * factor + dv, u * factor + du]
+                    if low < d <= nearest * 1.02:
+                        total += d
+                        count += 1
+            out[v, u] = total / (count * depth_scale)
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _halved(depth_m):  # type: ignore[no-untyped-def]
+    height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
+    out = np.zeros((height, width), np.float32)
+    for v in range(height):
+        for u in range(width):
+            nearest = np.float32(np.inf)
+            for dv in range(2):
+                for du in range(2):
+                    d = depth_m[2 * v + dv, 2 * u + du]
+                    if d > 0 and d < nearest:
+                        nearest = d
+            total, count = 0.0, 0
+            for dv in range(2):
+                for du in range(2):
+                    d = depth_m[2 * v + dv, 2 * u + du]
+                    if d > 0 and d <= nearest * np.float32(1.03):
+                        total += d
+                        count += 1
+            if count:
+                out[v, u] = total / count
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _smoothed(depth_m):  # type: ignore[no-untyped-def]
+    """Mean over 5 x 5 pixels of the same surface: for normals only."""
+    height, width = depth_m.shape
+    out = np.zeros((height, width), np.float32)
+    total, count = np.empty(width, np.float32), np.empty(width, np.float32)
+    for v in range(height):
+        total[:], count[:] = 0, 0
+        centre = depth_m[v]
+        for y in range(max(v - 2, 0), min(v + 3, height)):
+            row = depth_m[y]
+            for shift in range(-2, 3):
+                # One shift of a whole row at a time, so that the loop runs on vectors.
+                for u in range(max(0, -shift), min(width, width - shift)):
+                    d = row[u + shift]
+                    same = np.float32(abs(d - centre[u]) < np.float32(0.025) * centre[u])
+                    total[u] += same * d
+                    count[u] += same
+        for u in range(width):
+            out[v, u] = total[u] / max(count[u], np.float32(1))
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _normals(depth_m, intrinsics):  # type: ignore[no-untyped-def]
+    """Normals by central differences over two pixels either way, where these lie on one surface."""
+    height, width = depth_m.shape
+    fx, fy, cx, cy = intrinsics
+    out = np.zeros((height, width, 3), np.float32)
+    reach = 2
+    for v in range(reach, height - reach):
+        for u in range(reach, width - reach):
+            z = depth_m[v, u]
+            left, right = depth_m[v, u - reach], depth_m[v, u + reach]
+            above, below = depth_m[v - reach, u], depth_m[v + reach, u]
+            if z <= 0 or left <= 0 or right <= 0 or above <= 0 or below <= 0:
+                continue
+            limit = np.float32(0.04) * z
+            if (
+                abs(left - z) > limit
+                or abs(right - z) > limit
+                or abs(above - z) > limit
+                or abs(below - z) > limit
+            ):
+                continue
+            # Differences of the points to the right and to the left, below and above.
+            ax = ((u + reach - cx) * right - (u - reach - cx) * left) / fx
+            ay = (v - cy) * (right - left) / fy
+            az = right - left
+            bx = (u - cx) * (below - above) / fx
+            by = ((v + reach - cy) * below - (v - reach - cy) * above) / fy
+            bz = below - above
+            nx, ny, nz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if length > 0:
+                out[v, u, 0], out[v, u, 1], out[v, u, 2] = nx / length, ny / length, nz / length
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
+    """Points chosen so that rare normals count (normal-space sampling: Rusinkiewicz & Levoy 2001).
+
+    A floor is most of the image and says nothing of how far one has walked on it; the noise of its normals
+    only blurs what the legs of a table say.
+    """
+    height, width = depth_m.shape
+    fx, fy, cx, cy = intrinsics
+    counts = np.zeros(NORMAL_CELLS * NORMAL_CELLS, np.int64)
+    for v in range(height):
+        for u in range(width):
+            if normals[v, u, 2] != 0:
+                counts[_cell(normals[v, u])] += 1
+    cap = _cap(counts, n_points)
+    credit = np.full(len(counts), 0.5)
+    out = np.empty((n_points + len(counts), POINT_COLUMNS), np.float32)
+    n = 0
+    for v in range(height):
+        for u in range(width):
+            if normals[v, u, 2] == 0:
+                continue
+            cell = _cell(normals[v, u])
+            credit[cell] += min(1.0, cap / counts[cell])
+            if credit[cell] < 1:
+                continue
+            credit[cell] -= 1
+            z = depth_m[v, u]
+            point = out[n]
+            point[0], point[1], point[2] = (u - cx) / fx * z, (v - cy) / fy * z, z
+            point[3], point[4], point[5] = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            point[6] = SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2
+            point[7] = intensity[v, u] if intensity.size else 0.0
+            n += 1
+    return out[:n].copy()
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cell(normal):  # type: ignore[no-untyped-def]
+    """Which cell of the half sphere a normal falls in: its x and y, evenly divided."""
+    i = min(NORMAL_CELLS - 1, int((normal[0] + 1) * 0.5 * NORMAL_CELLS))
+    j = min(NORMAL_CELLS - 1, int((normal[1] + 1) * 0.5 * NORMAL_CELLS))
+    return i * NORMAL_CELLS + j
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cap(counts, total):  # type: ignore[no-untyped-def]
+    """The cap c for which the sum of min(count, c) is `total`, or infinity if there are no more than that."""
+    if counts.sum() <= total:
+        return np.inf
+    ascending = np.sort(counts)
+    below = 0.0
+    for k in range(len(ascending)):
+        cap = (total - below) / (len(ascending) - k)
+        if ascending[k] >= cap:
+            return cap
+        below += ascending[k]
+    return np.inf

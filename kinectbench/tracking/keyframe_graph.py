@@ -1,0 +1,338 @@
+"""Tie the keyframes to each other: covisible ones, places seen again, and segments that lost each other.
+
+Every tie is a registration that convinced in both directions. The number of tries per keyframe is bounded.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.geometry import invert_rigid, rotation_angle_rad
+from kinectbench.tracking.appearance import likeness
+from kinectbench.tracking.covisibility import Glimpse, covisible, glimpse
+from kinectbench.tracking.depth_calibration import View, calibrate
+from kinectbench.tracking.features import FeatureCache, pose_from_features
+from kinectbench.tracking.frame_maps import MapCache
+from kinectbench.tracking.odometry import Odometry, is_believable, tie
+from kinectbench.tracking.pose_graph import optimise
+from kinectbench.tracking.registration import PLACED, Registration, measure, register
+from kinectbench.tracking.search import score, search
+from kinectbench.tracking.tracked import Tie, TieKind
+
+Float64 = NDArray[np.float64]
+
+ROUNDS = 3
+# Tries per keyframe and round: of what looks alike, and of what ought to be in view.
+ALIKE_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
+MIN_LIKENESS, MIN_SHARED_VIEW = 0.25, 0.3
+# Keyframes this close in order are neighbours, not loops.
+NEAR_IN_ORDER = 3
+# A loop may correct this much of the path walked since, and this much besides.
+DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
+# Two registrations of two segments that agree within this confirm each other.
+AGREE_M, AGREE_RAD = 0.06, 0.06
+MIN_TIE_WEIGHT = 0.05
+# Ties that the depth's distortion is estimated from.
+CALIBRATION_TIES = 150
+LOOP_INLIERS, LOOP_OVERLAP = 0.93, 0.3
+
+
+@dataclass(frozen=True)
+class KeyframeGraph:
+    """The keyframes with their poses after optimisation.
+
+    Attributes:
+        keyframes: (k,) frame indices.
+        T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
+        ties: kept, with their weights.
+        refused: tried and not believed, or switched off.
+        joined: segments that are part of the world.
+        glimpses: (k,) of the keyframes.
+    """
+
+    keyframes: tuple[int, ...]
+    T_world: Float64
+    ties: tuple[Tie, ...]
+    refused: tuple[Tie, ...]
+    joined: frozenset[int]
+    glimpses: tuple[Glimpse, ...]
+
+
+def build_graph(
+    maps: MapCache,
+    features: FeatureCache,
+    odometry: Odometry,
+    T_given: Float64 | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> KeyframeGraph:
+    """Find ties, join segments, and optimise; places are looked for again with every better estimate.
+
+    Args:
+        maps: of the frames.
+        features: of the frames.
+        odometry: keyframes, and the ties between consecutive ones.
+        T_given: (n, 4, 4) loosely believed poses of all frames, or None.
+        progress: called with (done, total) rounds.
+    """
+    builder = _Builder(maps, features, odometry, T_given)
+    for done in range(ROUNDS):
+        builder.tie_alike() if done == 0 else None
+        builder.tie_covisible()
+        builder.optimise()
+        if done < ROUNDS - 1:
+            builder.calibrate()
+        if progress:
+            progress(done + 1, ROUNDS)
+    return builder.graph()
+
+
+class _Builder:
+    """The graph while it grows."""
+
+    def __init__(
+        self, maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None
+    ) -> None:
+        self.maps, self.features = maps, features
+        self.keyframes = odometry.keyframes
+        self.row = {frame: row for row, frame in enumerate(self.keyframes)}
+        self.glimpses: list[Glimpse] = [glimpse(maps[frame]) for frame in self.keyframes]
+        followed = [odometry.frames[frame] for frame in self.keyframes]
+        self.segments = np.array([f.segment for f in followed if f is not None])
+        self.T_segment = np.array([f.T_segment_camera for f in followed if f is not None])
+        self.T_given = None if T_given is None else T_given[list(self.keyframes)]
+        steps = np.linalg.norm(np.diff(self.T_segment[:, :3, 3], axis=0), axis=1) if len(followed) else []
+        self.path_m = np.concatenate([[0.0], np.cumsum(steps)])
+        self.ties: list[Tie] = [self._again(each) for each in odometry.ties]
+        self.round = 0
+        self.refused: list[Tie] = []
+        self.tried = {(tie.a, tie.b) for tie in self.ties}
+        # Each segment begins as a world of its own.
+        self.group = self.segments.copy()
+        self.T_world = self.T_segment.copy()
+        self._place_groups_as_given()
+        self.weights = np.ones(len(self.ties))
+
+    def _again(self, each: Tie) -> Tie:
+        """A tie of the odometry, registered again now that the keyframes' depth is averaged."""
+        found = register(self.maps[each.b], [self.maps[each.a]], [each.T_a_b], coarsest=0, prior=PLACED)
+        return tie(each.a, each.b, found, each.kind) if is_believable(found) else each
+
+    def tie_alike(self) -> None:
+        """Try keyframes that look alike and are not neighbours; and those on both sides of a gap."""
+        alike = likeness([self.features[frame] for frame in self.keyframes])
+        order = np.arange(len(self.keyframes))
+        alike[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
+        tries = set()
+        for row in order:
+            for other in np.argsort(-alike[row], kind="stable")[:ALIKE_PER_KEYFRAME]:
+                if alike[row, other] >= MIN_LIKENESS:
+                    tries.add((min(row, other), max(row, other)))
+        for row in order[1:]:
+            if self.segments[row] != self.segments[row - 1]:
+                tries.add((row - 1, row))
+        for a, b in sorted(tries):
+            self._try(int(a), int(b), None)
+
+    def tie_covisible(self) -> None:
+        """Try keyframes that ought to see the same places, those with the largest shared view first."""
+        tries: dict[int, int] = defaultdict(int)
+        pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
+        for share, a, b in pairs:
+            if share < MIN_SHARED_VIEW or max(tries[a], tries[b]) >= COVISIBLE_PER_KEYFRAME:
+                continue
+            if (self.keyframes[a], self.keyframes[b]) in self.tried:
+                continue
+            tries[a] += 1
+            tries[b] += 1
+            self._try(a, b, invert_rigid(self.T_world[a]) @ self.T_world[b])
+
+    def _covisible_pairs(self) -> list[tuple[float, int, int]]:
+        pairs = []
+        for group in np.unique(self.group):
+            rows = np.flatnonzero(self.group == group)
+            found = covisible([self.glimpses[row] for row in rows], self.T_world[rows])
+            pairs += [(share, int(rows[i]), int(rows[j])) for share, i, j in found]
+        return pairs
+
+    def _try(self, a: int, b: int, T_a_b: Float64 | None) -> None:
+        """Register keyframe b to a; keep it as a tie if it convinces."""
+        frames = self.keyframes[a], self.keyframes[b]
+        if frames in self.tried:
+            return
+        self.tried.add(frames)
+        near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
+        kind: TieKind = "covisible" if near else "loop"
+        best = self._register(frames, T_a_b)
+        if best is None:
+            return
+        made = tie(*frames, best, kind)
+        believed = self._is_mutual(frames, best) and not (
+            self.group[a] == self.group[b] and self._breaks_drift_bound(a, b, best.T_target_source)
+        )
+        (self.ties if believed else self.refused).append(made if believed else replace(made, weight=0.0))
+
+    def _register(self, frames: tuple[int, int], T_a_b: Float64 | None) -> Registration | None:
+        target, source = (self.maps[frame] for frame in frames)
+        best: Registration | None = None
+        if T_a_b is not None:
+            best = register(source, [target], [T_a_b])
+        lost = T_a_b is None or self.round == 0
+        if lost and (best is None or not _convinces(best)):
+            seen = pose_from_features(
+                self.features[frames[1]], self.features[frames[0]], source.levels[0].camera
+            )
+            if seen is not None:
+                other = register(source, [target], [seen[0]], coarsest=1)
+                best = other if best is None or score(other) > score(best) else best
+        if lost and T_a_b is not None and best is not None and not _convinces(best):
+            other = search(source, target, T_a_b)
+            best = other if score(other) > score(best) else best
+        return best
+
+    def _is_mutual(self, frames: tuple[int, int], registration: Registration) -> bool:
+        """Whether the registration convinces from either side."""
+        back = measure(
+            self.maps[frames[0]], [self.maps[frames[1]]], [invert_rigid(registration.T_target_source)]
+        )
+        return _convinces(registration) and _convinces(back)
+
+    def _breaks_drift_bound(self, a: int, b: int, T_a_b: Float64) -> bool:
+        error = invert_rigid(T_a_b) @ invert_rigid(self.T_world[a]) @ self.T_world[b]
+        walked_m = abs(self.path_m[b] - self.path_m[a])
+        return bool(
+            np.linalg.norm(error[:3, 3]) > DRIFT_M + DRIFT_SHARE * walked_m
+            or rotation_angle_rad(error[:3, :3]) > DRIFT_RAD
+        )
+
+    def optimise(self) -> None:
+        """Join groups that enough ties connect, then optimise each group."""
+        self.round += 1
+        self._join_groups()
+        self.weights = np.ones(len(self.ties))
+        for group in np.unique(self.group):
+            rows = np.flatnonzero(self.group == group)
+            local = {int(row): i for i, row in enumerate(rows)}
+            chosen = [t for t, each in enumerate(self.ties) if self._both_in(each, local)]
+            nodes = [(local[self.row[self.ties[t].a]], local[self.row[self.ties[t].b]]) for t in chosen]
+            prior = None if self.T_given is None else self.T_given[rows]
+            if prior is not None and not np.isfinite(prior).any():
+                prior = None
+            poses, weights = optimise(self.T_world[rows], [self.ties[t] for t in chosen], nodes, prior)
+            self.T_world[rows] = poses
+            self.weights[chosen] = weights
+
+    def calibrate(self) -> None:
+        """Estimate the depth distortion from the ties, and register them again with corrected depth."""
+        if not self.ties:
+            return
+        believed = [t for t, weight in zip(self.ties, self.weights, strict=True) if weight >= MIN_TIE_WEIGHT]
+        chosen = np.unique(
+            np.linspace(0, len(believed) - 1, min(len(believed), CALIBRATION_TIES)).astype(int)
+        )
+        self.maps.correct(None)
+        calibration = calibrate(self._view(believed[i]) for i in chosen)
+        level = self.maps[self.keyframes[0]].levels[0]
+        self.maps.correct(calibration.correction_per_m(level.camera.width, level.camera.height))
+        self.ties = [self._again(each) for each in self.ties]
+
+    def _view(self, each: Tie) -> View:
+        a, b = self.row[each.a], self.row[each.b]
+        T_a_b = invert_rigid(self.T_world[a]) @ self.T_world[b]
+        return View(self.maps[each.b].levels[0], self.maps[each.a].levels[0], T_a_b)
+
+    def _both_in(self, each: Tie, rows: dict[int, int]) -> bool:
+        return self.row[each.a] in rows and self.row[each.b] in rows
+
+    def _join_groups(self) -> None:
+        """Join two groups if two ties agree how they lie to each other, or one tie spans a gap in time."""
+        while True:
+            between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
+            for each in self.ties:
+                groups = int(self.group[self.row[each.a]]), int(self.group[self.row[each.b]])
+                if groups[0] != groups[1]:
+                    between[min(groups), max(groups)].append(each)
+            found = [(self._agreed(ties), groups) for groups, ties in sorted(between.items())]
+            joints = [(agreed, groups) for agreed, groups in found if agreed is not None]
+            if not joints:
+                return
+            (_, each), groups = max(joints, key=lambda joint: joint[0][0])
+            self._join(each, groups)
+
+    def _agreed(self, ties: Sequence[Tie]) -> tuple[int, Tie] | None:
+        """The tie that most others confirm, with their number; None if they are too few."""
+        relative = [self._T_group_group(each) for each in ties]
+        best: tuple[int, Tie] | None = None
+        for each, T in zip(ties, relative, strict=True):
+            errors = [invert_rigid(T) @ other for other in relative]
+            agree = sum(
+                float(np.linalg.norm(e[:3, 3])) < AGREE_M + AGREE_RAD
+                and rotation_angle_rad(e[:3, :3]) < AGREE_RAD
+                for e in errors
+            )
+            if best is None or agree > best[0]:
+                best = int(agree), each
+        if best is None:
+            return None
+        a, b = self.row[best[1].a], self.row[best[1].b]
+        small = min(int((self.group == self.group[row]).sum()) for row in (a, b)) == 1
+        return best if best[0] >= 2 or b == a + 1 or small else None
+
+    def _T_group_group(self, each: Tie) -> Float64:
+        """How the worlds of two groups lie to each other if the tie is right: from the higher number."""
+        a, b = self.row[each.a], self.row[each.b]
+        T = self.T_world[a] @ each.T_a_b @ invert_rigid(self.T_world[b])
+        return T if self.group[a] < self.group[b] else invert_rigid(T)
+
+    def _join(self, each: Tie, groups: tuple[int, int]) -> None:
+        """Move the smaller group into the world of the larger one."""
+        T_low_high = self._T_group_group(each)
+        low, high = (np.flatnonzero(self.group == group) for group in groups)
+        if len(low) >= len(high):
+            self.T_world[high] = T_low_high @ self.T_world[high]
+            self.group[high] = groups[0]
+        else:
+            self.T_world[low] = invert_rigid(T_low_high) @ self.T_world[low]
+            self.group[low] = groups[1]
+
+    def _place_groups_as_given(self) -> None:
+        """With given poses all segments lie in one world, each moved to where its first posed keyframe is."""
+        if self.T_given is None:
+            return
+        for segment in np.unique(self.segments):
+            rows = np.flatnonzero(self.segments == segment)
+            posed = [row for row in rows if np.isfinite(self.T_given[row]).all()]
+            if posed:
+                middle = posed[len(posed) // 2]
+                self.T_world[rows] = (
+                    self.T_given[middle] @ invert_rigid(self.T_segment[middle]) @ self.T_segment[rows]
+                )
+
+    def graph(self) -> KeyframeGraph:
+        """What was found: the largest group is the world, all others stay lost."""
+        if not len(self.keyframes):
+            return KeyframeGraph((), np.zeros((0, 4, 4)), (), (), frozenset(), ())
+        groups, counts = np.unique(self.group, return_counts=True)
+        world = groups[np.argmax(counts)]
+        inside = self.group == world
+        T_world = np.where(inside[:, None, None], self.T_world, np.nan)
+        kept: list[Tie] = []
+        refused = list(self.refused)
+        for each, weight in zip(self.ties, self.weights, strict=True):
+            weighed = replace(each, weight=float(weight))
+            within = inside[self.row[each.a]] and inside[self.row[each.b]]
+            (kept if within and weight >= MIN_TIE_WEIGHT else refused).append(weighed)
+        joined = frozenset(int(s) for s in np.unique(self.segments[inside]))
+        return KeyframeGraph(
+            self.keyframes, T_world, tuple(kept), tuple(refused), joined, tuple(self.glimpses)
+        )
+
+
+def _convinces(registration: Registration) -> bool:
+    return (
+        is_believable(registration)
+        and registration.inlier_share >= LOOP_INLIERS
+        and registration.overlap >= LOOP_OVERLAP
+    )

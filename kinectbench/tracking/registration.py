@@ -1,0 +1,225 @@
+"""Registration: move one frame until it agrees with others; see `linearise` for what is minimised."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from kinectbench.tracking.frame_maps import FrameMaps, Level
+from kinectbench.tracking.linearise import NO_EXPOSURE_CHANGE, LinearTerms, linearise
+from kinectbench.tracking.twist import on_so3, rigid_from_twist, twist_from_rigid
+
+Float64 = NDArray[np.float64]
+
+# Neighbouring pixels share their noise: this many count as one measurement.
+CORRELATED_POINTS = 10.0
+# Per level, the finest first: how far along the ray a measurement may lie from the point it is taken for, the
+# number of iterations, and the step that ends them.
+GATES_M = (0.06, 0.10, 0.20)
+ITERATIONS = (5, 8, 20)
+STEP_ENOUGH = (1e-4, 2e-4, 5e-4)
+MIN_POINTS = 100
+# A motion along which surfaces slide on each other: the normals say no more about it than their noise does.
+MIN_OVER_NOISE = 1.5
+# A motion known no better than this is open, whatever holds it.
+MAX_SIGMA_M = 0.02
+# Shortens steps along what the surfaces do not fix.
+DAMPING = np.diag([0.1**-2] * 3 + [0.1**-2] * 3)
+NO_PRIOR = np.zeros((6, 6))
+# The prior of a start that is known to 10 mrad and 10 mm; it counts as often as correlated measurements do.
+PLACED = CORRELATED_POINTS * np.diag([0.01**-2] * 3 + [0.01**-2] * 3)
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How one frame lies to another.
+
+    Attributes:
+        T_target_source: (4, 4).
+        information: (6, 6) inverse covariance of the twist, without what degenerate surfaces leave open.
+        overlap: share of the source's points that fall on measurements of the target.
+        inlier_share: of these, without the hidden ones, the share that agrees with the target.
+        residual_m: root mean square of the inliers' point-to-plane residuals, metres.
+        over_noise: how much more the normals say about the least constrained motion than their noise
+            alone would; about 1 for one plane, 0 for too few points.
+        sigma_m: how far the points move (root mean square) along the motion that is known least, for one
+            standard deviation; infinite where a motion is left open.
+        intensity_correlation: of the inliers' intensities, -1 to 1; NaN without.
+    """
+
+    T_target_source: Float64
+    information: Float64
+    overlap: float
+    inlier_share: float
+    residual_m: float
+    over_noise: float
+    sigma_m: float
+    intensity_correlation: float
+
+    @property
+    def degenerate(self) -> bool:
+        """Whether a motion is left open, as one plane in view does without texture."""
+        return not self.sigma_m < MAX_SIGMA_M
+
+
+def register(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_targets_source: Sequence[Float64],
+    coarsest: int = 2,
+    prior: Float64 = NO_PRIOR,
+    every: int = 1,
+) -> Registration:
+    """Move one frame until it agrees with others that stand still to each other.
+
+    Args:
+        source: the frame that moves.
+        targets: one or more others.
+        T_targets_source: (4, 4) each, where to start.
+        coarsest: level to start at, 0 the finest.
+        prior: (6, 6) information of the start, in the same units as the measurements'.
+        every: at the finest level only every n-th point is used.
+
+    Returns:
+        The registration to the first target.
+    """
+    motion = np.eye(4)
+    starts = [np.asarray(T) for T in T_targets_source]
+    exposures = [NO_EXPOSURE_CHANGE] * len(starts)
+    for level in range(coarsest, -1, -1):
+        for _ in range(ITERATIONS[level]):
+            normal_matrix, gradient = DAMPING + prior, -prior @ twist_from_rigid(motion)
+            found = [
+                linearise(
+                    source.levels[level],
+                    target.levels[level],
+                    start @ motion,
+                    GATES_M[level],
+                    exposure,
+                    every=1 if level else every,
+                )
+                for target, start, exposure in zip(targets, starts, exposures, strict=True)
+            ]
+            for terms in found:
+                normal_matrix = normal_matrix + terms.geometric + terms.photometric
+                gradient = gradient + terms.gradient
+            step = np.linalg.solve(normal_matrix, gradient)
+            motion = motion @ rigid_from_twist(step)
+            exposures = [terms.exposure_after(step) for terms in found]
+            if np.abs(step).max() < STEP_ENOUGH[level]:
+                break
+    registration, held = _measured(source, targets, [start @ motion for start in starts], exposures, every)
+    free = held.open_motions
+    if source.has_intensity or not free.shape[1]:
+        return registration
+    # What the surfaces leave open is taken back: noise drove it there.
+    twist = twist_from_rigid(motion)
+    motion = rigid_from_twist(twist - free @ (free.T @ held.metric @ twist))
+    return measure(source, targets, [start @ motion for start in starts], every)
+
+
+def measure(
+    source: FrameMaps, targets: Sequence[FrameMaps], T_targets_source: Sequence[Float64], every: int = 1
+) -> Registration:
+    """The figures of a registration where it stands.
+
+    Args:
+        source: the frame.
+        targets: one or more others.
+        T_targets_source: (4, 4) each.
+        every: only every n-th point is used.
+    """
+    exposures = [NO_EXPOSURE_CHANGE] * len(targets)
+    return _measured(source, targets, T_targets_source, exposures, every)[0]
+
+
+def _measured(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_targets_source: Sequence[Float64],
+    exposures: Sequence[Float64],
+    every: int,
+) -> tuple[Registration, "Openness"]:
+    found = [
+        linearise(source.levels[0], target.levels[0], T, GATES_M[0], exposure, with_shares=True, every=every)
+        for target, T, exposure in zip(targets, T_targets_source, exposures, strict=True)
+    ]
+    inliers = sum(terms.inliers for terms in found)
+    compared = inliers + sum(terms.violations for terms in found)
+    squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
+    held = openness(found, source.levels[0], [target.levels[0] for target in targets])
+    geometric = _without(np.sum([terms.geometric for terms in found], axis=0), held.open_motions)
+    photometric = np.sum([terms.photometric for terms in found], axis=0)
+    information = (geometric + photometric) * (every / CORRELATED_POINTS)
+    known = np.einsum("ik,ij,jk->k", held.motions, information, held.motions)
+    enough = inliers * every >= MIN_POINTS
+    weakest = float(known.min()) if enough else 0.0
+    registration = Registration(
+        T_target_source=on_so3(np.asarray(T_targets_source[0])),
+        information=information,
+        overlap=min(1.0, compared * every / max(1, len(source.levels[0].points) * len(targets))),
+        inlier_share=inliers / max(1, compared),
+        residual_m=float(np.sqrt(squares / max(1, inliers))),
+        over_noise=float(held.over_noise[0]) if enough else 0.0,
+        sigma_m=float(weakest**-0.5) if weakest > 1e-3 else np.inf,
+        intensity_correlation=float(np.mean([terms.intensity_correlation for terms in found])),
+    )
+    return registration, held
+
+
+@dataclass(frozen=True)
+class Openness:
+    """How well the normals hold each of six motions, the weakest first.
+
+    Attributes:
+        over_noise: (6,) what the normals say about it over what their noise alone would.
+        motions: (6, 6) the twists as columns; each moves the points by 1 m (root mean square).
+        metric: (6, 6), motions.T @ metric @ motions is the unit matrix.
+    """
+
+    over_noise: Float64
+    motions: Float64
+    metric: Float64
+
+    @property
+    def open_motions(self) -> Float64:
+        """(6, k): the motions along which surfaces slide on each other."""
+        return self.motions[:, self.over_noise < MIN_OVER_NOISE]
+
+
+def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Openness:
+    """How well the normals hold each motion, over what their noise alone would seem to.
+
+    Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: the sum of [[p]x; 1] [[p]x; 1]^T.
+    This is also the metric in which a twist is as long as it moves the points.
+
+    Args:
+        found: one for each target, with shares.
+        source: what was linearised.
+        targets: what it was linearised with; the noise of source and target counts half each.
+    """
+    moments = np.sum([terms.moments for terms in found], axis=0)
+    x, y, z, n = moments[3] / max(moments[3, 3], 1)
+    squares = moments[:3, :3] / max(moments[3, 3], 1)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    metric = np.block([[np.trace(squares) * np.eye(3) - squares, cross], [cross.T, n * np.eye(3)]])
+    metric += 1e-6 * np.eye(6)
+    shares = np.sum([terms.shares for terms in found], axis=0) / max(moments[3, 3], 1)
+    over_noise, motions = eigh(shares, metric)
+    counts = np.array([max(terms.inliers, 1) for terms in found])
+    noise = (
+        np.average([source.normal_noise**2 + target.normal_noise**2 for target in targets], weights=counts)
+        / 4
+    )
+    return Openness(over_noise / noise, motions, metric)
+
+
+def _without(information: Float64, motions: Float64) -> Float64:
+    """Take from (6, 6) what it says about the motions (6, k): noise of the normals only pretends to know."""
+    if motions.shape[1] == 0:
+        return information
+    across = motions.T @ information
+    inner = np.linalg.pinv(across @ motions, hermitian=True)
+    return np.asarray(information - across.T @ inner @ across)

@@ -1,0 +1,176 @@
+"""Camera tracking: follow, close loops, optimise, and place every frame among the optimised keyframes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.geometry import invert_rigid
+from kinectbench.sequence import Sequence
+from kinectbench.tracking.covisibility import glimpse, shared_view
+from kinectbench.tracking.features import FeatureCache
+from kinectbench.tracking.frame_maps import MapCache
+from kinectbench.tracking.keyframe_graph import KeyframeGraph, build_graph
+from kinectbench.tracking.odometry import Followed, Odometry, Usual, follow, is_believable
+from kinectbench.tracking.registration import PLACED, Registration, measure, register
+from kinectbench.tracking.search import score, search
+from kinectbench.tracking.tracked import State, Tracked
+from kinectbench.tracking.twist import on_so3
+
+Float64 = NDArray[np.float64]
+
+# Keyframes each frame is placed among: its own, and the others that see most of it.
+NEIGHBOURS = 2
+NO_DEPTH = "too little depth to register"
+NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
+OPEN_MOTION = "one plane in view: a motion is left open"
+NOWHERE = np.full((4, 4), np.nan)
+DISAGREES = "its depth does not agree with the keyframes around it"
+
+
+def track_frames(
+    sequence: Sequence,
+    T_given: Float64 | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tracked:
+    """Estimate the pose of every frame.
+
+    Args:
+        sequence: the recording.
+        T_given: (n, 4, 4) poses to start from and to believe loosely, NaN where there is none; or None: the
+            world is then the first camera's that is tracked.
+        progress: called with (done, total).
+    """
+    n = len(sequence)
+    maps = MapCache(sequence)
+    features = FeatureCache(maps)
+    report = progress or (lambda done, total: None)
+    odometry = follow(maps, features, T_given, lambda done: report(done, 2 * n))
+    graph = build_graph(maps, features, odometry, T_given)
+    return _place(maps, odometry, graph, lambda done: report(n + done, 2 * n))
+
+
+def _place(
+    maps: MapCache, odometry: Odometry, graph: KeyframeGraph, progress: Callable[[int], None]
+) -> Tracked:
+    """Register every frame to several keyframes at once where the graph put them."""
+    n = len(maps.sequence)
+    poses = np.full((n, 4, 4), np.nan)
+    residual_m, inlier_share = np.full(n, np.nan), np.full(n, np.nan)
+    degenerate = np.zeros(n, bool)
+    states: list[State] = ["lost"] * n
+    reasons: dict[int, str] = {}
+    placer = _Placer(maps, odometry, graph)
+    for index in range(n):
+        progress(index + 1)
+        placed = placer.place(index)
+        found = placed.registration
+        if found is not None:
+            residual_m[index], inlier_share[index] = found.residual_m, found.inlier_share
+            degenerate[index] = found.degenerate
+        if placed.reason is None:
+            poses[index], states[index] = placed.T_world_camera, placed.state
+        else:
+            reasons[index] = placed.reason
+    known = np.isfinite(graph.T_world).all(axis=(1, 2))
+    return Tracked(
+        poses,
+        tuple(states),
+        reasons,
+        np.array(graph.keyframes, np.int64)[known],
+        graph.ties,
+        graph.refused,
+        residual_m,
+        inlier_share,
+        degenerate,
+    )
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A frame's pose, or the reason why it has none; and how it lies to the keyframes around it."""
+
+    T_world_camera: Float64
+    registration: Registration | None
+    state: State
+    reason: str | None
+
+
+class _Placer:
+    """Places frames among the optimised keyframes."""
+
+    def __init__(self, maps: MapCache, odometry: Odometry, graph: KeyframeGraph) -> None:
+        self.maps, self.odometry, self.graph = maps, odometry, graph
+        self.row = {frame: row for row, frame in enumerate(graph.keyframes)}
+        self.tied = _tied(graph, self.row)
+        joined = (f.segment for f in odometry.frames if f is not None and f.segment in graph.joined)
+        self.first_segment = min(joined, default=0)
+        self.usual = Usual(0.97, 0.9)
+
+    def place(self, index: int) -> _Placed:
+        """Register one frame to the keyframes that see most of what it sees."""
+        frame = self.odometry.frames[index]
+        if frame is None:
+            return _Placed(NOWHERE, None, "lost", NO_DEPTH)
+        T_world = self._predicted(frame)
+        if not np.isfinite(T_world).all():
+            return _Placed(NOWHERE, None, "lost", NOT_JOINED)
+        state: State = "tracked" if frame.segment == self.first_segment else "relocalised"
+        around = self._around(index, frame, T_world)
+        if not around:
+            return _Placed(T_world, None, state, None)
+        found = self._registered(index, around, T_world)
+        if frame.keyframe != index:
+            T_world = on_so3(self.graph.T_world[around[0]] @ found.T_target_source)
+        reason = None if is_believable(found) else DISAGREES
+        if reason is None and found.degenerate:
+            reason = OPEN_MOTION
+        return _Placed(T_world, found, state, reason)
+
+    def _predicted(self, frame: Followed) -> Float64:
+        """Where the odometry saw a frame from its keyframe, which the graph has moved."""
+        home = self.odometry.frames[frame.keyframe]
+        assert home is not None
+        T_home_camera = invert_rigid(home.T_segment_camera) @ frame.T_segment_camera
+        return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
+
+    def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
+        """The frame's own keyframe, then those tied to it that share most of its view."""
+        home = self.row[frame.keyframe]
+        view = glimpse(self.maps[index])
+        shared = [
+            (-shared_view(self.graph.glimpses[k], view, invert_rigid(self.graph.T_world[k]) @ T_world), k)
+            for k in self.tied[home]
+            if self.graph.keyframes[k] != index
+        ]
+        own = [home] if frame.keyframe != index else []
+        return (own + [k for _, k in sorted(shared)])[:NEIGHBOURS]
+
+    def _registered(self, index: int, around: list[int], T_world: Float64) -> Registration:
+        """A keyframe stays where it is; another frame moves, and is searched for if it does not convince."""
+        source = self.maps[index]
+        targets = [self.maps[self.graph.keyframes[k]] for k in around]
+        T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
+        if index in self.row:
+            return measure(source, targets, [T @ T_world for T in T_around])
+        found = register(source, targets, [T @ T_world for T in T_around], coarsest=0, prior=PLACED)
+        if self.usual.is_sure(found):
+            self.usual = self.usual.after(found)
+            return found
+        for T_around_k, target in zip(T_around, targets, strict=True):
+            elsewhere = search(source, target, T_around_k @ T_world).T_target_source
+            T_there = invert_rigid(T_around_k) @ elsewhere
+            other = register(source, targets, [T @ T_there for T in T_around], coarsest=0, prior=PLACED)
+            found = other if score(other) > score(found) else found
+        self.usual = self.usual.after(found)
+        return found
+
+
+def _tied(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
+    """For each keyframe the ones tied to it, the strongest first."""
+    tied: list[list[int]] = [[] for _ in graph.keyframes]
+    for each in sorted(graph.ties, key=lambda t: -t.weight * t.overlap):
+        tied[row[each.a]].append(row[each.b])
+        tied[row[each.b]].append(row[each.a])
+    return tied
