@@ -11,9 +11,9 @@ from kinectbench.tracking.icp import (
     OrientedPoints,
     normal_equations,
     oriented_points,
-    rigid_from_twist,
     turn_rad,
 )
+from kinectbench.tracking.twist import rigid_from_twist
 
 ITERATIONS = 12
 WANTED_POINTS = 4000

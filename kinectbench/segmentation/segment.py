@@ -11,12 +11,12 @@ from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, transform_poin
 from kinectbench.segmentation.floor import Floor, find_floor
 from kinectbench.segmentation.select import (
     CELL_M,
-    convergence_point,
     fit_box,
     select_in_box,
     select_object,
     surface_points,
 )
+from kinectbench.tracking.coverage import convergence_point
 from kinectbench.tracking.trajectory import Trajectory
 
 MIN_BOX_POINTS = 20

@@ -54,19 +54,6 @@ def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
     return SurfacePoints(points, mean_normals, cells)
 
 
-def convergence_point(T_world_camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The point (3,) in the world nearest to all optical axes, in the least-squares sense."""
-    axes = T_world_camera[:, :3, 2]
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # Axes that are nearly parallel leave the distance open: a weak pull towards 1.5 m ahead closes it.
-    ahead = (T_world_camera[:, :3, 3] + 1.5 * axes).mean(axis=0)
-    weak = 1e-3 * len(axes)
-    normal_matrix = across.sum(axis=0) + weak * np.eye(3)
-    return np.linalg.solve(
-        normal_matrix, (across @ T_world_camera[:, :3, 3, None]).sum(axis=0)[:, 0] + weak * ahead
-    )
-
-
 def select_object(
     points_floor: NDArray[np.float64], floor_cut_m: float, target_floor: NDArray[np.float64]
 ) -> NDArray[np.bool_]:

@@ -18,9 +18,9 @@ from kinectbench.tracking.icp import (
     OrientedPoints,
     normal_equations,
     oriented_points,
-    rigid_from_twist,
     turn_rad,
 )
+from kinectbench.tracking.twist import rigid_from_twist
 
 KEYFRAMES = 60
 ITERATIONS = 5

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from kinectbench.geometry import Camera, transform_points
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.tracking.frame_maps import Level
+from kinectbench.tracking.registration import CORRELATED_POINTS
 
 Float64 = NDArray[np.float64]
 
@@ -25,8 +26,6 @@ POINTS_PER_TIE = 1500
 # How large the correction may be expected: 1 % of depth at 4 m; higher degrees less.
 PRIOR_PER_M = 0.0025
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
-# As in registration: so many points count as one measurement.
-CORRELATED_POINTS = 10.0
 MIN_TIES = 6
 # Degrees of the terms: Legendre polynomials of column and row. A constant would be a matter of scale.
 TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j > 0]
@@ -47,10 +46,6 @@ class Calibration:
         u, v = np.meshgrid(np.arange(width), np.arange(height))
         terms = _terms(u.ravel().astype(float), v.ravel().astype(float), width, height)
         return np.asarray((terms @ self.coefficients).reshape(height, width), np.float32)
-
-    def relative_error(self, depth_m: float) -> float:
-        """Root mean square over the image of the share by which depth is corrected at `depth_m`."""
-        return float(np.sqrt(np.mean(self.correction_per_m(64, 48) ** 2)) * depth_m)
 
 
 NO_CALIBRATION = Calibration(np.zeros(len(TERMS)))
@@ -89,11 +84,6 @@ def calibrate(views: Iterable[View]) -> Calibration:
     if ties < MIN_TIES:
         return NO_CALIBRATION
     return Calibration(np.asarray(-np.linalg.solve(normal_matrix, right), np.float64))
-
-
-def corrected(depth_m: NDArray[np.float32], correction_per_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Depth (height, width) after the correction of its inverse; 0 stays 0."""
-    return np.asarray(depth_m / (1 + depth_m * correction_per_m), np.float32)
 
 
 def _linearised(view: View) -> tuple[Float64, Float64, Float64]:

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, rigid
+from kinectbench.geometry import Camera
 from kinectbench.geometry.depth_noise import depth_sigma_m
 
 MAX_DEPTH_M = 3.5
@@ -74,13 +74,6 @@ def normal_equations(
         surface.points, surface.normals, surface.sigma_m, depth_m, T_target_source, intrinsics
     )
     return A, b, residuals
-
-
-def rigid_from_twist(twist: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(4, 4) from a rotation vector (radians) and a translation (metres), stacked (6,)."""
-    import cv2
-
-    return rigid(np.asarray(cv2.Rodrigues(twist[:3])[0]), twist[3:])
 
 
 def turn_rad(T_a_b: NDArray[np.float64]) -> float:

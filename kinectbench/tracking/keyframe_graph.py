@@ -4,7 +4,7 @@ Every tie is a registration that convinced in both directions. The number of tri
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +66,6 @@ def build_graph(
     features: FeatureCache,
     odometry: Odometry,
     T_given: Float64 | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> KeyframeGraph:
     """Find ties, join segments, and optimise; places are looked for again with every better estimate.
 
@@ -75,17 +74,14 @@ def build_graph(
         features: of the frames.
         odometry: keyframes, and the ties between consecutive ones.
         T_given: (n, 4, 4) loosely believed poses of all frames, or None.
-        progress: called with (done, total) rounds.
     """
     builder = _Builder(maps, features, odometry, T_given)
-    for done in range(ROUNDS):
-        builder.tie_alike() if done == 0 else None
+    builder.tie_alike()
+    for last in [False] * (ROUNDS - 1) + [True]:
         builder.tie_covisible()
         builder.optimise()
-        if done < ROUNDS - 1:
+        if not last:
             builder.calibrate()
-        if progress:
-            progress(done + 1, ROUNDS)
     return builder.graph()
 
 

@@ -127,7 +127,7 @@ def follow(
                 usual = usual.after(found.registration)
                 if _is_keyframe(found.registration, maps[index]):
                     ties.append(tie(found.keyframe, index, found.registration, "odometry"))
-                    found = Followed(found.segment, index, found.T_segment_camera, found.registration)
+                    found = replace(found, keyframe=index)
             if found.keyframe == index:
                 if average is not None:
                     maps.improve(keyframes[-1], average.stored())

@@ -18,7 +18,8 @@ from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.segmentation.segment import segment
-from kinectbench.segmentation.select import convergence_point, fit_box, select_object, surface_points
+from kinectbench.segmentation.select import fit_box, select_object, surface_points
+from kinectbench.tracking.coverage import convergence_point
 
 pytestmark = pytest.mark.xdist_group("segmentation")
 

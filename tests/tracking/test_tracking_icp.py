@@ -12,9 +12,9 @@ from kinectbench.tracking.icp import (
     OrientedPoints,
     normal_equations,
     oriented_points,
-    rigid_from_twist,
     turn_rad,
 )
+from kinectbench.tracking.twist import rigid_from_twist
 
 SURFACES = [box((-0.3, -0.2, 0.0), (0.3, 0.2, 0.5)), plane((0, 0, 1), 0.0), sphere((0.0, 0.0, 0.6), 0.15)]
 EYE = look_at(np.array([0.9, -1.4, 1.1]), np.array([0.0, 0.0, 0.25]))

@@ -1,0 +1,51 @@
+"""A known depth distortion is found from ties with known motion, and undone."""
+
+import numpy as np
+import pytest
+from tracking_scenes import couch
+
+from kinectbench.geometry import invert_rigid
+from kinectbench.tracking.depth_calibration import NO_CALIBRATION, TERMS, Calibration, View, calibrate
+from kinectbench.tracking.frame_maps import FrameMaps, frame_maps
+
+pytestmark = pytest.mark.xdist_group("tracking")
+
+PAIRS = [(i, i + step) for step in (1, 3, 5) for i in range(0, 18, 2)]
+
+
+def distorted(coefficients: np.ndarray) -> list[FrameMaps]:
+    """The couch's frames as a sensor records them whose inverse depth is too small by the correction."""
+    sequence = couch().sequence
+    frames = []
+    for index in range(24):
+        exact = frame_maps(sequence, index).levels[0].depth_m
+        error_per_m = Calibration(coefficients).correction_per_m(exact.shape[1], exact.shape[0])
+        frames.append(frame_maps(sequence, index, exact / (1 - exact * error_per_m)))
+    return frames
+
+
+def views(frames: list[FrameMaps], pairs: list[tuple[int, int]]) -> list[View]:
+    T = couch().simulation.T_world_camera
+    return [View(frames[b].levels[0], frames[a].levels[0], invert_rigid(T[a]) @ T[b]) for a, b in pairs]
+
+
+def test_a_known_distortion_is_found():
+    coefficients = np.zeros(len(TERMS))
+    coefficients[[TERMS.index((2, 0)), TERMS.index((1, 1)), TERMS.index((0, 2))]] = 0.004, -0.003, 0.003
+    true = Calibration(coefficients).correction_per_m(64, 48)
+    found = calibrate(views(distorted(coefficients), PAIRS)).correction_per_m(64, 48)
+    assert np.corrcoef(found.ravel(), true.ravel())[0, 1] > 0.8
+    # Its prior keeps it small where few ties speak: it takes off a part, and adds nothing. No constant is told.
+    left = (found - true) - (found - true).mean()
+    assert left.std() < 0.8 * true.std()
+
+
+def test_an_exact_sensor_is_left_as_it_is():
+    found = calibrate(views(distorted(np.zeros(len(TERMS))), PAIRS)).correction_per_m(64, 48)
+    assert np.abs(found).max() < 0.002
+
+
+def test_few_ties_say_nothing():
+    frames = distorted(np.full(len(TERMS), 0.001))
+    assert calibrate(views(frames, PAIRS[:3])) is NO_CALIBRATION
+    assert calibrate([]) is NO_CALIBRATION
