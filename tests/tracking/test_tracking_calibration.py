@@ -35,7 +35,7 @@ def test_a_known_distortion_is_found():
     true = Calibration(coefficients).correction_per_m(64, 48)
     found = calibrate(views(distorted(coefficients), PAIRS)).correction_per_m(64, 48)
     assert np.corrcoef(found.ravel(), true.ravel())[0, 1] > 0.8
-    # Its prior keeps it small where few ties speak: it takes off a part, and adds nothing. No constant is told.
+    # Its prior keeps it small where few ties speak: it takes off a part. No constant is told.
     left = (found - true) - (found - true).mean()
     assert left.std() < 0.8 * true.std()
 
