@@ -39,8 +39,12 @@ def worker_pool(
     try:
         yield pool
     except BaseException:
+        manager: Any = pool._executor_manager_thread
         pool.shutdown(wait=False, cancel_futures=True)
         _end(set(multiprocessing.active_children()) - others)
+        if manager is not None:
+            # It gives back what the processes shared; an exit in the middle of that leaves them half returned.
+            manager.join(GRACE_S)
         raise
     finally:
         pool.shutdown(wait=True)
