@@ -5,14 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, transform_points
+from kinectbench.geometry import Camera, rotation_angle_rad, transform_points
+from kinectbench.icp import OrientedPoints, normal_equations, oriented_points
 from kinectbench.segmentation.render import DepthRenderer
-from kinectbench.tracking.icp import (
-    OrientedPoints,
-    normal_equations,
-    oriented_points,
-    turn_rad,
-)
 from kinectbench.tracking.twist import rigid_from_twist
 
 ITERATIONS = 12
@@ -82,7 +77,7 @@ def align_view(
     moved_m = float(
         np.median(np.linalg.norm(transform_points(motion, points.points) - points.points, axis=1))
     )
-    turned_rad = turn_rad(motion)
+    turned_rad = float(rotation_angle_rad(motion[:3, :3]))
     helps = _residual_m(held_out, rendered_m, motion, camera) < _residual_m(
         held_out, rendered_m, np.eye(4), camera
     )

@@ -43,7 +43,7 @@ def worker_pool(
         pool.shutdown(wait=False, cancel_futures=True)
         _end(set(multiprocessing.active_children()) - others)
         if manager is not None:
-            # It gives back what the processes shared; an exit in the middle of that leaves them half returned.
+            # It gives back what the processes shared: an exit must not come in the middle of that.
             manager.join(GRACE_S)
         raise
     finally:

@@ -79,8 +79,7 @@ def _track(job: Job, folder: Path, progress: Progress) -> None:
     sequence = read_sequence(job.build / "sequence")
     trajectory = track(sequence, job.recording.trajectory, job.settings.tracking, progress)
     write_trajectory(trajectory, folder)
-    if trajectory.source != "trust":
-        write_pictures(folder, trajectory)
+    write_pictures(folder, trajectory)
 
 
 def _fuse(job: Job, folder: Path, progress: Progress) -> None:

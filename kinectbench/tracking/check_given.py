@@ -1,138 +1,141 @@
-"""Does a given trajectory agree with the depth? It is compared with what the tracker makes of it.
+"""How far a given trajectory can be trusted: each frame against those around it, and distant ones."""
 
-Both may drift over the whole path, but hardly over a few frames: so each frame's given pose is compared
-relative to frames that see the same place from nearby. Drift shows in the residual between distant frames.
-"""
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.config import TrackingSettings
+from kinectbench.errors import TrackingError
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.compare import has_pose
-from kinectbench.tracking.frame_maps import FrameMaps, Level, MapCache
+from kinectbench.tracking.distant_frames import distant_residual_m, tie_distant
+from kinectbench.tracking.frame_check import FrameCheck, check_frames
+from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.health import GivenCheck
-from kinectbench.tracking.tracked import Tracked
-from kinectbench.tracking.twist import rigid_from_twist, twist_from_rigid
+from kinectbench.tracking.json_figures import median
+from kinectbench.tracking.tracked import State, Tie, Tracked
 
 Float64 = NDArray[np.float64]
 
-# Frames that others are compared with, evenly spread: the nearest ones are so near that drift does not count.
-COMPARED_FRAMES = 60
-# At most so many pairs of keyframes tell the residual between distant frames.
-DISTANT_PAIRS = 120
-DISTANT_GATE_M = 0.1
-MIN_FACING = 0.5
+NO_POSE = "the given trajectory has no pose at its time"
+CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
+MAX_JUMPS_TOLD = 5
+# If more of the frames disagree, something is wrong with all of them.
+MANY = 0.2
+# Drift that is more likely due to a wrong scale or clock.
+IMPLAUSIBLE_DRIFT_M = 0.1
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A given trajectory and what the depth says of it.
+
+    Attributes:
+        T_given: (n, 4, 4), NaN where there is none.
+        frames: each frame against those around it.
+        distant: frames that are far apart in time, registered from the given poses.
+        given: the figures for people; `refined_distant_residual_m` is that of the registrations.
+    """
+
+    T_given: Float64
+    frames: FrameCheck
+    distant: tuple[Tie, ...]
+    given: GivenCheck
 
 
 def check_given(
-    sequence: Sequence, T_given: Float64, tracked: Tracked, neighbours: int, max_shift_m: float
-) -> GivenCheck:
-    """Compare given poses with refined ones, each relative to the frames around it.
-
-    A frame that disagrees is compared a second time with frames that agree among themselves only, so that one
-    wrong frame does not drag its right neighbours along.
+    sequence: Sequence,
+    T_given: Float64,
+    settings: TrackingSettings,
+    progress: Callable[[int, int], None] | None = None,
+) -> Checked:
+    """Compare the depth of frames that see the same place under the given poses.
 
     Args:
         sequence: the recording, n frames.
         T_given: (n, 4, 4), NaN where there is none.
-        tracked: refined from these.
-        neighbours: frames each frame is compared with.
-        max_shift_m: a frame that is farther off disagrees.
+        settings: what counts as disagreement.
+        progress: called with (done, total).
     """
-    T_refined = tracked.T_world_camera
-    known = has_pose(T_given) & has_pose(T_refined)
-    shift_m, turn = np.full(len(sequence), np.nan), np.full(len(sequence), np.nan)
-    posed = np.flatnonzero(known)
-    compared = posed[np.unique(np.linspace(0, len(posed) - 1, COMPARED_FRAMES).astype(int))]
-
-    def compare(frame: int, among: NDArray[np.int64]) -> None:
-        near = _nearest_views(T_refined, frame, among)[:neighbours]
-        if len(near):
-            shift_m[frame], turn[frame] = _shift(sequence, T_given, T_refined, frame, near)
-
-    for frame in np.flatnonzero(known):
-        compare(int(frame), compared)
-    wrong = np.nan_to_num(shift_m) > max_shift_m
-    sound = compared[~wrong[compared]]
-    if len(sound) >= 2:
-        for frame in np.flatnonzero(wrong):
-            compare(int(frame), sound)
-    wrong = np.nan_to_num(shift_m) > max_shift_m
-    given_m, refined_m = _distant_residuals(sequence, [T_given, T_refined], tracked, known)
-    return GivenCheck(shift_m, turn, tracked.residual_m, wrong, given_m, refined_m)
+    maps, every = MapCache(sequence), settings.check_stride_px
+    frames = check_frames(maps, T_given, settings, progress)
+    sound = frames.compared[~frames.disagrees[frames.compared]]
+    distant, shifts_m = tie_distant(maps, T_given, sound, every)
+    given = GivenCheck(
+        shift_m=frames.shift_m,
+        turn_rad=frames.turn_rad,
+        residual_m=frames.residual_m,
+        rejected=frames.disagrees,
+        distant_shift_m=median(shifts_m),
+        given_distant_residual_m=distant_residual_m(maps, distant, every, T_given),
+        refined_distant_residual_m=distant_residual_m(maps, distant, every),
+    )
+    return Checked(T_given, frames, distant, given)
 
 
-def jumps(T_given: Float64, tracked: Tracked, max_shift_m: float) -> list[tuple[int, float]]:
-    """Where the given trajectory jumps: the frame after it, and by how much (metres).
+def as_refined(
+    sequence: Sequence, checked: Checked, T_refined: Float64, settings: TrackingSettings
+) -> GivenCheck:
+    """The figures, with the residual between the same distant frames under refined poses (n, 4, 4)."""
+    maps, every = MapCache(sequence), settings.check_stride_px
+    found_m = distant_residual_m(maps, checked.distant, every, T_refined)
+    return replace(checked.given, refined_distant_residual_m=found_m)
 
-    A step is a jump if it is off by more than `max_shift_m`, and the steps before and after it are not: a
-    single wrong frame makes two wrong steps, and is named anyway.
+
+def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
+    """The given poses as they are, but for those that the depth contradicts.
+
+    Raises:
+        TrackingError: most frames disagree.
     """
-    frames = np.flatnonzero(has_pose(T_given) & has_pose(tracked.T_world_camera))
-    steps = [invert_rigid(T[frames[:-1]]) @ T[frames[1:]] for T in (T_given, tracked.T_world_camera)]
-    apart_m = np.linalg.norm(steps[0][:, :3, 3] - steps[1][:, :3, 3], axis=1)
-    off = np.concatenate([[False], apart_m > max_shift_m, [False]])
-    alone = off[1:-1] & ~off[:-2] & ~off[2:]
-    return [(int(frames[i + 1]), float(apart_m[i])) for i in np.flatnonzero(alone)]
+    posed, wrong = has_pose(checked.T_given), checked.frames.disagrees
+    compared = int(np.isfinite(checked.frames.shift_m).sum())
+    if wrong.sum() > 0.5 * compared:
+        raise TrackingError(
+            f"the given trajectory does not fit the depth: {wrong.sum()} of {compared} frames disagree by "
+            f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
+            "without them"
+        )
+    kept = posed & ~wrong
+    states: tuple[State, ...] = tuple("tracked" if each else "lost" for each in kept)
+    return Tracked(
+        T_world_camera=np.where(kept[:, None, None], checked.T_given, np.nan),
+        states=states,
+        reasons=dict.fromkeys(np.flatnonzero(~posed).tolist(), NO_POSE),
+        keyframes=checked.frames.compared[kept[checked.frames.compared]],
+        ties=checked.distant,
+        refused=(),
+        residual_m=checked.frames.residual_m,
+        inlier_share=checked.frames.inlier_share,
+        degenerate=checked.frames.degenerate,
+    )
 
 
-def _nearest_views(T: Float64, frame: int, among: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The other frames, most similar view first: 1 m apart counts as much as 1 rad turned."""
-    others = among[among != frame]
-    apart_m = np.linalg.norm(T[others, :3, 3] - T[frame, :3, 3], axis=1)
-    cosine = T[others, :3, 2] @ T[frame, :3, 2]
-    order = np.argsort(apart_m + np.arccos(np.clip(cosine, -1, 1)), kind="stable")
-    return np.asarray(others[order])
-
-
-def _shift(
-    sequence: Sequence, T_given: Float64, T_refined: Float64, frame: int, near: NDArray[np.int64]
-) -> tuple[float, float]:
-    """How far and by what angle a frame is off: by the median motion that its neighbours ask for.
-
-    It is taken per component: their own errors cancel, and one wrong neighbour does not count.
-    """
-    depth_m = sequence.depth_m(frame)[::16, ::16]
-    rays = sequence.camera.rays()[::16, ::16]
-    points = (rays * depth_m[..., None])[depth_m > 0]
-    refined = invert_rigid(T_refined[near]) @ T_refined[frame]
-    given = invert_rigid(T_given[near]) @ T_given[frame]
-    off = invert_rigid(refined) @ given
-    motion = rigid_from_twist(np.median([twist_from_rigid(T) for T in off], axis=0))
-    shifts_m = np.linalg.norm(transform_points(motion, points) - points, axis=1)
-    return float(np.median(shifts_m)), float(rotation_angle_rad(motion[:3, :3]))
-
-
-def _distant_residuals(
-    sequence: Sequence, trajectories: list[Float64], tracked: Tracked, usable: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """Median residual between keyframes that are tied but do not follow each other, for two trajectories."""
-    pairs = [(t.a, t.b) for t in tracked.ties if t.kind != "odometry" and usable[t.a] and usable[t.b]]
-    if not pairs:
-        return np.nan, np.nan
-    chosen = sorted(pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, DISTANT_PAIRS).astype(int)))
-    maps = MapCache(sequence)
-    medians = [
-        [_residual_m(maps[b], maps[a].levels[0], invert_rigid(T[a]) @ T[b]) for T in trajectories]
-        for a, b in chosen
+def warnings_of(sequence: Sequence, checked: Checked) -> list[str]:
+    """What people should know of a given trajectory: jumps, implausible drift, frames that nothing checks."""
+    jumps = checked.frames.jumps
+    told = [
+        f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame} "
+        f"({sequence.stamps_ns[frame] / 1e9:.3f} s)"
+        for frame, by_m in jumps[:MAX_JUMPS_TOLD]
     ]
-    given_m, refined_m = np.nanmedian(np.array(medians), axis=0)
-    return float(given_m), float(refined_m)
-
-
-def _residual_m(source: FrameMaps, target: Level, T_target_source: Float64) -> float:
-    """Median absolute point-to-plane residual of all points within 0.1 m of what they fall on; NaN if few."""
-    points = source.levels[0].points.astype(np.float64)
-    p, n = transform_points(T_target_source, points[:, :3]), points[:, 3:6] @ T_target_source[:3, :3].T
-    p, n = p[p[:, 2] > 0.1], n[p[:, 2] > 0.1]
-    pixels = np.rint(target.camera.project(p)).astype(int)
-    height, width = target.depth_m.shape
-    inside = ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
-    p, n, (u, v) = p[inside], n[inside], pixels[inside].T
-    q = target.camera.rays()[v, u] * target.depth_m[v, u][:, None]
-    facing = (n * target.normals[v, u]).sum(axis=1) > MIN_FACING
-    met = (q[:, 2] > 0) & (np.abs(q[:, 2] - p[:, 2]) < DISTANT_GATE_M) & facing
-    if met.sum() < 100:
-        return np.nan
-    return float(np.median(np.abs((n[met] * (q[met] - p[met])).sum(axis=1))))
+    if len(jumps) > MAX_JUMPS_TOLD:
+        told.append(f"it jumps {len(jumps) - MAX_JUMPS_TOLD} more times")
+    drift_m = checked.given.distant_shift_m
+    if drift_m > IMPLAUSIBLE_DRIFT_M:
+        told.append(
+            f"distant frames disagree by {drift_m * 1000:.0f} mm: if the given trajectory does not drift so "
+            "much, depth_scale or the clock of its stamps is wrong"
+        )
+    disagreeing, compared = checked.frames.disagrees.sum(), np.isfinite(checked.frames.shift_m).sum()
+    if disagreeing > MANY * compared:
+        told.append(f"{disagreeing} of {compared} frames disagree with the given trajectory: {CAUSES}?")
+    posed = has_pose(checked.T_given)
+    unchecked = int((posed & np.isnan(checked.frames.shift_m)).sum())
+    if unchecked > 0.5 * posed.sum():
+        told.append(
+            f"{unchecked} of {posed.sum()} poses could not be checked: too little of the frames overlaps"
+        )
+    return told

@@ -34,14 +34,16 @@ class GivenCheck:
         turn_rad: (n,) by how much the camera would turn, radians.
         residual_m: (n,) median absolute point-to-plane residual as given, metres.
         rejected: (n,) bool, frames whose depth disagrees with the given pose.
-        given_distant_residual_m: point-to-plane residual between distant frames with the given poses, metres.
-        refined_distant_residual_m: the same with the refined poses.
+        distant_shift_m: how far the points of frames far apart in time would move to agree, median, metres.
+        given_distant_residual_m: point-to-plane residual between such frames with the given poses, metres.
+        refined_distant_residual_m: the same with refined poses; where none are made, as registered in pairs.
     """
 
     shift_m: Float64
     turn_rad: Float64
     residual_m: Float64
     rejected: Bool
+    distant_shift_m: float
     given_distant_residual_m: float
     refined_distant_residual_m: float
 
@@ -67,7 +69,7 @@ def health(
     case = _Case(sequence, source, tracked, given)
     figures = {**_frame_figures(case), **_residual_figures(case), **_path_figures(case), **_tie_figures(case)}
     recommended = _recommended(case)
-    grade, verdict = judge(_evidence(source, figures, recommended))
+    grade, verdict = judge(_evidence(case, figures, recommended))
     return {
         "format_version": 1,
         "source": source,
@@ -152,16 +154,17 @@ class _Case:
         return np.isfinite(self.shift_m if self.trusted else self.residual_m)
 
 
-def _evidence(source: Source, figures: dict[str, Any], recommended: Recommendation | None) -> Evidence:
+def _evidence(case: _Case, figures: dict[str, Any], recommended: Recommendation | None) -> Evidence:
     loops = figures["loops"]
     return Evidence(
-        source=source,
+        source=case.source,
         frames=figures["frames"],
         posed=figures["tracked"],
         rejected=len(figures["rejected"]),
         unchecked=figures["unchecked"],
         degenerate=len(set(figures["degenerate"]) - set(figures["lost"])),
         shift_mm=figures["median_shift_mm"],
+        distant_shift_mm=mm(case.given.distant_shift_m) if case.given else None,
         loops=len(loops),
         believed_loops=sum(row["believed"] for row in loops),
         loop_correction_mm=figures["loop_correction_mm"],
@@ -189,14 +192,15 @@ def _frame_figures(case: _Case) -> dict[str, Any]:
 
 def _rejected_row(case: _Case, frame: int) -> dict[str, Any]:
     assert case.given is not None
-    shift_mm = mm(case.given.shift_m[frame])
+    shift_mm, agreeing = mm(case.given.shift_m[frame]), case.tracked.inlier_share[frame]
+    there = f", where {100 * agreeing:.0f} % of it fits" if np.isfinite(agreeing) else ""
     return {
         "frame": frame,
         "stamp_ns": int(case.sequence.stamps_ns[frame]),
         "residual_mm": mm(case.given.residual_m[frame]),
         "shift_mm": shift_mm,
         "turn_deg": degrees(case.given.turn_rad[frame]),
-        "reason": f"its depth disagrees with its pose by {shift_mm} mm",
+        "reason": f"its depth disagrees with its pose by {shift_mm} mm{there}",
     }
 
 
@@ -270,8 +274,7 @@ def _recommended(case: _Case) -> Recommendation | None:
     known = np.isfinite(given.shift_m)
     return recommend(
         float(given.rejected[known].mean()) if known.any() else 0.0,
-        given.given_distant_residual_m,
-        given.refined_distant_residual_m,
+        given.distant_shift_m,
         median(given.shift_m),
     )
 
@@ -280,6 +283,7 @@ def _given_figures(given: GivenCheck) -> dict[str, Any]:
     return {
         "disagreeing": np.flatnonzero(given.rejected).tolist(),
         "median_shift_mm": mm(median(given.shift_m)),
+        "distant_shift_mm": mm(given.distant_shift_m),
         "distant_residual_mm": mm(given.given_distant_residual_m),
         "refined_distant_residual_mm": mm(given.refined_distant_residual_m),
     }

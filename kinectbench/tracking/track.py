@@ -3,25 +3,21 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.config import TrackingSettings, TrajectoryMode
 from kinectbench.errors import TrackingError
 from kinectbench.sequence import Sequence
-from kinectbench.tracking.check_given import check_given, jumps
+from kinectbench.tracking.check_given import as_refined, check_given, trusted, warnings_of
 from kinectbench.tracking.given import poses_at
 from kinectbench.tracking.health import GivenCheck, health
 from kinectbench.tracking.tracked import Tracked
 from kinectbench.tracking.tracker import track_frames
 from kinectbench.tracking.trajectory import Trajectory
-from kinectbench.tracking.trusted import trusted
 from kinectbench.tracking.verdict import Source
 
-Float64 = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 MIN_GOOD_FRAMES = 3
-MAX_JUMPS_TOLD = 5
 
 
 def track(
@@ -53,11 +49,16 @@ def track(
     posed = int(np.isfinite(T_given[:, 0, 0]).sum())
     if posed < MIN_GOOD_FRAMES:
         raise TrackingError(_too_few_poses(sequence, posed))
+    n = len(sequence)
+    # The tracker counts every frame twice.
+    rounds = 3 if mode == "refine" else 1
+    report = progress or (lambda done, total: None)
+    checked = check_given(sequence, T_given, settings, lambda done, total: report(done, rounds * total))
+    warnings = warnings_of(sequence, checked)
     if mode != "refine":
-        return trusted(sequence, T_given, settings, progress)
-    refined = track_frames(sequence, T_given, progress)
-    check = check_given(sequence, T_given, refined, settings.check_neighbours, settings.max_disagreement_m)
-    warnings = _jump_warnings(sequence, T_given, refined, settings)
+        return _finished(sequence, "trust", trusted(checked, settings), warnings, checked.given)
+    refined = track_frames(sequence, T_given, lambda done, total: report(n + done, n + total))
+    check = as_refined(sequence, checked, refined.T_world_camera, settings)
     return _finished(sequence, "refine", refined, warnings, check)
 
 
@@ -73,20 +74,6 @@ def _finished(
         )
     figures = health(sequence, source, tracked, warnings, check)
     return Trajectory(sequence.stamps_ns, tracked.T_world_camera, source, figures)
-
-
-def _jump_warnings(
-    sequence: Sequence, T_given: Float64, refined: Tracked, settings: TrackingSettings
-) -> list[str]:
-    found = jumps(T_given, refined, settings.max_disagreement_m)
-    told = [
-        f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame} "
-        f"({sequence.stamps_ns[frame] / 1e9:.3f} s)"
-        for frame, by_m in found[:MAX_JUMPS_TOLD]
-    ]
-    if len(found) > MAX_JUMPS_TOLD:
-        told.append(f"it jumps {len(found) - MAX_JUMPS_TOLD} more times")
-    return told
 
 
 def _too_few_poses(sequence: Sequence, posed: int) -> str:

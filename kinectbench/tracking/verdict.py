@@ -21,6 +21,8 @@ UNCHECKED_SHARE = (0.5, 1.0)
 REJECTED_SHARE = (0.1, 0.5)
 DEGENERATE_SHARE = (0.05, 0.3)
 SHIFT_MM = (5.0, 10.0)
+# Between frames far apart in time: each of the two may be off by half of it.
+DISTANT_SHIFT_MM = (10.0, 20.0)
 # A correction holds the errors of two poses and of the measurement between them.
 LOOP_CORRECTION_MM = (5.0, 10.0)
 BELIEVED_LOOP_SHARE = (0.8, 0.5)
@@ -29,8 +31,8 @@ OPEN_PATH_M = (1.5, 4.0)
 # Real sensors are warped as well: right poses leave 0.6 times the noise of a simulated Kinect, and 1.4 to 1.6
 # times that of real ones. Poses that are off by 40 mm leave 2 to 4 times.
 TIMES_NOISE = (2.0, 3.0)
-# A refined trajectory that leaves this share of the residual between distant frames was worth the refining.
-WORTH_REFINING = 0.85
+# Given poses drift if distant frames disagree by this many times what near ones do, and by 5 mm more.
+TIMES_NEAR = 2.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Evidence:
         unchecked: frames with a pose that overlap too little with others to tell.
         degenerate: frames with a pose whose depth alone leaves a motion open.
         shift_mm: by how much poses are off, by what is measured between frames: median.
+        distant_shift_mm: the same between frames far apart in time, of a given trajectory.
         loops: places seen again, in the pose graph.
         believed_loops: of these, what the robust kernel left a weight of at least a half.
         loop_correction_mm: how far the believed loops disagree with the poses, rms.
@@ -62,6 +65,7 @@ class Evidence:
     unchecked: int
     degenerate: int
     shift_mm: float | None
+    distant_shift_mm: float | None
     loops: int
     believed_loops: int
     loop_correction_mm: float | None
@@ -86,26 +90,24 @@ def judge(evidence: Evidence) -> tuple[Grade, str]:
     return grade, f"{words}: {why}"
 
 
-def recommend(
-    rejected_share: float, given_residual_m: float, refined_residual_m: float, median_shift_m: float
-) -> Recommendation:
+def recommend(rejected_share: float, distant_shift_m: float, median_shift_m: float) -> Recommendation:
     """What to do with a given trajectory.
 
-    Refine it if that lowers the residual between distant frames by 15 % or more (where that is not known: if
-    frames disagree by more than 5 mm); ignore it if most frames disagree.
+    Refine it if it drifts (frames far apart in time disagree by more than twice what near ones do, and 5 mm;
+    where that is not known: near ones by more than 5 mm), or if a tenth of the frames disagree; ignore it if
+    most of them do.
 
     Args:
         rejected_share: of the frames that have a given pose, those whose depth disagrees with it; 0 to 1.
-        given_residual_m: between distant frames, with the given poses, metres; NaN if not known.
-        refined_residual_m: the same with the refined poses.
-        median_shift_m: by how much the frames would move to agree with others, metres; NaN if not known.
+        distant_shift_m: by how much frames far apart in time disagree, median, metres; NaN if not known.
+        median_shift_m: by how much frames disagree with those around them, metres; NaN if not known.
     """
     if rejected_share > REJECTED_SHARE[1]:
         return "ignore"
-    drifts = refined_residual_m < WORTH_REFINING * given_residual_m
-    known = math.isfinite(given_residual_m) and math.isfinite(refined_residual_m)
-    if not known:
-        drifts = median_shift_m * 1000 > SHIFT_MM[0]
+    plain_m = SHIFT_MM[0] / 1000
+    drifts = distant_shift_m > TIMES_NEAR * median_shift_m + plain_m
+    if math.isnan(distant_shift_m):
+        drifts = median_shift_m > plain_m
     return "refine" if drifts or rejected_share > REJECTED_SHARE[0] else "trust"
 
 
@@ -127,8 +129,17 @@ def _given(e: Evidence) -> Iterator[tuple[int, str]]:
     if e.unchecked:
         level = _at_most(e.unchecked / e.posed, UNCHECKED_SHARE)
         yield level, f"{_percent(e.unchecked, e.posed)} of the poses could not be checked"
+    if e.degenerate:
+        level = min(1, _at_most(e.degenerate / e.posed, DEGENERATE_SHARE))
+        yield (
+            level,
+            f"{_percent(e.degenerate, e.posed)} of the frames show too plain a shape to check all of it",
+        )
+    if e.distant_shift_mm is not None:
+        level = _at_most(e.distant_shift_mm, DISTANT_SHIFT_MM)
+        yield level, f"frames far apart in time agree within {e.distant_shift_mm:.1f} mm (median)"
     if e.recommended == "refine":
-        yield 1, "the given trajectory fits distant frames worse than a refined one does"
+        yield 1, "the given trajectory is worth refining"
     if e.recommended == "ignore":
         yield 2, "most frames disagree with the given trajectory"
 

@@ -2,20 +2,33 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from analytic_scenes import displaced
-from tracking_scenes import chair_circle, couch, errors_m, with_frames
+from analytic_scenes import displaced, look_at
+from tracking_scenes import (
+    CORNER_VIEW,
+    FLOOR,
+    ROOM,
+    chair_circle,
+    couch,
+    errors_m,
+    painted,
+    waves,
+    with_frames,
+)
 
 from kinectbench.config import TrackingSettings
-from kinectbench.geometry import invert_rigid
+from kinectbench.errors import TrackingError
+from kinectbench.geometry import invert_rigid, transform_points
 from kinectbench.sequence import GivenTrajectory, Sequence
 from kinectbench.tracking import Trajectory, track
-from kinectbench.tracking.check_given import check_given, jumps
-from kinectbench.tracking.health import GivenCheck
-from kinectbench.tracking.tracked import Tracked
-from kinectbench.tracking.tracker import track_frames
+from kinectbench.tracking.check_given import Checked, check_given, warnings_of
+from kinectbench.tracking.disagreement import ask, residuals_m
+from kinectbench.tracking.frame_maps import FrameMaps, MapCache
+from kinectbench.tracking.pictures import write_pictures
 
 pytestmark = pytest.mark.xdist_group("tracking")
 N = 16
@@ -35,20 +48,8 @@ def recording(T_given: np.ndarray | None = None) -> Sequence:
     return replace(sequence, given_trajectory=GivenTrajectory(sequence.stamps_ns, T_given))
 
 
-@pytest.fixture(scope="module")
-def refined() -> Tracked:
-    return track_frames(recording(), truth())
-
-
-@pytest.fixture(scope="module")
-def half_circle() -> tuple[Sequence, Tracked]:
-    """A walk long enough that the two ends have nothing in common."""
-    sequence = with_frames(chair_circle().sequence, range(24))
-    return sequence, track_frames(sequence, chair_circle().simulation.T_world_camera[:24])
-
-
-def checked(T_given: np.ndarray, refined: Tracked) -> GivenCheck:
-    return check_given(recording(), T_given, refined, SETTINGS.check_neighbours, SETTINGS.max_disagreement_m)
+def checked(T_given: np.ndarray, sequence: Sequence | None = None) -> Checked:
+    return check_given(sequence or recording(), T_given, SETTINGS)
 
 
 def drifting(per_frame_m: float = 0.003, per_frame_deg: float = 0.1) -> np.ndarray:
@@ -61,77 +62,213 @@ def drifting(per_frame_m: float = 0.003, per_frame_deg: float = 0.1) -> np.ndarr
     return np.stack(out)
 
 
-# --- compared frame by frame
+# --- how far a frame is off
 
 
-def test_right_poses_agree(refined):
-    check = checked(truth(), refined)
-    assert not check.rejected.any() and np.isfinite(check.shift_m).all()
-    assert np.median(check.shift_m) < 0.006 and check.shift_m.max() < 0.015
-    assert np.degrees(np.median(check.turn_rad)) < 0.4
-    assert jumps(truth(), refined, SETTINGS.max_disagreement_m) == []
-    # Refined poses fit about as well as true ones, which nothing can beat by much.
-    assert check.refined_distant_residual_m == pytest.approx(check.given_distant_residual_m, rel=0.15)
+def corner() -> FrameMaps:
+    return MapCache(painted(ROOM, CORNER_VIEW[None], texture=waves))[0]
+
+
+@pytest.mark.parametrize("off", [(0.03, 0.0, 0.0, 0.0), (0.0, -0.02, 0.04, 0.0), (0.0, 0.0, 0.0, 2.0)])
+def test_a_known_shift_is_measured(off: tuple[float, float, float, float]) -> None:
+    """A frame compared with itself, as if it stood elsewhere."""
+    maps = corner()
+    T_off = displaced(np.eye(4), off[:3], off[3])
+    found = ask(maps, [maps], [T_off], 2, 1)
+    points = maps.levels[0].points[:, :3].astype(float)
+    expected_m = np.median(np.linalg.norm(transform_points(T_off, points) - points, axis=1))
+    assert found is not None
+    assert found.shift_m == pytest.approx(expected_m, rel=0.03)
+    assert 0.9 * found.shift_m < found.certain_shift_m < found.shift_m
+    assert np.degrees(found.turn_rad) == pytest.approx(off[3], abs=0.1)
+
+
+def test_along_a_plane_nothing_is_certain() -> None:
+    """Without texture a floor does not say where one stands on it, but how high."""
+    down = look_at(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.01, 0.0]))
+    maps = MapCache(painted([FLOOR], down[None]))[0]
+    along, across = (
+        ask(maps, [maps], [displaced(np.eye(4), s, 0.0)], 2, 1) for s in ((0.05, 0, 0), (0, 0, 0.05))
+    )
+    assert along is not None and along.certain_shift_m < 0.005
+    assert across is not None and across.certain_shift_m == pytest.approx(0.05, rel=0.05)
+
+
+def test_frames_that_see_nothing_in_common() -> None:
+    maps = corner()
+    assert ask(maps, [maps], [displaced(np.eye(4), (50.0, 0.0, 0.0), 0.0)], 2, 1) is None
+
+
+def test_residuals_are_the_distances_to_the_plane() -> None:
+    """Every point of a floor 20 mm nearer than it is; plainly, and by another plane's normals."""
+    down = look_at(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.01, 0.0]))
+    maps = MapCache(painted([FLOOR], down[None]))[0]
+    nearer = displaced(np.eye(4), (0.0, 0.0, -0.02), 0.0)
+    found = residuals_m(maps, maps.levels[0], nearer, 1)
+    assert len(found) > 5000
+    np.testing.assert_allclose(found, 0.02, atol=1e-4)
+    beyond = displaced(np.eye(4), (0.0, 0.0, -0.15), 0.0)
+    assert len(residuals_m(maps, maps.levels[0], beyond, 1)) == 0
+
+
+# --- each frame against those around it
+
+
+def test_right_poses_agree() -> None:
+    check = checked(truth())
+    assert not check.frames.disagrees.any() and check.frames.jumps == ()
+    assert np.isfinite(check.given.shift_m).all()
+    assert np.median(check.given.shift_m) < 0.002 and check.given.shift_m.max() < 0.006
+    assert np.degrees(np.median(check.given.turn_rad)) < 0.2
+    assert warnings_of(recording(), check) == []
 
 
 @pytest.mark.parametrize(
     ("shift_m", "turn_deg"),
-    [((0.05, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.05), 0.0), ((0.03, 0.03, 0.03), 0.0), ((0.0, 0.0, 0.0), 3.0)],
+    [
+        ((0.05, 0.0, 0.0), 0.0),
+        ((0.0, 0.0, 0.05), 0.0),
+        ((0.03, 0.03, 0.03), 0.0),
+        ((0.3, 0.0, 0.0), 0.0),
+        ((0.0, 0.0, 0.0), 3.0),
+        ((0.0, 0.0, 0.0), 15.0),
+    ],
 )
-def test_one_wrong_frame_is_found_and_measured(refined, shift_m, turn_deg):
+def test_one_wrong_frame_is_found_and_measured(shift_m: tuple[float, float, float], turn_deg: float) -> None:
     poses = truth()
     poses[WRONG] = displaced(poses[WRONG], shift_m, turn_deg)
-    check = checked(poses, refined)
-    np.testing.assert_array_equal(np.flatnonzero(check.rejected), [WRONG])
+    check = checked(poses)
+    np.testing.assert_array_equal(np.flatnonzero(check.frames.disagrees), [WRONG])
     if turn_deg:
-        assert np.degrees(check.turn_rad[WRONG]) == pytest.approx(turn_deg, rel=0.2)
+        assert np.degrees(check.given.turn_rad[WRONG]) == pytest.approx(turn_deg, rel=0.15)
     else:
-        assert check.shift_m[WRONG] == pytest.approx(np.linalg.norm(shift_m), rel=0.2)
+        assert check.given.shift_m[WRONG] == pytest.approx(np.linalg.norm(shift_m), rel=0.15)
+    others = np.delete(np.arange(N), WRONG)
+    assert check.given.residual_m[WRONG] > 1.4 * np.median(check.given.residual_m[others])
+    assert check.frames.jumps == ()
 
 
-def test_wrong_keyframes_do_not_drag_others_along(refined):
+def test_wrong_frames_in_a_row_do_not_drag_others_along() -> None:
     poses = truth()
-    wrong = refined.keyframes[1:3].tolist()
-    for k in wrong:
-        poses[k] = displaced(poses[k], (0.0, 0.07, 0.0), 0.0)
-    np.testing.assert_array_equal(np.flatnonzero(checked(poses, refined).rejected), sorted(wrong))
+    wrong = [6, 7]
+    poses[wrong] = displaced(np.eye(4), (0.0, 0.07, 0.0), 0.0) @ poses[wrong]
+    np.testing.assert_array_equal(np.flatnonzero(checked(poses).frames.disagrees), wrong)
 
 
 @pytest.mark.parametrize("at", [8, 9])
-def test_a_jump_is_found_where_every_frame_sees_it(refined, at):
+def test_a_jump_is_named_and_costs_nothing(at: int) -> None:
     """So short a walk that each frame is compared with some of the other side."""
     poses = truth()
-    poses[at:] = displaced(np.eye(4), (0.06, 0.0, 0.0), 0.0) @ poses[at:]
-    ((frame, by_m),) = jumps(poses, refined, SETTINGS.max_disagreement_m)
-    assert frame == at and by_m == pytest.approx(0.06, abs=0.01)
+    poses[at:] = displaced(np.eye(4), (0.03, 0.06, 0.0), 0.0) @ poses[at:]
+    check = checked(poses)
+    ((frame, by_m),) = check.frames.jumps
+    assert frame == at and by_m == pytest.approx(np.hypot(0.03, 0.06), rel=0.05)
+    assert not check.frames.disagrees.any()
+    (warning,) = warnings_of(recording(), check)
+    found = re.fullmatch(
+        r"the given trajectory jumps by (\d+) mm before frame (\d+) \((\d+\.\d{3}) s\)", warning
+    )
+    assert found and abs(int(found[1]) - 67) <= 3 and int(found[2]) == at
+    assert float(found[3]) == pytest.approx(recording().stamps_ns[at] / 1e9, abs=0.001)
 
 
-def test_a_wrong_frame_is_no_jump(refined):
-    poses = truth()
-    poses[WRONG] = displaced(poses[WRONG], (0.06, 0.0, 0.0), 0.0)
-    assert jumps(poses, refined, SETTINGS.max_disagreement_m) == []
-
-
-def test_frames_without_a_pose_are_not_judged(refined):
+def test_frames_without_a_pose_are_not_judged() -> None:
     poses = truth()
     poses[[4, 11]] = np.nan
-    check = checked(poses, refined)
-    assert np.isnan(check.shift_m[[4, 11]]).all() and not check.rejected.any()
-    assert np.isfinite(np.delete(check.shift_m, [4, 11])).all()
+    check = checked(poses)
+    assert np.isnan(check.given.shift_m[[4, 11]]).all() and not check.frames.disagrees.any()
+    assert np.isfinite(np.delete(check.given.shift_m, [4, 11])).all()
 
 
-def test_another_world_changes_nothing(refined):
+def test_poses_so_far_apart_that_nothing_can_be_checked() -> None:
+    poses = truth()
+    poses[:, :3, 3] += 100.0 * np.arange(N)[:, None]
+    check = checked(poses)
+    assert np.isnan(check.given.shift_m).all() and check.distant == ()
+    (warning,) = warnings_of(recording(), check)
+    assert warning == "16 of 16 poses could not be checked: too little of the frames overlaps"
+    health = track(recording(poses), "trust", SETTINGS).health
+    assert health["unchecked"] == N and "could not be checked" in health["verdict"]
+
+
+def test_a_frame_that_has_nothing_to_do_with_the_others_is_found() -> None:
+    """It is far off by its pose, and right where it follows from the frame before."""
+    poses = truth()
+    poses[WRONG, :3, 3] += 100.0
+    check = checked(poses)
+    np.testing.assert_array_equal(np.flatnonzero(check.frames.disagrees), [WRONG])
+    assert check.given.shift_m[WRONG] == pytest.approx(100 * np.sqrt(3), rel=0.01)
+
+
+def test_another_world_changes_nothing() -> None:
     """Only where frames lie to each other is compared."""
     T_other_world = displaced(np.eye(4), (3.0, -2.0, 1.0), 70.0)
-    a, b = checked(truth(), refined), checked(T_other_world @ truth(), refined)
-    np.testing.assert_allclose(a.shift_m, b.shift_m, atol=1e-9)
-    assert a.given_distant_residual_m == pytest.approx(b.given_distant_residual_m, rel=1e-6)
+    a, b = checked(truth()), checked(T_other_world @ truth())
+    np.testing.assert_allclose(a.given.shift_m, b.given.shift_m, atol=1e-5)
+
+
+def test_the_same_bytes_again() -> None:
+    a, b = checked(drifting()), checked(drifting())
+    for name in ("shift_m", "turn_rad", "residual_m", "rejected"):
+        assert getattr(a.given, name).tobytes() == getattr(b.given, name).tobytes()
+    assert a.given.distant_shift_m == b.given.distant_shift_m
+
+
+def test_a_depth_scale_that_is_wrong_is_told() -> None:
+    sequence = replace(circle(truth_of_circle()), depth_scale=circle(truth_of_circle()).depth_scale / 1.3)
+    with pytest.raises(TrackingError, match="depth_scale"):
+        track(sequence, "trust", SETTINGS)
+
+
+# --- distant frames
+
+
+def truth_of_circle() -> np.ndarray:
+    return chair_circle().simulation.T_world_camera.copy()
+
+
+def circle(T_given: np.ndarray) -> Sequence:
+    sequence = chair_circle().sequence
+    return replace(sequence, given_trajectory=GivenTrajectory(sequence.stamps_ns, T_given))
+
+
+def test_drift_is_measured_where_the_circle_closes_and_costs_no_frame() -> None:
+    """60 mm from the first frame to the last; pairs of distant frames are somewhat less apart."""
+    poses = truth_of_circle()
+    # Along the floor: the median residual, which lies on it, would not tell.
+    poses[:, 0, 3] += np.linspace(0, 0.06, len(poses))
+    trajectory = track(circle(poses), "trust", SETTINGS)
+    given = trajectory.health["given"]
+    pairs = [(row["a"], row["b"]) for row in trajectory.health["loops"]]
+    assert len(pairs) >= 5
+    expected_mm = np.median([60 * (b - a) / (len(poses) - 1) for a, b in pairs])
+    assert given["distant_shift_mm"] == pytest.approx(expected_mm, rel=0.15) and expected_mm > 35
+    assert trajectory.health["recommended"] == "refine" and trajectory.health["grade"] == "not good"
+    assert len(trajectory.good_frames) == len(poses)
+
+
+def test_exact_poses_of_a_circle_are_trusted() -> None:
+    trajectory = track(circle(truth_of_circle()), "trust", SETTINGS)
+    health = trajectory.health
+    assert health["recommended"] == "trust" and health["grade"] == "5 mm" and health["warnings"] == []
+    assert health["given"]["distant_shift_mm"] < 3 and health["ties"]["loop"] == len(health["loops"]) > 5
+    assert health["loop_correction_mm"] < 5
+    np.testing.assert_array_equal(trajectory.T_world_camera, truth_of_circle())
+
+
+def test_the_pictures_of_a_trusted_trajectory(tmp_path: Path) -> None:
+    poses = truth_of_circle()
+    poses[WRONG] = displaced(poses[WRONG], (0.06, 0.0, 0.0), 0.0)
+    write_pictures(tmp_path, track(circle(poses), "trust", SETTINGS))
+    for name in ("trajectory.png", "health.png", "covisibility.png"):
+        image = cv2.imread(str(tmp_path / name))
+        assert image.shape[1] > 400 and len(np.unique(image.reshape(-1, 3), axis=0)) > 10
 
 
 # --- trust
 
 
-def test_trust_leaves_a_wrong_frame_out_and_names_it():
+def test_trust_leaves_a_wrong_frame_out_and_names_it() -> None:
     poses = truth()
     poses[WRONG] = displaced(poses[WRONG], (0.06, 0.0, 0.02), 1.0)
     trajectory = track(recording(poses), "trust", SETTINGS)
@@ -139,33 +276,12 @@ def test_trust_leaves_a_wrong_frame_out_and_names_it():
     np.testing.assert_array_equal(
         trajectory.T_world_camera[trajectory.good_frames], np.delete(truth(), WRONG, axis=0)
     )
-    (rejected,) = trajectory.health["rejected"]
-    assert rejected["frame"] == WRONG and 20 < rejected["shift_mm"] < 110
-
-
-@pytest.mark.parametrize("at", [10, 15])
-def test_a_jump_costs_few_frames(half_circle, at):
-    """Only frames next to it may be left out."""
-    sequence, refined = half_circle
-    poses = chair_circle().simulation.T_world_camera[:24].copy()
-    poses[at:] = displaced(np.eye(4), (0.03, 0.04, 0.0), 0.0) @ poses[at:]
-    check = check_given(sequence, poses, refined, SETTINGS.check_neighbours, SETTINGS.max_disagreement_m)
-    ((frame, by_m),) = jumps(poses, refined, SETTINGS.max_disagreement_m)
-    assert frame == at and by_m == pytest.approx(0.05, abs=0.005)
-    assert check.rejected.sum() <= 6
-
-
-def test_the_warning_of_a_jump_names_frame_time_and_size():
-    poses = chair_circle().simulation.T_world_camera[:24].copy()
-    poses[10:] = displaced(np.eye(4), (0.03, 0.04, 0.0), 0.0) @ poses[10:]
-    sequence = with_frames(chair_circle().sequence, range(24))
-    given = replace(sequence, given_trajectory=GivenTrajectory(sequence.stamps_ns, poses))
-    (warning,) = track(given, "refine", SETTINGS).health["warnings"]
-    found = re.fullmatch(
-        r"the given trajectory jumps by (\d+) mm before frame (\d+) \((\d+\.\d{3}) s\)", warning
-    )
-    assert found and abs(int(found[1]) - 50) <= 5 and int(found[2]) == 10
-    assert float(found[3]) == pytest.approx(sequence.stamps_ns[int(found[2])] / 1e9, abs=0.001)
+    health = trajectory.health
+    (rejected,) = health["rejected"]
+    assert rejected["frame"] == WRONG and 30 < rejected["shift_mm"] < 110
+    assert set(rejected) == {"frame", "stamp_ns", "residual_mm", "shift_mm", "turn_deg", "reason"}
+    assert health["given"]["disagreeing"] == [WRONG] and health["tracked"] == N - 1
+    assert [row["state"] for row in health["per_frame"]].count("rejected") == 1
 
 
 # --- refine
@@ -191,6 +307,7 @@ def test_refine_stays_in_the_given_world(from_drift):
 def test_drift_is_told_and_refining_recommended(from_drift):
     given = from_drift.health["given"]
     assert given["refined_distant_residual_mm"] < 0.85 * given["distant_residual_mm"]
+    assert given["distant_shift_mm"] > 3 * given["median_shift_mm"]
     assert from_drift.health["recommended"] == "refine"
 
 

@@ -13,12 +13,11 @@ from kinectbench.errors import KinectBenchError, StorageError, TrackingError
 from kinectbench.geometry import rigid
 from kinectbench.sequence import GivenTrajectory
 from kinectbench.tracking import Trajectory, track
-from kinectbench.tracking.agreement import measure_agreement
 from kinectbench.tracking.given import poses_at
 from kinectbench.tracking.trajectory_folder import read_trajectory, write_trajectory
 
 pytestmark = pytest.mark.xdist_group("tracking")
-SETTINGS = TrackingSettings(check_stride_px=3)
+SETTINGS = TrackingSettings()
 WRONG = 11
 
 
@@ -69,45 +68,6 @@ def test_gaps_are_not_bridged_and_nothing_is_extrapolated():
     assert np.isfinite(poses_at(GIVEN, stamps[2:3], 0.2)).all()  # a gap as long as allowed is bridged
 
 
-# --- agreement
-
-
-def test_right_poses_agree(chair):
-    agreement = measure_agreement(chair.sequence, chair.simulation.T_world_camera, SETTINGS)
-    assert not agreement.disagreeing(SETTINGS.max_disagreement_m).any()
-    assert np.isfinite(agreement.shift_m).all()
-    assert np.median(agreement.shift_m) < 0.006
-    assert np.degrees(np.median(agreement.turn_rad)) < 0.4
-
-
-@pytest.mark.parametrize(
-    ("shift_m", "turn_deg"),
-    [((0.05, 0, 0), 0.0), ((0, 0, 0.05), 0.0), ((0.03, 0.03, 0.03), 0.0), ((0, 0, 0), 3.0)],
-)
-def test_one_wrong_frame_is_found(chair, shift_m, turn_deg):
-    poses = chair.simulation.T_world_camera.copy()
-    poses[WRONG] = displaced(poses[WRONG], shift_m, turn_deg)
-    agreement = measure_agreement(chair.sequence, poses, SETTINGS)
-    np.testing.assert_array_equal(np.flatnonzero(agreement.disagreeing(SETTINGS.max_disagreement_m)), [WRONG])
-    if turn_deg:
-        assert np.degrees(agreement.turn_rad[WRONG]) == pytest.approx(turn_deg, rel=0.3)
-    else:
-        assert agreement.shift_m[WRONG] == pytest.approx(np.linalg.norm(shift_m), rel=0.3)
-    others = np.delete(np.arange(24), WRONG)
-    assert agreement.residual_m[WRONG] > 1.4 * np.median(agreement.residual_m[others])
-
-
-def test_frames_without_a_pose_or_overlap_are_not_judged(chair):
-    poses = chair.simulation.T_world_camera.copy()
-    poses[4] = np.nan
-    agreement = measure_agreement(chair.sequence, poses, SETTINGS)
-    assert np.isnan(agreement.shift_m[4]) and not agreement.disagreeing(0.0)[4]
-    apart = chair.simulation.T_world_camera.copy()
-    apart[:, :3, 3] += 100.0 * np.arange(24)[:, None]  # no two frames look at the same place
-    agreement = measure_agreement(chair.sequence, apart, SETTINGS)
-    assert np.isnan(agreement.shift_m).all()
-
-
 # --- track
 
 
@@ -140,12 +100,9 @@ def test_a_trajectory_that_is_mostly_wrong_is_refused(chair):
     )
     with pytest.raises(TrackingError, match=r"does not fit the depth.*camera to world.*ignore"):
         track(with_poses(chair, shaken).sequence, "trust", SETTINGS)
-    # World to camera instead of camera to world: refused, or at least never called good.
-    try:
-        health = track(with_poses(chair, inverse).sequence, "trust", SETTINGS).health
-        assert not health["verdict"].startswith("good")
-    except TrackingError as error:
-        assert "camera to world" in str(error)
+    # World to camera instead of camera to world.
+    with pytest.raises(TrackingError, match=r"\d+ of 24 frames disagree.*camera to world"):
+        track(with_poses(chair, inverse).sequence, "trust", SETTINGS)
 
 
 def test_trust_without_a_trajectory(chair):

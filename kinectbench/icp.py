@@ -76,13 +76,6 @@ def normal_equations(
     return A, b, residuals
 
 
-def turn_rad(T_a_b: NDArray[np.float64]) -> float:
-    """Rotation angle of a transform (4, 4), radians."""
-    import cv2
-
-    return float(np.linalg.norm(cv2.Rodrigues(T_a_b[:3, :3])[0]))
-
-
 @numba.njit(cache=True, error_model="numpy")
 def _accumulate(points, normals, sigma, depth, T, intrinsics):  # type: ignore[no-untyped-def]
     height, width = depth.shape
