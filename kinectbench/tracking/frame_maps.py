@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera
-from kinectbench.geometry.depth_noise import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.geometry.depth_noise import (
+    SIGMA_GROWTH_PER_M,
+    SIGMA_NEAR_DEPTH_M,
+    SIGMA_NEAR_M,
+    depth_sigma_m,
+)
 from kinectbench.sequence import Sequence
 
 Float32 = NDArray[np.float32]
@@ -22,6 +27,13 @@ WORKING_WIDTH_PX = 320
 POINTS = (20_000, 3_000, 1_500)
 # Normals are told apart on a grid of this many cells each way over the half sphere that faces the camera.
 NORMAL_CELLS = 12
+# Noise of normals is no less: smoothing bends the exact planes of a simulation by as much.
+MIN_NORMAL_NOISE = 8.0
+# Surfaces more slanted than this have normals as noisy as there.
+MIN_COSINE = 0.3
+# Neighbouring pixels are of one surface if their depths differ by less than this share, or less than a slope
+# makes them: over the focal length. For smoothing, and for differences.
+SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
 # Columns of the points: position (3), normal (3), standard deviation of depth, intensity.
 POINT_COLUMNS = 8
@@ -40,7 +52,8 @@ class Level:
         normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
         intensity: (height, width) float32, 0 to 255; (0, 0) where colour is not registered to depth.
         points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
-        normal_noise: standard deviation of the normals along either tangent, radians.
+        normal_noise: standard deviation of the normals along either tangent (radians), over sigma / depth and
+            the cosine of the slant.
     """
 
     camera: Camera
@@ -191,23 +204,28 @@ def _gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
 
 def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    normals = _normals(_smoothed(depth_m), intrinsics)
+    smooth, differ = (np.float32(max(least, slope / camera.fx)) for least, slope in SAME_SURFACE)
+    normals = _normals(_smoothed(depth_m, smooth), intrinsics, differ)
     points = _points(depth_m, normals, intensity, intrinsics, n_points)
-    return Level(camera, depth_m, normals, intensity, points, _normal_noise(normals))
+    return Level(camera, depth_m, normals, intensity, points, _normal_noise(camera, normals, depth_m))
 
 
-def _normal_noise(normals: Float32) -> float:
+def _normal_noise(camera: Camera, normals: Float32, depth_m: Float32) -> float:
     """From what normals nine pixels apart differ by, in the median: most of them lie on one plane.
 
-    The squared difference of two normals with this noise along both tangents is exponential, its mean 4
-    sigma^2.
+    A pixel is as wide as its depth, and a slanted surface is seen larger than it looks: the noise of normals
+    goes with sigma / depth and the cosine of the slant. The squared difference of two normals with this noise
+    along both tangents is exponential, its mean 4 sigma^2.
     """
     this, other = normals[::4, :-9:4], normals[::4, 9::4]
     both = (this[..., 2] != 0) & (other[..., 2] != 0)
     if not both.any():
-        return 1.0
-    squared = ((this[both] - other[both]) ** 2).sum(axis=1)
-    return float(np.sqrt(np.median(squared) / (4 * np.log(2)))) + 1e-4
+        return MIN_NORMAL_NOISE
+    z, rays = depth_m[::4, :-9:4][both], camera.rays()[::4, :-9:4][both]
+    cosine = np.abs((this[both] * rays).sum(axis=1)) / np.linalg.norm(rays, axis=1)
+    over_noise = z / depth_sigma_m(z) / np.maximum(cosine, MIN_COSINE)
+    squared = ((this[both] - other[both]) ** 2).sum(axis=1) * over_noise**2
+    return max(MIN_NORMAL_NOISE, float(np.sqrt(np.median(squared) / (4 * np.log(2)))))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -262,7 +280,7 @@ def _halved(depth_m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _smoothed(depth_m):  # type: ignore[no-untyped-def]
+def _smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
     """Mean over 5 x 5 pixels of the same surface: for normals only."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
@@ -276,7 +294,7 @@ def _smoothed(depth_m):  # type: ignore[no-untyped-def]
                 # One shift of a whole row at a time, so that the loop runs on vectors.
                 for u in range(max(0, -shift), min(width, width - shift)):
                     d = row[u + shift]
-                    same = np.float32(abs(d - centre[u]) < np.float32(0.025) * centre[u])
+                    same = np.float32(abs(d - centre[u]) < gate * centre[u])
                     total[u] += same * d
                     count[u] += same
         for u in range(width):
@@ -285,20 +303,21 @@ def _smoothed(depth_m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _normals(depth_m, intrinsics):  # type: ignore[no-untyped-def]
+def _normals(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
     """Normals by central differences over two pixels either way, where these lie on one surface."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     out = np.zeros((height, width, 3), np.float32)
     reach = 2
-    for v in range(reach, height - reach):
-        for u in range(reach, width - reach):
+    # Near the border smoothing is one-sided, and what it smooths would seem flatter.
+    for v in range(2 * reach, height - 2 * reach):
+        for u in range(2 * reach, width - 2 * reach):
             z = depth_m[v, u]
             left, right = depth_m[v, u - reach], depth_m[v, u + reach]
             above, below = depth_m[v - reach, u], depth_m[v + reach, u]
             if z <= 0 or left <= 0 or right <= 0 or above <= 0 or below <= 0:
                 continue
-            limit = np.float32(0.04) * z
+            limit = gate * z
             if (
                 abs(left - z) > limit
                 or abs(right - z) > limit

@@ -34,6 +34,8 @@ NEAR_IN_ORDER = 3
 DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
 # Two registrations of two segments that agree within this confirm each other.
 AGREE_M, AGREE_RAD = 0.06, 0.06
+# And they are nearly as good as the ties of consecutive keyframes: a chair's back looks much like its front.
+FEWER_INLIERS = 0.015
 MIN_TIE_WEIGHT = 0.05
 # Ties that the depth's distortion is estimated from.
 CALIBRATION_TIES = 150
@@ -244,11 +246,12 @@ class _Builder:
 
     def _join_groups(self) -> None:
         """Join two groups if two ties agree how they lie to each other, or one tie spans a gap in time."""
+        usual = np.median([each.inlier_share for each in self.ties if each.kind == "odometry"] or [0.0])
         while True:
             between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
             for each in self.ties:
                 groups = int(self.group[self.row[each.a]]), int(self.group[self.row[each.b]])
-                if groups[0] != groups[1]:
+                if groups[0] != groups[1] and each.inlier_share >= usual - FEWER_INLIERS:
                     between[min(groups), max(groups)].append(each)
             found = [(self._agreed(ties), groups) for groups, ties in sorted(between.items())]
             joints = [(agreed, groups) for agreed, groups in found if agreed is not None]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry.depth_noise import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
-from kinectbench.tracking.frame_maps import Level
+from kinectbench.tracking.frame_maps import MIN_COSINE, Level
 
 Float64 = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class LinearTerms:
         inliers: number of points that agree within three standard deviations.
         violations: number of points where the target sees through them, or another surface.
         residual_m: root mean square of the inliers' residuals.
-        shares: (6, 6) sum of J J^T of the inliers, unweighted.
+        shares: (6, 6) sum of J J^T of the inliers, each over the square of what its normal's noise goes with.
         moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
         intensity_correlation: weighted, -1 to 1; NaN without.
         exposure: (2,) gain and offset before the step.
@@ -139,7 +139,8 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_shares):  # type: ignore[no-untyped-def]
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
 
-    Also, if asked for, the inliers' unweighted sums of the twist's part (6, 6) and of their positions (4, 4);
+    Also, if asked for, the inliers' sums of the twist's part over the noise of normals (6, 6) and of their
+    positions (4, 4);
     the numbers of inliers, violations and compared intensities; and the inliers' sum of squared residuals.
     Rows are gathered in blocks that stay in the cache, and multiplied by BLAS.
     """
@@ -211,8 +212,10 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
                 inliers += 1
                 squares += r * r
                 if with_shares:
+                    cosine = abs(px * ox + py * oy + pz * oz) / np.sqrt(px * px + py * py + pz * pz)
+                    over_noise = pz / (float(points[i, 6]) * max(cosine, MIN_COSINE))
                     for column in range(6):
-                        inlying[a, column] = J[m, column]
+                        inlying[a, column] = over_noise * J[m, column]
                     places[a, 0], places[a, 1], places[a, 2], places[a, 3] = px, py, pz, 1.0
                     a += 1
             else:

@@ -15,7 +15,7 @@ from kinectbench.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.tracking.depth_average import DepthAverage
 from kinectbench.tracking.features import FeatureCache, pose_from_features
 from kinectbench.tracking.frame_maps import FrameMaps, MapCache
-from kinectbench.tracking.registration import Registration, register
+from kinectbench.tracking.registration import Registration, measure, register
 from kinectbench.tracking.search import score, search
 from kinectbench.tracking.tracked import Tie
 from kinectbench.tracking.twist import on_so3, rigid_from_twist, twist_from_rigid
@@ -26,13 +26,19 @@ Float64 = NDArray[np.float64]
 MIN_POINTS = 400
 # Believed at once: as good as the frames before, but for so much less.
 SURE_OVERLAP, UNUSUAL_INLIERS, UNUSUAL_CORRELATION = 0.4, 0.008, 0.03
-# Believed after a search: at least so good.
+# Believed after a search: as good as the frames before but for this, or of nearly the same view (something in
+# it may have moved); and at least so good.
+MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
 # The next keyframe.
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
 RECENT_SEGMENTS = 3
 # Frames before a keyframe that its depth is averaged with; those after it are too, up to the next one.
 FRAMES_BEFORE = 5
+NO_DEPTH = "too little depth to register"
+OPEN_MOTION = "one plane in view: a motion is left open"
+# A frame is compared with itself to see whether it leaves a motion open: few points tell.
+EVERY_ALONE = 4
 # Enough points to follow; frames are placed with all of them later.
 EVERY_WITH_COLOR, EVERY_WITHOUT = 2, 1
 
@@ -59,12 +65,14 @@ class Odometry:
     """All frames, followed as far as they can be.
 
     Attributes:
-        frames: per frame; None: it shows nothing to register.
+        frames: per frame; None: it shows too little to register.
+        reasons: why, by frame.
         keyframes: frame indices, ascending.
         ties: between consecutive keyframes of a segment.
     """
 
     frames: tuple[Followed | None, ...]
+    reasons: dict[int, str]
     keyframes: tuple[int, ...]
     ties: tuple[Tie, ...]
 
@@ -83,6 +91,11 @@ class Usual:
         return Usual(
             0.9 * self.inlier_share + 0.1 * registration.inlier_share, 0.9 * self.correlation + 0.1 * known
         )
+
+    def is_possible(self, registration: Registration) -> bool:
+        """Whether a registration is believable and not much worse than usual."""
+        usual = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
+        return (usual or registration.overlap >= SAME_VIEW) and is_believable(registration)
 
     def is_sure(self, registration: Registration) -> bool:
         """Whether a registration is as good as usual, or nearly."""
@@ -108,13 +121,17 @@ def follow(
         progress: called with the number of frames done.
     """
     frames: list[Followed | None] = []
+    reasons: dict[int, str] = {}
     keyframes: list[int] = []
     ties: list[Tie] = []
     usual = Usual(0.99, 0.95)
     average: DepthAverage | None = None
     for index in range(len(maps.sequence)):
         found: Followed | None = None
-        if len(maps[index].levels[0].points) >= MIN_POINTS:
+        too_little = _too_little(maps[index])
+        if too_little is not None:
+            reasons[index] = too_little
+        else:
             for reference in _references(frames, index):
                 tried = _register(maps, features, frames, reference, index, T_given, usual)
                 if tried is not None:
@@ -140,7 +157,15 @@ def follow(
             progress(index + 1)
     if average is not None:
         maps.improve(keyframes[-1], average.stored())
-    return Odometry(tuple(frames), tuple(keyframes), tuple(ties))
+    return Odometry(tuple(frames), reasons, tuple(keyframes), tuple(ties))
+
+
+def _too_little(maps: FrameMaps) -> str | None:
+    """Why a frame cannot be registered to anything; None if it can."""
+    if len(maps.levels[0].points) < MIN_POINTS:
+        return NO_DEPTH
+    alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
+    return OPEN_MOTION if alone.degenerate else None
 
 
 def _begun_average(
@@ -177,6 +202,7 @@ def is_believable(registration: Registration) -> bool:
         registration.inlier_share >= ENOUGH_INLIERS
         and registration.overlap >= ENOUGH_OVERLAP
         and not correlation < ENOUGH_CORRELATION
+        and not registration.degenerate
     )
 
 
@@ -223,7 +249,7 @@ def _register(
             best = _better(best, register(source, [target], [seen[0]], coarsest=1, every=every))
         if best is None or not usual.is_sure(best):
             best = _better(best, search(source, target, starts[0]))
-    if best is None or not is_believable(best):
+    if best is None or not usual.is_possible(best):
         return None
     T_segment_camera = on_so3(before.T_segment_camera @ best.T_target_source)
     keyframe = frames[before.keyframe]

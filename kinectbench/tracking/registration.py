@@ -21,10 +21,11 @@ GATES_M = (0.06, 0.10, 0.20)
 ITERATIONS = (5, 8, 20)
 STEP_ENOUGH = (1e-4, 2e-4, 5e-4)
 MIN_POINTS = 100
-# A motion along which surfaces slide on each other: the normals say no more about it than their noise does.
-MIN_OVER_NOISE = 1.5
+# Along a motion that slides surfaces on each other the noise of their normals pretends to know something. It
+# is taken off, and half as much again: how large it is, is only estimated.
+NOISE_TAKEN = 1.5
 # A motion known no better than this is open, whatever holds it.
-MAX_SIGMA_M = 0.02
+MAX_SIGMA_M = 0.012
 # Shortens steps along what the surfaces do not fix.
 DAMPING = np.diag([0.1**-2] * 3 + [0.1**-2] * 3)
 NO_PRIOR = np.zeros((6, 6))
@@ -38,7 +39,7 @@ class Registration:
 
     Attributes:
         T_target_source: (4, 4).
-        information: (6, 6) inverse covariance of the twist, without what degenerate surfaces leave open.
+        information: (6, 6) inverse covariance of the twist, without what noise of the normals pretends.
         overlap: share of the source's points that fall on measurements of the target.
         inlier_share: of these, without the hidden ones, the share that agrees with the target.
         residual_m: root mean square of the inliers' point-to-plane residuals, metres.
@@ -110,13 +111,12 @@ def register(
             exposures = [terms.exposure_after(step) for terms in found]
             if np.abs(step).max() < STEP_ENOUGH[level]:
                 break
-    registration, held = _measured(source, targets, [start @ motion for start in starts], exposures, every)
-    free = held.open_motions
+    registration, free = _measured(source, targets, [start @ motion for start in starts], exposures, every)
     if source.has_intensity or not free.shape[1]:
         return registration
     # What the surfaces leave open is taken back: noise drove it there.
     twist = twist_from_rigid(motion)
-    motion = rigid_from_twist(twist - free @ (free.T @ held.metric @ twist))
+    motion = rigid_from_twist(twist - free @ np.linalg.pinv(free) @ twist)
     return measure(source, targets, [start @ motion for start in starts], every)
 
 
@@ -141,7 +141,8 @@ def _measured(
     T_targets_source: Sequence[Float64],
     exposures: Sequence[Float64],
     every: int,
-) -> tuple[Registration, "Openness"]:
+) -> tuple[Registration, Float64]:
+    """The figures, and the motions (6, k) that are left open, as `Openness.motions`."""
     found = [
         linearise(source.levels[0], target.levels[0], T, GATES_M[0], exposure, with_shares=True, every=every)
         for target, T, exposure in zip(targets, T_targets_source, exposures, strict=True)
@@ -150,7 +151,7 @@ def _measured(
     compared = inliers + sum(terms.violations for terms in found)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
     held = openness(found, source.levels[0], [target.levels[0] for target in targets])
-    geometric = _without(np.sum([terms.geometric for terms in found], axis=0), held.open_motions)
+    geometric = held.without_noise(np.sum([terms.geometric for terms in found], axis=0))
     photometric = np.sum([terms.photometric for terms in found], axis=0)
     information = (geometric + photometric) * (every / CORRELATED_POINTS)
     known = np.einsum("ik,ij,jk->k", held.motions, information, held.motions)
@@ -166,7 +167,7 @@ def _measured(
         sigma_m=float(weakest**-0.5) if weakest > 1e-3 else np.inf,
         intensity_correlation=float(np.mean([terms.intensity_correlation for terms in found])),
     )
-    return registration, held
+    return registration, held.motions[:, known < MAX_SIGMA_M**-2]
 
 
 @dataclass(frozen=True)
@@ -183,10 +184,12 @@ class Openness:
     motions: Float64
     metric: Float64
 
-    @property
-    def open_motions(self) -> Float64:
-        """(6, k): the motions along which surfaces slide on each other."""
-        return self.motions[:, self.over_noise < MIN_OVER_NOISE]
+    def without_noise(self, information: Float64) -> Float64:
+        """Take from (6, 6) what the noise of the normals only pretends to know of each motion."""
+        left = np.sqrt(np.maximum(0.0, 1 - NOISE_TAKEN / np.maximum(self.over_noise, NOISE_TAKEN)))
+        # The inverse of the motions is motions.T @ metric.
+        back = self.metric @ self.motions * left
+        return np.asarray(back @ (self.motions.T @ information @ self.motions) @ back.T)
 
 
 def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Openness:
@@ -198,7 +201,7 @@ def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Leve
     Args:
         found: one for each target, with shares.
         source: what was linearised.
-        targets: what it was linearised with; the noise of source and target counts half each.
+        targets: what it was linearised with.
     """
     moments = np.sum([terms.moments for terms in found], axis=0)
     x, y, z, n = moments[3] / max(moments[3, 3], 1)
@@ -209,17 +212,10 @@ def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Leve
     shares = np.sum([terms.shares for terms in found], axis=0) / max(moments[3, 3], 1)
     over_noise, motions = eigh(shares, metric)
     counts = np.array([max(terms.inliers, 1) for terms in found])
-    noise = (
-        np.average([source.normal_noise**2 + target.normal_noise**2 for target in targets], weights=counts)
-        / 4
-    )
+    # The mean of two normals is less noisy than either, unless they are the same.
+    noises = [
+        source.normal_noise**2 if target is source else (source.normal_noise**2 + target.normal_noise**2) / 4
+        for target in targets
+    ]
+    noise = np.average(noises, weights=counts)
     return Openness(over_noise / noise, motions, metric)
-
-
-def _without(information: Float64, motions: Float64) -> Float64:
-    """Take from (6, 6) what it says about the motions (6, k): noise of the normals only pretends to know."""
-    if motions.shape[1] == 0:
-        return information
-    across = motions.T @ information
-    inner = np.linalg.pinv(across @ motions, hermitian=True)
-    return np.asarray(information - across.T @ inner @ across)

@@ -12,7 +12,7 @@ from kinectbench.tracking.covisibility import glimpse, shared_view
 from kinectbench.tracking.features import FeatureCache
 from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.keyframe_graph import KeyframeGraph, build_graph
-from kinectbench.tracking.odometry import Followed, Odometry, Usual, follow, is_believable
+from kinectbench.tracking.odometry import OPEN_MOTION, Followed, Odometry, Usual, follow, is_believable
 from kinectbench.tracking.registration import PLACED, Registration, measure, register
 from kinectbench.tracking.search import score, search
 from kinectbench.tracking.tracked import State, Tracked
@@ -22,9 +22,7 @@ Float64 = NDArray[np.float64]
 
 # Keyframes each frame is placed among: its own, and the others that see most of it.
 NEIGHBOURS = 2
-NO_DEPTH = "too little depth to register"
 NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
-OPEN_MOTION = "one plane in view: a motion is left open"
 NOWHERE = np.full((4, 4), np.nan)
 DISAGREES = "its depth does not agree with the keyframes around it"
 
@@ -68,7 +66,7 @@ def _place(
         found = placed.registration
         if found is not None:
             residual_m[index], inlier_share[index] = found.residual_m, found.inlier_share
-            degenerate[index] = found.degenerate
+        degenerate[index] = placed.reason == OPEN_MOTION
         if placed.reason is None:
             poses[index], states[index] = placed.T_world_camera, placed.state
         else:
@@ -112,7 +110,7 @@ class _Placer:
         """Register one frame to the keyframes that see most of what it sees."""
         frame = self.odometry.frames[index]
         if frame is None:
-            return _Placed(NOWHERE, None, "lost", NO_DEPTH)
+            return _Placed(NOWHERE, None, "lost", self.odometry.reasons[index])
         T_world = self._predicted(frame)
         if not np.isfinite(T_world).all():
             return _Placed(NOWHERE, None, "lost", NOT_JOINED)
@@ -123,9 +121,7 @@ class _Placer:
         found = self._registered(index, around, T_world)
         if frame.keyframe != index:
             T_world = on_so3(self.graph.T_world[around[0]] @ found.T_target_source)
-        reason = None if is_believable(found) else DISAGREES
-        if reason is None and found.degenerate:
-            reason = OPEN_MOTION
+        reason = None if is_believable(found) else OPEN_MOTION if found.degenerate else DISAGREES
         return _Placed(T_world, found, state, reason)
 
     def _predicted(self, frame: Followed) -> Float64:

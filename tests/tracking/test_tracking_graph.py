@@ -278,5 +278,5 @@ def test_two_places_that_look_alike_are_not_one():
 
 def test_an_empty_graph():
     maps = MapCache(painted(ROOM, walk(2, 0.1)))
-    graph = build_graph(maps, FeatureCache(maps), Odometry((None, None), (), ()))
+    graph = build_graph(maps, FeatureCache(maps), Odometry((None, None), {}, (), ()))
     assert graph.keyframes == () and graph.ties == () and graph.T_world.shape == (0, 4, 4)

@@ -10,7 +10,13 @@ from tracking_scenes import CORNER_VIEW, ROOM, SMALL, PaintedFrames, native, pai
 from kinectbench.geometry import Camera, invert_rigid
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.tracking.depth_average import DepthAverage
-from kinectbench.tracking.frame_maps import CACHED_FRAMES, MapCache, frame_maps, reduced_camera
+from kinectbench.tracking.frame_maps import (
+    CACHED_FRAMES,
+    MIN_NORMAL_NOISE,
+    MapCache,
+    frame_maps,
+    reduced_camera,
+)
 
 pytestmark = pytest.mark.xdist_group("tracking")
 
@@ -100,16 +106,19 @@ def test_normals_of_a_plane_and_a_ball(noise):
         assert (normals * points).sum(axis=1).max() < 0  # towards the camera
 
 
-def test_the_noise_of_normals_is_told():
-    """Against the spread of a plane's normals around the true one."""
-    spreads = []
+@pytest.mark.parametrize("distance_m", [0.8, 1.2, 2.4])
+def test_the_noise_of_normals_is_told(distance_m):
+    """Against the spread of a plane's normals around the true one, over what it goes with."""
     for seed in (None, 0):
         rng = None if seed is None else np.random.default_rng(seed)
-        level = frame_maps(painted([plane((0, 0, -1), -1.2)], np.eye(4)[None], noise=rng), 0).levels[0]
+        surfaces = [plane((0, 0, -1), -distance_m)]
+        level = frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["quarter"], noise=rng), 0).levels[
+            0
+        ]
         tangents = level.normals[level.normals[..., 2] != 0][:, :2]
-        assert level.normal_noise == pytest.approx(tangents.std(), rel=0.15, abs=5e-4)
-        spreads.append(level.normal_noise)
-    assert spreads[1] > 10 * spreads[0]
+        spread = float(tangents.std()) * distance_m / depth_sigma_m(distance_m)
+        assert level.normal_noise == pytest.approx(max(spread, MIN_NORMAL_NOISE), rel=0.15)
+        assert (spread > MIN_NORMAL_NOISE) == (rng is not None)
 
 
 def test_points_lie_on_their_pixels_and_rare_directions_count():

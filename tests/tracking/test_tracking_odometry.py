@@ -28,7 +28,7 @@ from kinectbench.sequence import Sequence
 from kinectbench.simulate.path import look_at
 from kinectbench.tracking.features import FeatureCache
 from kinectbench.tracking.frame_maps import MapCache
-from kinectbench.tracking.odometry import Odometry, follow, is_believable
+from kinectbench.tracking.odometry import NO_DEPTH, Odometry, follow, is_believable
 from kinectbench.tracking.registration import measure
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -129,7 +129,7 @@ def test_frames_without_depth_are_nothing():
     assert good.sum() == 21 and odometry.keyframes[0] == 1
     assert np.nanmax(errors_m(found, couch().simulation.T_world_camera)) < 0.02
     nothing = followed(with_depth(couch().sequence, dict.fromkeys(range(24), blank[0])))
-    assert nothing == Odometry((None,) * 24, (), ())
+    assert nothing == Odometry((None,) * 24, dict.fromkeys(range(24), NO_DEPTH), (), ())
 
 
 def test_another_scene_is_another_segment():
