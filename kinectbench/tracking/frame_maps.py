@@ -5,7 +5,7 @@ over two pixels), and a fourth of the pixels is four times as fast.
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
@@ -38,8 +38,23 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
 # Columns of the points: position (3), normal (3), standard deviation of depth, intensity.
 POINT_COLUMNS = 8
 CACHED_FRAMES = 150
-# Averaged depth is kept in tenths of a millimetre: 6.5 m at most.
+# What is read of a frame takes about 0.2 MB.
+READ_FRAMES = 2000
+# Reduced depth is kept in tenths of a millimetre: 6.5 m at most.
 STORED_PER_M = 10_000.0
+
+
+@dataclass(frozen=True)
+class ReducedFrame:
+    """What is read of one frame, at working resolution.
+
+    Attributes:
+        depth: (height, width) uint16, 0.1 mm, 0 = none.
+        gray: (height, width) uint8; (0, 0) where colour is not registered to depth.
+    """
+
+    depth: NDArray[np.uint16]
+    gray: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -104,6 +119,8 @@ class FrameMaps:
 class MapCache:
     """The maps of a sequence's frames, made when asked for; the last 150 are kept, so memory is bounded.
 
+    Of the first frames what was read is kept, small as it is: reading is slow.
+
     Attributes:
         sequence: the recording.
         averaged: better depth of some frames, by index: see `improve`.
@@ -114,14 +131,18 @@ class MapCache:
     averaged: dict[int, NDArray[np.uint16]] = field(default_factory=dict)
     correction_per_m: Float32 | None = None
     _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
+    _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
     def __getitem__(self, index: int) -> FrameMaps:
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
-        averaged = self.averaged.get(index)
-        depth_m = None if averaged is None else averaged.astype(np.float32) / np.float32(STORED_PER_M)
-        maps = frame_maps(self.sequence, index, depth_m, self.correction_per_m)
+        frame = self._read.get(index) or reduced_frame(self.sequence, index)
+        if len(self._read) < READ_FRAMES:
+            self._read[index] = frame
+        if index in self.averaged:
+            frame = replace(frame, depth=self.averaged[index])
+        maps = maps_of(self.sequence.camera, frame, self.correction_per_m)
         self._kept[index] = maps
         if len(self._kept) > CACHED_FRAMES:
             self._kept.popitem(last=False)
@@ -138,33 +159,49 @@ class MapCache:
         self._kept.clear()
 
 
-def frame_maps(
-    sequence: Sequence, index: int, depth_m: Float32 | None = None, correction_per_m: Float32 | None = None
-) -> FrameMaps:
-    """Prepare one frame for registration; intensity only where colour is registered to depth.
+def reduced_frame(sequence: Sequence, index: int) -> ReducedFrame:
+    """Read one frame of a recording; gray only where colour is registered to depth."""
+    import cv2
+
+    reduction = _reduction(sequence.camera)
+    depth = _reduced_depth(
+        sequence.frames.depth_native(index), sequence.depth_scale, reduction, np.float32(STORED_PER_M)
+    )
+    gray = _gray(sequence, index) if sequence.color_registered else None
+    if gray is None:
+        return ReducedFrame(depth, np.zeros((0, 0), np.uint8))
+    height, width = depth.shape
+    whole = gray[: height * reduction, : width * reduction]
+    return ReducedFrame(depth, np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)))
+
+
+def frame_maps(sequence: Sequence, index: int) -> FrameMaps:
+    """Read one frame of a recording and prepare it for registration."""
+    return maps_of(sequence.camera, reduced_frame(sequence, index))
+
+
+def maps_of(camera: Camera, frame: ReducedFrame, correction_per_m: Float32 | None = None) -> FrameMaps:
+    """Prepare one frame for registration.
 
     Args:
-        sequence: the recording.
-        index: of the frame.
-        depth_m: (height, width) float32 metres at working resolution; default: as recorded.
+        camera: of the recording.
+        frame: at working resolution.
         correction_per_m: (height, width) float32, added to 1 / depth.
     """
     import cv2
 
-    reduction = max(1, round(sequence.camera.width / WORKING_WIDTH_PX))
-    if depth_m is None:
-        depth_m = _reduced_depth(sequence.frames.depth_native(index), sequence.depth_scale, reduction)
+    depth_m = frame.depth.astype(np.float32) / np.float32(STORED_PER_M)
     if correction_per_m is not None:
         depth_m = depth_m / (1 + depth_m * correction_per_m)
-    gray = _gray(sequence, index) if sequence.color_registered else None
     intensity = np.zeros((0, 0), np.float32)
-    if gray is not None:
-        size = depth_m.shape[::-1]
-        intensity = cv2.resize(
-            gray[: size[1] * reduction, : size[0] * reduction], size, interpolation=cv2.INTER_AREA
-        )
-        intensity = cv2.GaussianBlur(intensity.astype(np.float32), (0, 0), 0.7)
-    return FrameMaps(Levels(reduced_camera(sequence.camera, reduction), depth_m, intensity))
+    if frame.gray.size:
+        intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)
+    return FrameMaps(Levels(reduced_camera(camera, _reduction(camera)), depth_m, intensity))
+
+
+def _reduction(camera: Camera) -> int:
+    """How many pixels each way make one."""
+    return max(1, round(camera.width / WORKING_WIDTH_PX))
 
 
 def _halved_inputs(camera: Camera, depth_m: Float32, intensity: Float32) -> tuple[Camera, Float32, Float32]:
@@ -221,18 +258,20 @@ def _normal_noise(camera: Camera, normals: Float32, depth_m: Float32) -> float:
     both = (this[..., 2] != 0) & (other[..., 2] != 0)
     if not both.any():
         return MIN_NORMAL_NOISE
-    z, rays = depth_m[::4, :-9:4][both], camera.rays()[::4, :-9:4][both]
-    cosine = np.abs((this[both] * rays).sum(axis=1)) / np.linalg.norm(rays, axis=1)
-    over_noise = z / depth_sigma_m(z) / np.maximum(cosine, MIN_COSINE)
+    v, u = 4 * np.stack(np.nonzero(both)).astype(np.float32)
+    x, y, z = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, depth_m[::4, :-9:4][both]
+    nx, ny, nz = this[both].T
+    cosine = np.abs(x * nx + y * ny + nz) / np.sqrt(x * x + y * y + 1)
+    over_noise = z / (depth_sigma_m(z) * np.maximum(cosine, MIN_COSINE))
     squared = ((this[both] - other[both]) ** 2).sum(axis=1) * over_noise**2
     return max(MIN_NORMAL_NOISE, float(np.sqrt(np.median(squared) / (4 * np.log(2)))))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _reduced_depth(native, depth_scale, factor):  # type: ignore[no-untyped-def]
+def _reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
     """Mean of each block's measurements that lie on its nearest surface: edges stay sharp."""
     height, width = native.shape[0] // factor, native.shape[1] // factor
-    out = np.zeros((height, width), np.float32)
+    out = np.zeros((height, width), np.uint16)
     low, high = MIN_DEPTH_M * depth_scale, MAX_DEPTH_M * depth_scale
     for v in range(height):
         for u in range(width):
@@ -251,7 +290,7 @@ def _reduced_depth(native, depth_scale, factor):  # type: ignore[no-untyped-def]
                     if low < d <= nearest * 1.02:
                         total += d
                         count += 1
-            out[v, u] = total / (count * depth_scale)
+            out[v, u] = np.uint16(total / (count * depth_scale) * stored_per_m + 0.5)
     return out
 
 

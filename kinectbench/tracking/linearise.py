@@ -27,8 +27,8 @@ MIN_INTENSITIES = 100
 MIN_FACING = 0.5
 NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])
 EXPOSURE_PRIOR = np.diag([0.3**-2, 30.0**-2])
-# Rows are gathered in blocks of this many, which stay in the cache.
-BLOCK = 1024
+# Rows are gathered in blocks of this many, which stay in the cache; padded, lest they crowd its sets.
+BLOCK, PADDING = 512, 8
 
 
 @dataclass(frozen=True)
@@ -135,14 +135,31 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
     return beyond <= 0 or beyond * beyond <= 9 * variance
 
 
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
+    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights."""
+    for i in range(len(sums)):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(m):
+                total += weights[k] * rows[i, k] * rows[j, k]
+            sums[i, j] += total
+
+
 @numba.njit(cache=True, error_model="numpy")
+def _mirrored(lower):  # type: ignore[no-untyped-def]
+    """The symmetric matrix of a lower triangle."""
+    return lower + np.tril(lower, -1).T
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_shares):  # type: ignore[no-untyped-def]
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
 
     Also, if asked for, the inliers' sums of the twist's part over the noise of normals (6, 6) and of their
-    positions (4, 4);
-    the numbers of inliers, violations and compared intensities; and the inliers' sum of squared residuals.
-    Rows are gathered in blocks that stay in the cache, and multiplied by BLAS.
+    positions (4, 4); the numbers of inliers, violations and compared intensities; and the inliers' sum of
+    squared residuals. Rows are gathered in blocks that stay in the cache; a block lies row by row, so that
+    its products run on vectors.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -153,12 +170,13 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     over_fx, over_fy = 1 / fx, 1 / fy
     has_intensity, photometric_weight = intensity.size > 0, PHOTOMETRIC_WEIGHT / INTENSITY_SIGMA**2
     A, P, S, M = np.zeros((7, 7)), np.zeros((9, 9)), np.zeros((6, 6)), np.zeros((4, 4))
-    J, wJ, Q, wQ = np.zeros((BLOCK, 7)), np.zeros((BLOCK, 7)), np.zeros((BLOCK, 9)), np.zeros((BLOCK, 9))
-    inlying, places = np.zeros((BLOCK, 6)), np.zeros((BLOCK, 4))
+    J, J_weights = np.empty((7, BLOCK + PADDING)), np.empty(BLOCK)
+    Q, Q_weights = np.empty((9, BLOCK + PADDING)), np.empty(BLOCK)
+    places, inlying, over_noise = np.empty((4, BLOCK + PADDING)), np.empty(BLOCK), np.empty(BLOCK)
     inliers, violations, compared, squares = 0, 0, 0, 0.0
     n = len(points)
     for first in range(0, n, BLOCK):
-        m, k, a = 0, 0, 0
+        m, k = 0, 0
         for i in range(first, min(first + BLOCK, n)):
             px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
             z = r20 * px + r21 * py + r22 * pz + t2
@@ -170,7 +188,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             u, v = fx * x * over_z + cx, fy * y * over_z + cy
             if u < 0 or v < 0 or u >= width - 1 or v >= height - 1:
                 continue
-            ui, vi = int(u + 0.5), int(v + 0.5)
+            ui, vi = np.uint32(u + 0.5), np.uint32(v + 0.5)
             d = float(depth[vi, ui])
             if d <= 0:
                 continue
@@ -201,29 +219,27 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             mz = r20 * nx + r21 * ny + r22 * nz
             r = mx * ((ui - cx) * over_fx * d - x) + my * ((vi - cy) * over_fy * d - y) + mz * (d - z)
             variance = sigma * sigma + float(points[i, 6]) ** 2
-            j0, j1, j2 = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
             w = 1 / variance
             if r * r > HUBER_SIGMAS**2 * variance:
                 w = HUBER_SIGMAS * np.sqrt(w) / abs(r)
-            J[m, 0], J[m, 1], J[m, 2], J[m, 3], J[m, 4], J[m, 5], J[m, 6] = j0, j1, j2, nx, ny, nz, r
-            wJ[m, 0], wJ[m, 1], wJ[m, 2], wJ[m, 3] = w * j0, w * j1, w * j2, w * nx
-            wJ[m, 4], wJ[m, 5], wJ[m, 6] = w * ny, w * nz, w * r
-            if _within(r, variance, 0.003):
+            J[0, m], J[1, m], J[2, m] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
+            J[3, m], J[4, m], J[5, m], J[6, m] = nx, ny, nz, r
+            J_weights[m] = w
+            inlies = _within(r, variance, 0.003)
+            if inlies:
                 inliers += 1
                 squares += r * r
-                if with_shares:
-                    cosine = abs(px * ox + py * oy + pz * oz) / np.sqrt(px * px + py * py + pz * pz)
-                    over_noise = pz / (float(points[i, 6]) * max(cosine, MIN_COSINE))
-                    for column in range(6):
-                        inlying[a, column] = over_noise * J[m, column]
-                    places[a, 0], places[a, 1], places[a, 2], places[a, 3] = px, py, pz, 1.0
-                    a += 1
             else:
                 violations += 1
+            if with_shares:
+                cosine = abs(px * ox + py * oy + pz * oz) / np.sqrt(px * px + py * py + pz * pz)
+                places[0, m], places[1, m], places[2, m], places[3, m] = px, py, pz, 1.0
+                inlying[m] = 1.0 if inlies else 0.0
+                over_noise[m] = inlying[m] * (pz / (float(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
             m += 1
             if not has_intensity or not _within(d - z, variance, 0.01):
                 continue
-            u0, v0 = int(u), int(v)
+            u0, v0 = np.uint32(u), np.uint32(v)
             au, av = u - u0, v - v0
             i00, i01 = float(intensity[v0, u0]), float(intensity[v0, u0 + 1])
             i10, i11 = float(intensity[v0 + 1, u0]), float(intensity[v0 + 1, u0 + 1])
@@ -238,20 +254,18 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             qx = r00 * sx + r10 * sy + r20 * sz
             qy = r01 * sx + r11 * sy + r21 * sz
             qz = r02 * sx + r12 * sy + r22 * sz
-            j0, j1, j2 = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
             w = photometric_weight
             if abs(e) > HUBER_SIGMAS * INTENSITY_SIGMA:
                 w *= HUBER_SIGMAS * INTENSITY_SIGMA / abs(e)
-            Q[k, 0], Q[k, 1], Q[k, 2], Q[k, 3], Q[k, 4], Q[k, 5] = j0, j1, j2, -qx, -qy, -qz
-            Q[k, 6], Q[k, 7], Q[k, 8] = own, 1.0, e
-            for column in range(9):
-                wQ[k, column] = w * Q[k, column]
+            Q[0, k], Q[1, k], Q[2, k] = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
+            Q[3, k], Q[4, k], Q[5, k] = -qx, -qy, -qz
+            Q[6, k], Q[7, k], Q[8, k] = own, 1.0, e
+            Q_weights[k] = w
             k += 1
-        A += np.dot(J[:m].T, wJ[:m])
-        if k:
-            P += np.dot(Q[:k].T, wQ[:k])
-            compared += k
-        if a:
-            S += np.dot(inlying[:a].T, inlying[:a])
-            M += np.dot(places[:a].T, places[:a])
-    return A, P, S, M, inliers, violations, compared, squares
+        _add_products(A, J, J_weights, m)
+        _add_products(P, Q, Q_weights, k)
+        compared += k
+        if with_shares:
+            _add_products(S, J, over_noise, m)
+            _add_products(M, places, inlying, m)
+    return _mirrored(A), _mirrored(P), _mirrored(S), _mirrored(M), inliers, violations, compared, squares

@@ -37,9 +37,10 @@ RECENT_SEGMENTS = 3
 FRAMES_BEFORE = 5
 NO_DEPTH = "too little depth to register"
 OPEN_MOTION = "one plane in view: a motion is left open"
-# A frame is compared with itself to see whether it leaves a motion open: few points tell.
-EVERY_ALONE = 4
-# Enough points to follow; frames are placed with all of them later.
+# A frame is compared with itself to see whether all it shows is one plane: few points tell. Its normals then
+# say no more than so many times what their noise does.
+EVERY_ALONE, ONE_PLANE = 4, 1.2
+# Enough points to follow, and to place among keyframes; these are tied with all of them.
 EVERY_WITH_COLOR, EVERY_WITHOUT = 2, 1
 
 
@@ -165,7 +166,7 @@ def _too_little(maps: FrameMaps) -> str | None:
     if len(maps.levels[0].points) < MIN_POINTS:
         return NO_DEPTH
     alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
-    return OPEN_MOTION if alone.degenerate else None
+    return OPEN_MOTION if alone.degenerate and alone.over_noise < ONE_PLANE else None
 
 
 def _begun_average(

@@ -89,29 +89,26 @@ def register(
     motion = np.eye(4)
     starts = [np.asarray(T) for T in T_targets_source]
     exposures = [NO_EXPOSURE_CHANGE] * len(starts)
+    found: list[LinearTerms] = []
+    converged = False
     for level in range(coarsest, -1, -1):
         for _ in range(ITERATIONS[level]):
+            T_now = [start @ motion for start in starts]
+            found = _linearised(source, targets, T_now, exposures, level, every)
             normal_matrix, gradient = DAMPING + prior, -prior @ twist_from_rigid(motion)
-            found = [
-                linearise(
-                    source.levels[level],
-                    target.levels[level],
-                    start @ motion,
-                    GATES_M[level],
-                    exposure,
-                    every=1 if level else every,
-                )
-                for target, start, exposure in zip(targets, starts, exposures, strict=True)
-            ]
             for terms in found:
                 normal_matrix = normal_matrix + terms.geometric + terms.photometric
                 gradient = gradient + terms.gradient
             step = np.linalg.solve(normal_matrix, gradient)
             motion = motion @ rigid_from_twist(step)
             exposures = [terms.exposure_after(step) for terms in found]
-            if np.abs(step).max() < STEP_ENOUGH[level]:
+            converged = bool(np.abs(step).max() < STEP_ENOUGH[level])
+            if converged:
                 break
-    registration, free = _measured(source, targets, [start @ motion for start in starts], exposures, every)
+    T_now = [start @ motion for start in starts]
+    if not converged:
+        found = _linearised(source, targets, T_now, exposures, 0, every)
+    registration, free = _figures(source, targets, T_now[0], found, every)
     if source.has_intensity or not free.shape[1]:
         return registration
     # What the surfaces leave open is taken back: noise drove it there.
@@ -132,21 +129,42 @@ def measure(
         every: only every n-th point is used.
     """
     exposures = [NO_EXPOSURE_CHANGE] * len(targets)
-    return _measured(source, targets, T_targets_source, exposures, every)[0]
+    found = _linearised(source, targets, T_targets_source, exposures, 0, every)
+    return _figures(source, targets, np.asarray(T_targets_source[0]), found, every)[0]
 
 
-def _measured(
+def _linearised(
     source: FrameMaps,
     targets: Sequence[FrameMaps],
     T_targets_source: Sequence[Float64],
     exposures: Sequence[Float64],
+    level: int,
+    every: int,
+) -> list[LinearTerms]:
+    """The terms of each target at one level; at the finest with what the figures need, and fewer points."""
+    finest = level == 0
+    return [
+        linearise(
+            source.levels[level],
+            target.levels[level],
+            T,
+            GATES_M[level],
+            exposure,
+            with_shares=finest,
+            every=every if finest else 1,
+        )
+        for target, T, exposure in zip(targets, T_targets_source, exposures, strict=True)
+    ]
+
+
+def _figures(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_target_source: Float64,
+    found: Sequence[LinearTerms],
     every: int,
 ) -> tuple[Registration, Float64]:
     """The figures, and the motions (6, k) that are left open, as `Openness.motions`."""
-    found = [
-        linearise(source.levels[0], target.levels[0], T, GATES_M[0], exposure, with_shares=True, every=every)
-        for target, T, exposure in zip(targets, T_targets_source, exposures, strict=True)
-    ]
     inliers = sum(terms.inliers for terms in found)
     compared = inliers + sum(terms.violations for terms in found)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
@@ -158,7 +176,7 @@ def _measured(
     enough = inliers * every >= MIN_POINTS
     weakest = float(known.min()) if enough else 0.0
     registration = Registration(
-        T_target_source=on_so3(np.asarray(T_targets_source[0])),
+        T_target_source=on_so3(T_target_source),
         information=information,
         overlap=min(1.0, compared * every / max(1, len(source.levels[0].points) * len(targets))),
         inlier_share=inliers / max(1, compared),

@@ -12,7 +12,16 @@ from kinectbench.tracking.covisibility import glimpse, shared_view
 from kinectbench.tracking.features import FeatureCache
 from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.keyframe_graph import KeyframeGraph, build_graph
-from kinectbench.tracking.odometry import OPEN_MOTION, Followed, Odometry, Usual, follow, is_believable
+from kinectbench.tracking.odometry import (
+    EVERY_WITH_COLOR,
+    EVERY_WITHOUT,
+    OPEN_MOTION,
+    Followed,
+    Odometry,
+    Usual,
+    follow,
+    is_believable,
+)
 from kinectbench.tracking.registration import PLACED, Registration, measure, register
 from kinectbench.tracking.search import score, search
 from kinectbench.tracking.tracked import State, Tracked
@@ -150,7 +159,8 @@ class _Placer:
         T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
         if index in self.row:
             return measure(source, targets, [T @ T_world for T in T_around])
-        found = register(source, targets, [T @ T_world for T in T_around], coarsest=0, prior=PLACED)
+        every = EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
+        found = register(source, targets, [T @ T_world for T in T_around], 0, PLACED, every)
         if self.usual.is_sure(found):
             self.usual = self.usual.after(found)
             return found

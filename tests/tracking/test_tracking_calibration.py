@@ -1,12 +1,14 @@
 """A known depth distortion is found from ties with known motion, and undone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tracking_scenes import couch
 
 from kinectbench.geometry import invert_rigid
 from kinectbench.tracking.depth_calibration import NO_CALIBRATION, TERMS, Calibration, View, calibrate
-from kinectbench.tracking.frame_maps import FrameMaps, frame_maps
+from kinectbench.tracking.frame_maps import STORED_PER_M, FrameMaps, maps_of, reduced_frame
 
 pytestmark = pytest.mark.xdist_group("tracking")
 
@@ -18,9 +20,11 @@ def distorted(coefficients: np.ndarray) -> list[FrameMaps]:
     sequence = couch().sequence
     frames = []
     for index in range(24):
-        exact = frame_maps(sequence, index).levels[0].depth_m
+        frame = reduced_frame(sequence, index)
+        exact = frame.depth / STORED_PER_M
         error_per_m = Calibration(coefficients).correction_per_m(exact.shape[1], exact.shape[0])
-        frames.append(frame_maps(sequence, index, exact / (1 - exact * error_per_m)))
+        recorded = np.rint(STORED_PER_M * exact / (1 - exact * error_per_m)).astype(np.uint16)
+        frames.append(maps_of(sequence.camera, replace(frame, depth=recorded)))
     return frames
 
 
