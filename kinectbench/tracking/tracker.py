@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.geometry import invert_rigid
 from kinectbench.sequence import Sequence
+from kinectbench.tracking.compare import has_pose
 from kinectbench.tracking.covisibility import glimpse, shared_view
 from kinectbench.tracking.features import FeatureCache
 from kinectbench.tracking.frame_maps import MapCache
@@ -24,6 +25,7 @@ from kinectbench.tracking.odometry import (
 )
 from kinectbench.tracking.registration import PLACED, Registration, measure, register
 from kinectbench.tracking.search import score, search
+from kinectbench.tracking.smoothing import smoothed
 from kinectbench.tracking.tracked import State, Tracked
 from kinectbench.tracking.twist import on_so3
 
@@ -33,6 +35,8 @@ Float64 = NDArray[np.float64]
 NEIGHBOURS = 2
 NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
 NOWHERE = np.full((4, 4), np.nan)
+# Information of a frame that no other is around: it stays where it is.
+HELD = 1e8 * np.eye(6)
 DISAGREES = "its depth does not agree with the keyframes around it"
 
 
@@ -66,6 +70,7 @@ def _place(
     poses = np.full((n, 4, 4), np.nan)
     residual_m, inlier_share = np.full(n, np.nan), np.full(n, np.nan)
     degenerate = np.zeros(n, bool)
+    information = np.tile(HELD, (n, 1, 1))
     states: list[State] = ["lost"] * n
     reasons: dict[int, str] = {}
     placer = _Placer(maps, odometry, graph)
@@ -75,11 +80,14 @@ def _place(
         found = placed.registration
         if found is not None:
             residual_m[index], inlier_share[index] = found.residual_m, found.inlier_share
+            information[index] = found.information
         degenerate[index] = placed.reason == OPEN_MOTION
         if placed.reason is None:
             poses[index], states[index] = placed.T_world_camera, placed.state
         else:
             reasons[index] = placed.reason
+    posed = has_pose(poses)
+    poses[posed] = smoothed(poses[posed], maps.sequence.stamps_ns[posed], information[posed])
     known = np.isfinite(graph.T_world).all(axis=(1, 2))
     return Tracked(
         poses,
