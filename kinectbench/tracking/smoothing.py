@@ -18,7 +18,7 @@ Float64 = NDArray[np.float64]
 ITERATIONS = 6
 # Median of the mean of three squared standard normal variables.
 MEDIAN_OF_THREE = 0.789
-# Of the measured accelerations no more than this share is noise; the rest is doubled: motion is rougher at times.
+# Of the measured accelerations no more than this share is noise. The rest is doubled: motion is uneven.
 MAX_NOISE, ROUGHER = 0.5, 2.0
 # Mean squared acceleration, in its own sigmas, at which a moment loses three quarters of its weight.
 KERNEL = 9.0
