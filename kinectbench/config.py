@@ -87,7 +87,7 @@ class RecordingSettings(Settings):
 class TrackingSettings(Settings):
     """Camera trajectory: checks against the depth."""
 
-    check_stride_px: int = Field(8, ge=1, le=64, description="every n-th pixel of a given pose is compared")
+    check_stride_px: int = Field(8, ge=1, le=64, description="every n-th point of a frame is compared")
     check_neighbours: int = Field(6, ge=1, le=50, description="frames a given pose is compared with")
     max_disagreement_m: float = Field(0.025, gt=0, le=1, description="a frame farther off is left out")
     max_stamp_gap_s: float = Field(0.1, gt=0, le=10, description="longest gap in a given trajectory")
