@@ -108,6 +108,7 @@ def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
         ties=checked.distant,
         refused=(),
         residual_m=checked.frames.residual_m,
+        noise_m=checked.frames.noise_m,
         inlier_share=checked.frames.inlier_share,
         degenerate=checked.frames.degenerate,
     )

@@ -45,6 +45,7 @@ class FrameCheck:
         shift_m: (n,) how far each frame's points move to agree with others, metres.
         turn_rad: (n,) by how much the camera turns, radians.
         residual_m: (n,) median absolute point-to-plane residual as given, metres.
+        noise_m: (n,) what the noise of a Kinect's depth makes of it, at the frame's median depth, metres.
         inlier_share: (n,) share of its points that agree once it has moved.
         degenerate: (n,) bool, the depth leaves a motion open.
         disagrees: (n,) bool.
@@ -55,6 +56,7 @@ class FrameCheck:
     shift_m: Float64
     turn_rad: Float64
     residual_m: Float64
+    noise_m: Float64
     inlier_share: Float64
     degenerate: Bool
     disagrees: Bool
@@ -102,7 +104,7 @@ class _Checker:
         self.every, self.neighbours = settings.check_stride_px, settings.check_neighbours
         self.max_shift_m = settings.max_disagreement_m
         self.found: dict[int, Disagreement] = {}
-        self.residual_m, self.step_m = np.full(n, np.nan), np.full(n, np.nan)
+        self.residual_m, self.noise_m, self.step_m = (np.full(n, np.nan) for _ in range(3))
 
     def compare(self, frame: int) -> None:
         """With the frames that look at the same place from nearby."""
@@ -118,6 +120,8 @@ class _Checker:
             ]
         )
         self.residual_m[frame] = np.median(residuals) if len(residuals) else np.nan
+        # A residual is the difference of two measurements.
+        self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame].levels[0].points[:, 6])
 
     def step(self, before: int, frame: int) -> None:
         """With the frame before it."""
@@ -208,6 +212,7 @@ class _Checker:
             shift_m,
             turn_rad,
             self.residual_m,
+            self.noise_m,
             inlier_share,
             degenerate,
             disagrees,

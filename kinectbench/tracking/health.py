@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.corrections import TieCorrection, median_depths_m, pose_sigma_m, tie_correction
 from kinectbench.tracking.coverage import covered_arc_rad, covisibility
@@ -209,16 +208,13 @@ def _residual_figures(case: _Case) -> dict[str, Any]:
     others = case.posed.copy()
     others[case.tracked.keyframes] = False
     held_out = others if np.isfinite(case.residual_m[others]).any() else case.posed
-    depths_m = [case.depths_m[keyframe] for keyframe in case.tracked.keyframes.tolist()]
-    # A residual is the difference of two measurements.
-    noise_m = np.sqrt(2) * depth_sigma_m(np.median(depths_m)) if depths_m else np.nan
     shifts_m = case.shift_m[case.posed & np.isfinite(case.shift_m)]
     return {
         "median_shift_mm": mm(median(shifts_m)),
         "max_shift_mm": mm(shifts_m.max()) if len(shifts_m) else None,
         "median_residual_mm": mm(median(case.residual_m[case.posed])),
         "held_out_residual_mm": mm(median(case.residual_m[held_out])),
-        "sensor_noise_mm": mm(noise_m),
+        "sensor_noise_mm": mm(median(case.tracked.noise_m[held_out])),
     }
 
 

@@ -42,6 +42,7 @@ class LinearTerms:
         inliers: number of points that agree within three standard deviations.
         violations: number of points where the target sees through them, or another surface.
         residual_m: root mean square of the inliers' residuals.
+        noise_m: what the depth's noise alone would make of it.
         shares: (6, 6) sum of J J^T of the inliers, each over the square of what its normal's noise goes with.
         moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
         intensity_correlation: weighted, -1 to 1; NaN without.
@@ -55,6 +56,7 @@ class LinearTerms:
     inliers: int
     violations: int
     residual_m: float
+    noise_m: float
     shares: Float64
     moments: Float64
     intensity_correlation: float
@@ -86,7 +88,7 @@ def linearise(
         with_shares: whether to sum what tells open motions: `shares` and `moments`, else 0.
         every: only every n-th point is used.
     """
-    A, P, S, M, inliers, violations, compared, squares = _accumulate(
+    (A, P, S, M), inliers, violations, compared, squares, variances = _accumulate(
         source.points[::every],
         target.depth_m,
         target.normals,
@@ -110,6 +112,7 @@ def linearise(
         inliers=inliers,
         violations=violations,
         residual_m=float(np.sqrt(squares / max(1, inliers))),
+        noise_m=float(np.sqrt(variances / max(1, inliers))),
         shares=S,
         moments=M,
         intensity_correlation=_correlation(P[6:, 6:], exposure) if compared >= MIN_INTENSITIES else np.nan,
@@ -157,9 +160,9 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
 
     Also, if asked for, the inliers' sums of the twist's part over the noise of normals (6, 6) and of their
-    positions (4, 4); the numbers of inliers, violations and compared intensities; and the inliers' sum of
-    squared residuals. Rows are gathered in blocks that stay in the cache; a block lies row by row, so that
-    its products run on vectors.
+    positions (4, 4); the numbers of inliers, violations and compared intensities; and the inliers' sums of
+    squared residuals and of their variances. Rows are gathered in blocks that stay in the cache; a block
+    lies row by row, so that its products run on vectors.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -173,7 +176,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     J, J_weights = np.empty((7, BLOCK + PADDING)), np.empty(BLOCK)
     Q, Q_weights = np.empty((9, BLOCK + PADDING)), np.empty(BLOCK)
     places, inlying, over_noise = np.empty((4, BLOCK + PADDING)), np.empty(BLOCK), np.empty(BLOCK)
-    inliers, violations, compared, squares = 0, 0, 0, 0.0
+    inliers, violations, compared, squares, variances = 0, 0, 0, 0.0, 0.0
     n = len(points)
     for first in range(0, n, BLOCK):
         m, k = 0, 0
@@ -229,6 +232,8 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             if inlies:
                 inliers += 1
                 squares += r * r
+                # Noise moves a measurement along its ray.
+                variances += variance * ((mx * x + my * y + mz * z) * over_z) ** 2
             else:
                 violations += 1
             if with_shares:
@@ -268,4 +273,5 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
         if with_shares:
             _add_products(S, J, over_noise, m)
             _add_products(M, places, inlying, m)
-    return _mirrored(A), _mirrored(P), _mirrored(S), _mirrored(M), inliers, violations, compared, squares
+    sums = _mirrored(A), _mirrored(P), _mirrored(S), _mirrored(M)
+    return sums, inliers, violations, compared, squares, variances

@@ -43,6 +43,7 @@ class Registration:
         overlap: share of the source's points that fall on measurements of the target.
         inlier_share: of these, without the hidden ones, the share that agrees with the target.
         residual_m: root mean square of the inliers' point-to-plane residuals, metres.
+        noise_m: what the noise of a Kinect's depth alone would make of it, metres.
         over_noise: how much more the normals say about the least constrained motion than their noise
             alone would; about 1 for one plane, 0 for too few points.
         sigma_m: how far the points move (root mean square) along the motion that is known least, for one
@@ -55,6 +56,7 @@ class Registration:
     overlap: float
     inlier_share: float
     residual_m: float
+    noise_m: float
     over_noise: float
     sigma_m: float
     intensity_correlation: float
@@ -168,6 +170,7 @@ def _figures(
     inliers = sum(terms.inliers for terms in found)
     compared = inliers + sum(terms.violations for terms in found)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
+    variances = sum(terms.inliers * terms.noise_m**2 for terms in found)
     held = openness(found, source.levels[0], [target.levels[0] for target in targets])
     geometric = held.without_noise(np.sum([terms.geometric for terms in found], axis=0))
     photometric = np.sum([terms.photometric for terms in found], axis=0)
@@ -181,6 +184,7 @@ def _figures(
         overlap=min(1.0, compared * every / max(1, len(source.levels[0].points) * len(targets))),
         inlier_share=inliers / max(1, compared),
         residual_m=float(np.sqrt(squares / max(1, inliers))),
+        noise_m=float(np.sqrt(variances / max(1, inliers))),
         over_noise=float(held.over_noise[0]) if enough else 0.0,
         sigma_m=float(weakest**-0.5) if weakest > 1e-3 else np.inf,
         intensity_correlation=float(np.mean([terms.intensity_correlation for terms in found])),

@@ -51,6 +51,7 @@ class Tracked:
         ties: what was kept.
         refused: ties of keyframes that were tried and not believed, with a weight of 0.
         residual_m: (n,) rms point-to-plane residual of each frame to other keyframes; NaN where unknown.
+        noise_m: (n,) what the noise of a Kinect's depth alone would make of that residual; NaN where unknown.
         inlier_share: (n,) share of its points that agree with them; NaN where unknown.
         degenerate: (n,) bool, its depth alone leaves a motion open (as one plane in view does).
     """
@@ -62,5 +63,6 @@ class Tracked:
     ties: tuple[Tie, ...]
     refused: tuple[Tie, ...]
     residual_m: Float64
+    noise_m: Float64
     inlier_share: Float64
     degenerate: NDArray[np.bool_]

@@ -68,7 +68,7 @@ def _place(
     """Register every frame to several keyframes at once where the graph put them."""
     n = len(maps.sequence)
     poses = np.full((n, 4, 4), np.nan)
-    residual_m, inlier_share = np.full(n, np.nan), np.full(n, np.nan)
+    residual_m, noise_m, inlier_share = (np.full(n, np.nan) for _ in range(3))
     degenerate = np.zeros(n, bool)
     information = np.tile(HELD, (n, 1, 1))
     states: list[State] = ["lost"] * n
@@ -79,7 +79,8 @@ def _place(
         placed = placer.place(index)
         found = placed.registration
         if found is not None:
-            residual_m[index], inlier_share[index] = found.residual_m, found.inlier_share
+            residual_m[index], noise_m[index] = found.residual_m, found.noise_m
+            inlier_share[index] = found.inlier_share
             information[index] = found.information
         degenerate[index] = placed.reason == OPEN_MOTION
         if placed.reason is None:
@@ -97,6 +98,7 @@ def _place(
         graph.ties,
         graph.refused,
         residual_m,
+        noise_m,
         inlier_share,
         degenerate,
     )

@@ -28,8 +28,8 @@ LOOP_CORRECTION_MM = (5.0, 10.0)
 BELIEVED_LOOP_SHARE = (0.8, 0.5)
 # Where no loop closes the path it may drift by 3 mm a metre, and nobody would know.
 OPEN_PATH_M = (1.5, 4.0)
-# Real sensors are warped as well: right poses leave 0.6 times the noise of a simulated Kinect, and 1.4 to 1.6
-# times that of real ones. Poses that are off by 40 mm leave 2 to 4 times.
+# Real sensors are warped as well: right poses leave 0.55 times the noise of a simulated Kinect, 0.9 to 1.2
+# times that of real ones.
 TIMES_NOISE = (2.0, 3.0)
 # Given poses drift if distant frames disagree by this many times what near ones do, and by 5 mm more.
 TIMES_NEAR = 2.0

@@ -11,7 +11,6 @@ import pytest
 from analytic_scenes import CAMERA, depth_of, displaced, plane, ring, sequence_of, sphere
 
 from kinectbench.geometry import Camera, invert_rigid, rigid
-from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.corrections import median_depths_m, tie_correction
 from kinectbench.tracking.coverage import convergence_point, covered_arc_rad, covisibility, from_above
@@ -57,6 +56,7 @@ def tracked_of(poses: np.ndarray, **changes: object) -> Tracked:
         "ties": tuple(tie(poses, int(a), int(b)) for a, b in pairwise(keyframes)),
         "refused": (),
         "residual_m": np.where(posed, 0.003, np.nan),
+        "noise_m": np.where(posed, 0.004, np.nan),
         "inlier_share": np.where(posed, 0.9, np.nan),
         "degenerate": np.zeros(n, dtype=bool),
         **changes,
@@ -272,8 +272,7 @@ def test_figures_of_a_closed_circle(circle: np.ndarray, orbit: Sequence) -> None
     assert figures["ties"] == {"odometry": 11, "covisible": 0, "loop": 1, "refused": 0}
     assert figures["loop_correction_mm"] == 0 and figures["median_shift_mm"] == 0
     assert figures["held_out_residual_mm"] == 3 and figures["median_residual_mm"] == 3
-    median_m = np.median([*median_depths_m(orbit, range(0, 24, 2)).values()])
-    assert figures["sensor_noise_mm"] == pytest.approx(1414.2136 * depth_sigma_m(median_m), abs=ROUNDED_MM)
+    assert figures["sensor_noise_mm"] == 4
     assert figures["warnings"] == ["careful"] and figures["recommended"] is None and figures["given"] is None
     assert figures["grade"] == "5 mm"
     assert figures["verdict"].startswith("good for ground truth at 5 mm: 100 % of the frames have a pose")

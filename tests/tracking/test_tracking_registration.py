@@ -147,6 +147,9 @@ def test_geometric_sums_equal_a_plain_reference(pair, level):
     homogeneous = np.column_stack([found.p, np.ones(len(r))])[inlier]
     assert close(terms.moments, homogeneous.T @ homogeneous)
     assert terms.residual_m == pytest.approx(np.sqrt(np.mean(r[inlier] ** 2)), rel=1e-9)
+    moved = transform_points(T, found.p)
+    along_ray = (found.n * moved).sum(axis=1) / moved[:, 2]
+    assert terms.noise_m == pytest.approx(np.sqrt(np.mean((found.sigma * along_ray)[inlier] ** 2)), rel=1e-6)
     assert (terms.inliers, terms.violations) == (inlier.sum(), found.violations)
     assert not terms.photometric.any() and np.isnan(terms.intensity_correlation)
 
