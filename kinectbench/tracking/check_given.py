@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.config import TrackingSettings
 from kinectbench.errors import TrackingError
 from kinectbench.sequence import Sequence
-from kinectbench.tracking.compare import has_pose
+from kinectbench.tracking.compare import compare_poses, has_pose
 from kinectbench.tracking.distant_frames import distant_residual_m, tie_distant
 from kinectbench.tracking.frame_check import FrameCheck, check_frames
 from kinectbench.tracking.frame_maps import MapCache
@@ -62,7 +62,7 @@ def check_given(
     maps, every = MapCache(sequence), settings.check_stride_px
     frames = check_frames(maps, T_given, settings, progress)
     sound = frames.compared[~frames.disagrees[frames.compared]]
-    distant, shifts_m = tie_distant(maps, T_given, sound, every)
+    distant, shifts_m, unmatched = tie_distant(maps, T_given, sound, every)
     given = GivenCheck(
         shift_m=frames.shift_m,
         turn_rad=frames.turn_rad,
@@ -71,6 +71,8 @@ def check_given(
         distant_shift_m=median(shifts_m),
         given_distant_residual_m=distant_residual_m(maps, distant, every, T_given),
         refined_distant_residual_m=distant_residual_m(maps, distant, every),
+        distant_unmatched=unmatched,
+        largest_jump_m=max((by_m for _, by_m in frames.jumps), default=0.0),
     )
     return Checked(T_given, frames, distant, given)
 
@@ -78,10 +80,12 @@ def check_given(
 def as_refined(
     sequence: Sequence, checked: Checked, T_refined: Float64, settings: TrackingSettings
 ) -> GivenCheck:
-    """The figures, with the residual between the same distant frames under refined poses (n, 4, 4)."""
+    """The figures, with those that compare the given poses with refined ones (n, 4, 4)."""
     maps, every = MapCache(sequence), settings.check_stride_px
     found_m = distant_residual_m(maps, checked.distant, every, T_refined)
-    return replace(checked.given, refined_distant_residual_m=found_m)
+    both = has_pose(checked.T_given) & has_pose(T_refined)
+    apart_m = compare_poses(T_refined[both], checked.T_given[both]).ate_m.rmse if both.sum() >= 3 else np.nan
+    return replace(checked.given, refined_distant_residual_m=found_m, refined_apart_m=apart_m)
 
 
 def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
@@ -137,6 +141,7 @@ def warnings_of(sequence: Sequence, checked: Checked) -> list[str]:
     unchecked = int((posed & np.isnan(checked.frames.shift_m)).sum())
     if unchecked > 0.5 * posed.sum():
         told.append(
-            f"{unchecked} of {posed.sum()} poses could not be checked: too little of the frames overlaps"
+            f"{unchecked} of {posed.sum()} poses could not be checked: too little of the frames overlaps; "
+            "are the poses in metres?"
         )
     return told

@@ -17,13 +17,15 @@ MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
 # Of the recording's length, what lies between two distant frames at least.
 MIN_APART = 1 / 6
 MIN_SHARED_VIEW = 0.3
+# Of fewer pairs no share is told.
+MIN_TRIED = 8
 # Fewer residuals than this say nothing.
 MIN_RESIDUALS = 100
 
 
 def tie_distant(
     maps: MapCache, T_given: Float64, frames: NDArray[np.int64], every: int
-) -> tuple[tuple[Tie, ...], Float64]:
+) -> tuple[tuple[Tie, ...], Float64, float]:
     """Register frames that are far apart in time and see the same place by the given poses.
 
     Args:
@@ -33,19 +35,24 @@ def tie_distant(
         every: only every n-th point is used.
 
     Returns:
-        What convinces, as loops; and (m,) how far each moves b's points from where the poses put them, m.
+        What convinces, as loops; (m,) how far each moves b's points from where the poses put them, metres;
+        and the share of pairs that ought to see the same place and fit nowhere near, NaN of few pairs.
     """
     apart = MIN_APART * len(T_given)
     seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_given[frames])
     pairs = [(int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW]
     pairs = sorted(((a, b) for a, b in pairs if b - a >= apart), key=lambda pair: (pair[0] - pair[1], pair))
     ties, shifts_m = [], []
-    for a, b in pairs[: min(MAX_PAIRS, int(PAIRS_PER_FRAME * len(T_given)))]:
-        found = ask(maps[b], [maps[a]], [invert_rigid(T_given[a]) @ T_given[b]], 1, every)
-        if found is not None and is_believable(found.registration):
+    tried = pairs[: min(MAX_PAIRS, int(PAIRS_PER_FRAME * len(T_given)))]
+    for a, b in tried:
+        T_a_b = invert_rigid(T_given[a]) @ T_given[b]
+        asked = (ask(maps[b], [maps[a]], [T_a_b], coarsest, every) for coarsest in (1, 2))
+        found = next((each for each in asked if each and is_believable(each.registration)), None)
+        if found is not None:
             ties.append(tie(a, b, found.registration, "loop"))
             shifts_m.append(found.shift_m)
-    return tuple(ties), np.array(shifts_m)
+    unmatched = 1 - len(ties) / len(tried) if len(tried) >= MIN_TRIED else np.nan
+    return tuple(ties), np.array(shifts_m), unmatched
 
 
 def distant_residual_m(

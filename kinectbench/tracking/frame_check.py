@@ -15,7 +15,8 @@ from kinectbench.geometry import invert_rigid
 from kinectbench.tracking.compare import has_pose
 from kinectbench.tracking.disagreement import Disagreement, ask, disagreement, residuals_m
 from kinectbench.tracking.frame_maps import MapCache
-from kinectbench.tracking.registration import Registration
+from kinectbench.tracking.odometry import is_believable
+from kinectbench.tracking.registration import Registration, register
 from kinectbench.tracking.search import score, search
 
 Float64 = NDArray[np.float64]
@@ -125,7 +126,7 @@ class _Checker:
 
     def step(self, before: int, frame: int) -> None:
         """With the frame before it."""
-        found = self._ask(frame, [before], coarsest=1)
+        found = self._across(before, frame, coarsest=1)
         if found is not None:
             self.step_m[frame] = found.certain_shift_m
 
@@ -170,6 +171,15 @@ class _Checker:
         known = 0.0 if as_given is None else score(as_given.registration)
         return disagreement(source, T_given, found) if score(found) > known + CLEARLY_BETTER else best
 
+    def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
+        """With a frame just before it; if that does not convince, as after a jump, from a standstill."""
+        found = self._ask(frame, [before], coarsest)
+        if found is not None and is_believable(found.registration):
+            return found
+        source, T_given = self.maps[frame], self._starts(frame, [before])[0]
+        still = register(source, [self.maps[before]], [np.eye(4)], 2, every=self.every)
+        return disagreement(source, T_given, still) if is_believable(still) else found
+
     def _ask(self, frame: int, others: list[int], coarsest: int) -> Disagreement | None:
         targets = [self.maps[k] for k in others]
         # Several together say enough with half of the points.
@@ -193,7 +203,7 @@ class _Checker:
                 for a, b in ((row - 1, row), (row - 2, row), (row - 1, row + 1))
                 if a >= 0 and b < len(kept)
             ]
-            asked = [self._ask(int(kept[b]), [int(kept[a])], coarsest=2) for a, b in across]
+            asked = [self._across(int(kept[a]), int(kept[b]), coarsest=2) for a, b in across]
             shifts_m = [0.0 if each is None else each.certain_shift_m for each in asked]
             if min(shifts_m) > self.max_shift_m:
                 found.append((int(kept[row]), float(np.median(shifts_m))))

@@ -16,7 +16,7 @@ from kinectbench.tracking.frame_health import frame_rows, lost_stretches
 from kinectbench.tracking.json_figures import degrees, median, mm, share
 from kinectbench.tracking.sharpness import sharpness as measure_sharpness
 from kinectbench.tracking.tracked import Tie, Tracked
-from kinectbench.tracking.verdict import Evidence, Recommendation, Source, judge, recommend
+from kinectbench.tracking.verdict import Doubts, Evidence, Recommendation, Source, judge, recommend
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -34,8 +34,12 @@ class GivenCheck:
         residual_m: (n,) median absolute point-to-plane residual as given, metres.
         rejected: (n,) bool, frames whose depth disagrees with the given pose.
         distant_shift_m: how far the points of frames far apart in time would move to agree, median, metres.
+        distant_unmatched: share of such frames that ought to see the same place and fit nowhere near.
+        largest_jump_m: of those that are named; 0 if there is none.
         given_distant_residual_m: point-to-plane residual between such frames with the given poses, metres.
         refined_distant_residual_m: the same with refined poses; where none are made, as registered in pairs.
+        refined_apart_m: how far refined poses are from the given ones once both worlds are aligned, root mean
+            square, metres; NaN where none are made.
     """
 
     shift_m: Float64
@@ -45,6 +49,9 @@ class GivenCheck:
     distant_shift_m: float
     given_distant_residual_m: float
     refined_distant_residual_m: float
+    distant_unmatched: float = np.nan
+    largest_jump_m: float = 0.0
+    refined_apart_m: float = np.nan
 
 
 def health(
@@ -164,6 +171,8 @@ def _evidence(case: _Case, figures: dict[str, Any], recommended: Recommendation 
         degenerate=len(set(figures["degenerate"]) - set(figures["lost"])),
         shift_mm=figures["median_shift_mm"],
         distant_shift_mm=mm(case.given.distant_shift_m) if case.given else None,
+        distant_unmatched=case.given.distant_unmatched if case.given else np.nan,
+        jump_mm=1000 * case.given.largest_jump_m if case.given else 0.0,
         loops=len(loops),
         believed_loops=sum(row["believed"] for row in loops),
         loop_correction_mm=figures["loop_correction_mm"],
@@ -269,9 +278,15 @@ def _recommended(case: _Case) -> Recommendation | None:
         return None
     known = np.isfinite(given.shift_m)
     return recommend(
-        float(given.rejected[known].mean()) if known.any() else 0.0,
-        given.distant_shift_m,
-        median(given.shift_m),
+        Doubts(
+            checked_share=float(known.sum() / max(1, (known | case.posed).sum())),
+            rejected_share=float(given.rejected[known].mean()) if known.any() else 0.0,
+            shift_m=median(given.shift_m),
+            distant_shift_m=given.distant_shift_m,
+            distant_unmatched=given.distant_unmatched,
+            largest_jump_m=given.largest_jump_m,
+            refined_apart_m=given.refined_apart_m,
+        )
     )
 
 
@@ -280,6 +295,9 @@ def _given_figures(given: GivenCheck) -> dict[str, Any]:
         "disagreeing": np.flatnonzero(given.rejected).tolist(),
         "median_shift_mm": mm(median(given.shift_m)),
         "distant_shift_mm": mm(given.distant_shift_m),
+        "distant_unmatched": share(given.distant_unmatched),
+        "largest_jump_mm": mm(given.largest_jump_m),
+        "refined_apart_mm": mm(given.refined_apart_m),
         "distant_residual_mm": mm(given.given_distant_residual_m),
         "refined_distant_residual_mm": mm(given.refined_distant_residual_m),
     }

@@ -92,7 +92,8 @@ def linearise(
         source.points[::every],
         target.depth_m,
         target.normals,
-        target.intensity,
+        # A frame that came without colour is compared by its depth alone.
+        target.intensity if source.intensity.size else source.intensity,
         target.intrinsics,
         np.ascontiguousarray(T_target_source),
         gate_m,

@@ -111,7 +111,8 @@ def register(
     if not converged:
         found = _linearised(source, targets, T_now, exposures, 0, every)
     registration, free = _figures(source, targets, T_now[0], found, every)
-    if source.has_intensity or not free.shape[1]:
+    textured = source.has_intensity and all(target.has_intensity for target in targets)
+    if textured or not free.shape[1]:
         return registration
     # What the surfaces leave open is taken back: noise drove it there.
     twist = twist_from_rigid(motion)

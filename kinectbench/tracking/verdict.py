@@ -31,6 +31,10 @@ OPEN_PATH_M = (1.5, 4.0)
 # Real sensors are warped as well: right poses leave 0.55 times the noise of a simulated Kinect, 0.9 to 1.2
 # times that of real ones.
 TIMES_NOISE = (2.0, 3.0)
+# Of the frames far apart in time that ought to see the same place some are too plain, or hardly see it.
+UNMATCHED_SHARE = (0.4, 0.5)
+# Refining moves motion capture by its own noise, and drift by more.
+REFINED_APART_M = 0.025
 # Given poses drift if distant frames disagree by this many times what near ones do, and by 5 mm more.
 TIMES_NEAR = 2.0
 
@@ -48,6 +52,8 @@ class Evidence:
         degenerate: frames with a pose whose depth alone leaves a motion open.
         shift_mm: by how much poses are off, by what is measured between frames: median.
         distant_shift_mm: the same between frames far apart in time, of a given trajectory.
+        distant_unmatched: share of those that ought to see the same place and fit nowhere near; NaN: unknown.
+        jump_mm: the largest jump of a given trajectory, 0 if there is none.
         loops: places seen again, in the pose graph.
         believed_loops: of these, what the robust kernel left a weight of at least a half.
         loop_correction_mm: how far the believed loops disagree with the poses, rms.
@@ -66,6 +72,8 @@ class Evidence:
     degenerate: int
     shift_mm: float | None
     distant_shift_mm: float | None
+    distant_unmatched: float
+    jump_mm: float
     loops: int
     believed_loops: int
     loop_correction_mm: float | None
@@ -90,25 +98,51 @@ def judge(evidence: Evidence) -> tuple[Grade, str]:
     return grade, f"{words}: {why}"
 
 
-def recommend(rejected_share: float, distant_shift_m: float, median_shift_m: float) -> Recommendation:
+@dataclass(frozen=True)
+class Doubts:
+    """What speaks against a given trajectory. NaN where it is not known.
+
+    Attributes:
+        checked_share: of the frames that have a given pose, those that could be compared with others; 0 to 1.
+        rejected_share: of these, those whose depth disagrees; 0 to 1.
+        shift_m: by how much frames disagree with those around them, median, metres.
+        distant_shift_m: by how much frames far apart in time do, median, metres.
+        distant_unmatched: of those that ought to see the same place, the share that fits nowhere near.
+        largest_jump_m: metres, 0 if there is none.
+        refined_apart_m: how far refined poses are from the given ones, root mean square, metres.
+    """
+
+    checked_share: float
+    rejected_share: float
+    shift_m: float
+    distant_shift_m: float
+    distant_unmatched: float
+    largest_jump_m: float
+    refined_apart_m: float
+
+
+def recommend(doubts: Doubts) -> Recommendation:
     """What to do with a given trajectory.
 
-    Refine it if it drifts (frames far apart in time disagree by more than twice what near ones do, and 5 mm;
-    where that is not known: near ones by more than 5 mm), or if a tenth of the frames disagree; ignore it if
-    most of them do.
-
-    Args:
-        rejected_share: of the frames that have a given pose, those whose depth disagrees with it; 0 to 1.
-        distant_shift_m: by how much frames far apart in time disagree, median, metres; NaN if not known.
-        median_shift_m: by how much frames disagree with those around them, metres; NaN if not known.
+    Ignore it if most frames disagree, or most cannot be compared. Refine it if a tenth disagrees, if it
+    jumps, if it drifts (frames far apart in time disagree by more than twice what near ones do, and 5 mm;
+    where that is not known: near ones by more than 5 mm), if many of these fit nowhere, or if refining moves
+    it far.
     """
-    if rejected_share > REJECTED_SHARE[1]:
+    if doubts.rejected_share > REJECTED_SHARE[1] or doubts.checked_share < 1 - UNCHECKED_SHARE[0]:
         return "ignore"
     plain_m = SHIFT_MM[0] / 1000
-    drifts = distant_shift_m > TIMES_NEAR * median_shift_m + plain_m
-    if math.isnan(distant_shift_m):
-        drifts = median_shift_m > plain_m
-    return "refine" if drifts or rejected_share > REJECTED_SHARE[0] else "trust"
+    drifts = doubts.distant_shift_m > TIMES_NEAR * doubts.shift_m + plain_m
+    if math.isnan(doubts.distant_shift_m):
+        drifts = doubts.shift_m > plain_m
+    refine = (
+        drifts
+        or doubts.rejected_share > REJECTED_SHARE[0]
+        or doubts.largest_jump_m > 0
+        or doubts.distant_unmatched > UNMATCHED_SHARE[0]
+        or doubts.refined_apart_m > REFINED_APART_M
+    )
+    return "refine" if refine else "trust"
 
 
 def _coverage(e: Evidence) -> Iterator[tuple[int, str]]:
@@ -138,10 +172,16 @@ def _given(e: Evidence) -> Iterator[tuple[int, str]]:
     if e.distant_shift_mm is not None:
         level = _at_most(e.distant_shift_mm, DISTANT_SHIFT_MM)
         yield level, f"frames far apart in time agree within {e.distant_shift_mm:.1f} mm (median)"
+    if e.distant_unmatched > UNMATCHED_SHARE[0]:
+        level = _at_most(e.distant_unmatched, UNMATCHED_SHARE)
+        share = f"{100 * e.distant_unmatched:.0f} %"
+        yield level, f"{share} of the pairs far apart in time that ought to see the same place do not fit"
+    if e.jump_mm:
+        yield 2, f"the given trajectory jumps by {e.jump_mm:.0f} mm"
     if e.recommended == "refine":
         yield 1, "the given trajectory is worth refining"
     if e.recommended == "ignore":
-        yield 2, "most frames disagree with the given trajectory"
+        yield 2, "the given trajectory is better ignored"
 
 
 def _tracked(e: Evidence) -> Iterator[tuple[int, str]]:

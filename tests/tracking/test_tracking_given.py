@@ -186,9 +186,23 @@ def test_poses_so_far_apart_that_nothing_can_be_checked() -> None:
     check = checked(poses)
     assert np.isnan(check.given.shift_m).all() and check.distant == ()
     (warning,) = warnings_of(recording(), check)
-    assert warning == "16 of 16 poses could not be checked: too little of the frames overlaps"
+    assert warning == (
+        "16 of 16 poses could not be checked: too little of the frames overlaps; are the poses in metres?"
+    )
     health = track(recording(poses), "trust", SETTINGS).health
     assert health["unchecked"] == N and "could not be checked" in health["verdict"]
+    assert health["recommended"] == "ignore"
+
+
+def test_a_jump_that_no_registration_bridges_is_named() -> None:
+    """0.25 m upwards: from where the given poses put the frames, the floor is beyond any gate."""
+    poses = truth()
+    poses[9:, 2, 3] += 0.25
+    ((frame, by_m),) = checked(poses).frames.jumps
+    assert frame == 9 and by_m == pytest.approx(0.25, rel=0.05)
+    health = track(recording(poses), "trust", SETTINGS).health
+    assert health["recommended"] == "refine" and health["grade"] == "not good"
+    assert health["given"]["largest_jump_mm"] == pytest.approx(250, rel=0.05)
 
 
 def test_a_frame_that_has_nothing_to_do_with_the_others_is_found() -> None:
@@ -245,6 +259,14 @@ def test_drift_is_measured_where_the_circle_closes_and_costs_no_frame() -> None:
     assert given["distant_shift_mm"] == pytest.approx(expected_mm, rel=0.15) and expected_mm > 35
     assert trajectory.health["recommended"] == "refine" and trajectory.health["grade"] == "not good"
     assert len(trajectory.good_frames) == len(poses)
+
+
+def test_drift_so_large_that_distant_frames_do_not_fit_is_told() -> None:
+    poses = truth_of_circle()
+    poses[:, 0, 3] += np.linspace(0, 0.25, len(poses))
+    health = track(circle(poses), "trust", SETTINGS).health
+    assert health["recommended"] == "refine" and health["grade"] == "not good"
+    assert health["given"]["distant_unmatched"] > 0.4 or health["given"]["distant_shift_mm"] > 50
 
 
 def test_exact_poses_of_a_circle_are_trusted() -> None:

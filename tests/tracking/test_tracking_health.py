@@ -18,7 +18,7 @@ from kinectbench.tracking.health import GivenCheck, health
 from kinectbench.tracking.sharpness import image_sharpness, relative_blur, sharpness
 from kinectbench.tracking.tracked import Tie, Tracked
 from kinectbench.tracking.trajectory import Trajectory
-from kinectbench.tracking.verdict import Evidence, judge, recommend
+from kinectbench.tracking.verdict import Doubts, Evidence, judge, recommend
 from kinectbench.workspace import pretty_json
 
 SMALL = Camera(80, 60, 65.625, 65.625, 39.5, 29.5)
@@ -428,6 +428,9 @@ def test_what_is_refined_is_not_left_out(circle: np.ndarray, orbit: Sequence) ->
         "disagreeing": [11],
         "median_shift_mm": 12.0,
         "distant_shift_mm": 40.0,
+        "distant_unmatched": None,
+        "largest_jump_mm": 0.0,
+        "refined_apart_mm": None,
         "distant_residual_mm": 4.0,
         "refined_distant_residual_mm": 3.0,
     }
@@ -443,6 +446,17 @@ def test_a_trusted_trajectory_that_drifts(circle: np.ndarray, orbit: Sequence) -
         "frames far apart in time agree within 13.0 mm (median), the given trajectory is worth refining"
         in (figures["verdict"])
     )
+
+
+SOUND = Doubts(
+    checked_share=1.0,
+    rejected_share=0.0,
+    shift_m=0.002,
+    distant_shift_m=0.004,
+    distant_unmatched=0.1,
+    largest_jump_m=0.0,
+    refined_apart_m=np.nan,
+)
 
 
 @pytest.mark.parametrize(
@@ -463,7 +477,26 @@ def test_a_trusted_trajectory_that_drifts(circle: np.ndarray, orbit: Sequence) -
     ],
 )
 def test_recommendation(rejected_share: float, distant_m: float, near_m: float, expected: str) -> None:
-    assert recommend(rejected_share, distant_m, near_m) == expected
+    doubts = replace(SOUND, rejected_share=rejected_share, distant_shift_m=distant_m, shift_m=near_m)
+    assert recommend(doubts) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "trust"),
+        ({"largest_jump_m": 0.03}, "refine"),
+        ({"distant_unmatched": 0.35}, "trust"),
+        ({"distant_unmatched": 0.45}, "refine"),
+        ({"distant_unmatched": 1.0, "distant_shift_m": np.nan}, "refine"),
+        ({"refined_apart_m": 0.013}, "trust"),
+        ({"refined_apart_m": 0.056}, "refine"),
+        ({"checked_share": 0.6}, "trust"),
+        ({"checked_share": 0.0, "shift_m": np.nan, "distant_shift_m": np.nan}, "ignore"),
+    ],
+)
+def test_what_else_speaks_against_a_given_trajectory(changes: dict[str, float], expected: str) -> None:
+    assert recommend(replace(SOUND, **changes)) == expected
 
 
 # --- the verdict
@@ -477,6 +510,8 @@ GOOD = Evidence(
     degenerate=0,
     shift_mm=1.0,
     distant_shift_mm=None,
+    distant_unmatched=np.nan,
+    jump_mm=0.0,
     loops=20,
     believed_loops=20,
     loop_correction_mm=2.0,
@@ -553,7 +588,11 @@ NO_LOOPS = {"loops": 0, "believed_loops": 0, "loop_correction_mm": None}
         ({"source": "trust", "distant_shift_mm": 19.0}, "10 mm", "far apart in time agree within 19.0 mm"),
         ({"source": "trust", "distant_shift_mm": 21.0}, "not good", "far apart in time agree within 21.0 mm"),
         ({"source": "trust", "recommended": "refine"}, "10 mm", "worth refining"),
-        ({"source": "trust", "recommended": "ignore"}, "not good", "most frames disagree"),
+        ({"source": "trust", "recommended": "ignore"}, "not good", "better ignored"),
+        ({"source": "trust", "jump_mm": 47.0}, "not good", "jumps by 47 mm"),
+        ({"source": "trust", "distant_unmatched": 0.3}, "5 mm", "frames agree within"),
+        ({"source": "trust", "distant_unmatched": 0.45}, "10 mm", "45 % of the pairs far apart in time"),
+        ({"source": "trust", "distant_unmatched": 0.7}, "not good", "70 % of the pairs far apart in time"),
     ],
 )
 def test_grades_and_their_reasons(changes: dict[str, object], grade: str, reason: str) -> None:
