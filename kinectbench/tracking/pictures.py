@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 Float64 = NDArray[np.float64]
 
+# The picture of `track --compare`, in `build/<recording>/`.
+COMPARISON = "compare.png"
 DPI = 110
 INK, SOFT, PAPER = "#1f2328", "#8a8f98", "#fdfcf9"
 # Blue, orange, vermilion and green of Okabe and Ito: told apart by everybody.
@@ -45,8 +47,9 @@ def write_pictures(folder: Path, trajectory: Trajectory) -> None:
 def path_picture(trajectory: Trajectory) -> bytes:
     """The cameras from above, up in the picture where the first one looks: a PNG file.
 
-    Shown are time (colour), keyframes with their viewing direction, loops, lost stretches and the point where
-    the optical axes meet. Metres from the first camera with a pose.
+    Shown are time (colour), keyframes (150 at most, the viewing direction of 24), loops, lost stretches and,
+    if the health knows an arc around it, the point where the optical axes meet. Metres from the first camera
+    with a pose.
     """
     figure = _figure(6.6, 5.6)
     axes = figure.add_subplot(aspect="equal", xlabel="right, m", ylabel="ahead, m")
@@ -72,10 +75,14 @@ def path_picture(trajectory: Trajectory) -> bytes:
         some = keyframes[np.unique(np.linspace(0, len(keyframes) - 1, ARROWS).astype(int))]
         looks = T[some, :3, 2] @ R_above_world.T
         axes.quiver(*places[some, :2].T, *looks[:, :2].T, color=SOFT, width=0.003, scale=18, zorder=2)
-    meeting = (convergence_point(T[good]) - T[good[0], :3, 3]) @ R_above_world.T
-    axes.plot(*meeting[:2], "+", color=INK, markersize=9, label="where they look")
-    _fit(axes, np.concatenate([places[good, :2], meeting[None, :2]]))
-    figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8)
+    shown = places[good, :2]
+    if trajectory.health.get("arc_deg") is not None:
+        meeting = (convergence_point(T[good]) - T[good[0], :3, 3]) @ R_above_world.T
+        axes.plot(*meeting[:2], "+", color=INK, markersize=9, label="where they look")
+        shown = np.concatenate([shown, meeting[None, :2]])
+    _fit(axes, shown)
+    if axes.get_legend_handles_labels()[0]:
+        figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     return _png(figure)
 
 

@@ -98,6 +98,18 @@ def test_a_circle_is_round(orbit: np.ndarray) -> None:
     assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=4)
 
 
+def test_where_they_look_is_drawn_if_it_is_one_point(orbit: np.ndarray) -> None:
+    """The cross at the centre of the circle is of the axes' meeting, and of nothing else."""
+
+    def ink_in_the_middle(arc_deg: float | None) -> int:
+        image = pixels(path_picture(trajectory_of(orbit, keyframes=[], arc_deg=arc_deg)))
+        rows, columns = np.nonzero((np.ptp(image, axis=2) > 60)[:, : int(image.shape[1] * 0.86)])
+        row, column = (int(edges.min() + edges.max()) // 2 for edges in (rows, columns))
+        return int(near(image, (31, 35, 40), 90)[row - 9 : row + 10, column - 9 : column + 10].sum())
+
+    assert ink_in_the_middle(354.0) > 10 and ink_in_the_middle(None) == 0
+
+
 def test_loops_lost_stretches_and_frames_left_out_are_drawn(orbit: np.ndarray) -> None:
     plain = pixels(path_picture(trajectory_of(orbit)))
     assert not near(plain, RED).any() and not near(plain, ORANGE, 20).any()
