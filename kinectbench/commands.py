@@ -46,7 +46,6 @@ def run_stage(
     as_json: bool,
 ) -> None:
     """Bring recordings up to date as far as a stage (`build`: all), and show what became of them."""
-    from kinectbench import console
     from kinectbench.pipeline import STAGE_NAMES
 
     settings, root = open_benchmark(config, overrides)
@@ -55,8 +54,16 @@ def run_stage(
     if as_json:
         typer.echo(json.dumps(rows))
     else:
-        console.out.print(console.summary_table(rows))
+        show_rows(rows, upto)
     exit_for(rows)
+
+
+def show_rows(rows: list[dict[str, Any]], upto: str) -> None:
+    """The table of what `build_recordings` returned for this last stage."""
+    from kinectbench import console
+    from kinectbench.pipeline import STAGE_NAMES
+
+    console.out.print(console.summary_table(rows, STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]))
 
 
 def open_benchmark(config: Path, overrides: list[str] | None) -> "tuple[BenchmarkSettings, Path]":
@@ -96,8 +103,8 @@ def build_jobs(
         row["made"], row["current"] = list(outcome.made), list(outcome.current)
         rows.append(row)
         if outcome.made:
-            console.lines(f"{job.recording.id}: warning", row["warnings"], "yellow")
-        console.lines(f"{job.recording.id}: error", [outcome.error] if outcome.error else [], "red")
+            console.recording_lines(job.recording.id, "warning", row["warnings"], "yellow")
+        console.recording_lines(job.recording.id, "error", [outcome.error] if outcome.error else [], "red")
     return rows
 
 

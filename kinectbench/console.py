@@ -12,6 +12,19 @@ from rich.text import Text
 from kinectbench.interrupts import check_interrupt
 
 PLAIN_WIDTH = 160
+# What each stage can say of a recording, by its key in a summary row.
+COLUMNS: Mapping[str, Mapping[str, str]] = {
+    "ingest": {"frames": "frames"},
+    "track": {"left_out": "left out", "lost": "lost"},
+    "segment": {"repeatability_iou": "odd/even IoU"},
+    "sample-views": {"views": "views"},
+    "pairs": {
+        "pairs": "pairs",
+        "refused": "refused",
+        "containment": "contained",
+        "residual_mm": "residual mm",
+    },
+}
 
 err = Console(stderr=True)
 out = Console()
@@ -58,21 +71,17 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
             err.print(Text.assemble((f"{kind}:", style), " ", line), highlight=False, soft_wrap=True)
 
 
-def summary_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """The table at the end of a build: one line per recording."""
-    columns = {
-        "recording": "recording",
-        "frames": "frames",
-        "left_out": "left out",
-        "lost": "lost",
-        "repeatability_iou": "odd/even IoU",
-        "views": "views",
-        "pairs": "pairs",
-        "refused": "refused",
-        "containment": "contained",
-        "residual_mm": "residual mm",
-        "status": "status",
-    }
+def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
+    """`lines` about a recording. Where its path is its id, messages begin with it: it is said once."""
+    lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
+
+
+def summary_table(rows: Sequence[Mapping[str, Any]], stages: Sequence[str]) -> Table:
+    """The table at the end of a build: one line per recording, with what these stages can fill."""
+    columns = {"recording": "recording"}
+    for stage in stages:
+        columns |= COLUMNS.get(stage, {})
+    columns["status"] = "status"
     table = Table()
     for key, title in columns.items():
         table.add_column(title, justify="left" if key in ("recording", "status") else "right")

@@ -110,6 +110,7 @@ def summary(job: Job) -> dict[str, Any]:
         "frames": sequence.get("frames"),
         "left_out": [row["frame"] for row in health.get("rejected", [])] if health else None,
         "lost": len(health["lost"]) if health else None,
+        **{key: health.get(key) for key in ("source", "grade", "verdict", "recommended")},
         "repeatability_iou": quality.get("repeatability_iou"),
         "views": len(views["views"]) if views else None,
         "pairs": len(rows) if pairs else None,

@@ -73,13 +73,15 @@ def _ingest(job: Job, folder: Path, progress: Progress) -> None:
 def _track(job: Job, folder: Path, progress: Progress) -> None:
     from kinectbench.ingest.sequence_folder import read_sequence
     from kinectbench.tracking import track
-    from kinectbench.tracking.pictures import write_pictures
+    from kinectbench.tracking.pictures import COMPARISON, write_pictures
     from kinectbench.tracking.trajectory_folder import write_trajectory
 
     sequence = read_sequence(job.build / "sequence")
     trajectory = track(sequence, job.recording.trajectory, job.settings.tracking, progress)
     write_trajectory(trajectory, folder)
     write_pictures(folder, trajectory)
+    # It shows the trajectory that is about to be replaced.
+    (job.build / COMPARISON).unlink(missing_ok=True)
 
 
 def _fuse(job: Job, folder: Path, progress: Progress) -> None:

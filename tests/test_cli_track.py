@@ -97,8 +97,9 @@ def test_the_table_and_the_artefact(command: Command, here: Path, given: GivenTr
     assert run.status == 0, run.err
     assert "against part.txt" in run.out and "ATE rmse mm" in run.out
     assert "picture: build/chair/compare.png" in run.out
-    (line,) = [line for line in run.out.splitlines() if "chair" in line and "│" in line]
+    _, line = [line for line in run.out.splitlines() if "chair" in line and "│" in line]
     assert line.split("│")[1:5] == [" chair     ", f"{4:>8} ", f"{'100.0':>10} ", f"{'0.00':>12} "]
+    assert "left out ┃ lost ┃" in run.out and "\nchair: good for ground truth at " in run.out
     after = hashes(here / "build")
     assert after.pop("chair/compare.png") and after == before
     # What was compared is still up to date.
@@ -152,5 +153,99 @@ def test_one_recording_that_fails_does_not_stop_the_other(
 
 
 def test_the_help_names_it(command: Command, tmp_path: Path) -> None:
-    shown = command(tmp_path, "track", "--help").out
+    shown = " ".join(command(tmp_path, "track", "--help").out.replace("│", " ").split())
     assert "--compare" in shown and "TUM" in shown and "camera pose" in shown
+    assert "one file for every recording named" in shown
+
+
+def test_the_verdict_is_said_and_no_column_is_empty(command: Command, here: Path) -> None:
+    run = command(here, "track", "chair")
+    health = json.loads((here / "build/chair/trajectory/health.json").read_text())
+    assert health["source"] == health["recommended"] == "trust"
+    assert run.out.splitlines()[-1] == f"chair: {health['verdict']}"
+    (head,) = [line for line in run.out.splitlines() if "recording" in line]
+    assert [title.strip() for title in head.split("┃")[1:-1]] == [
+        "recording",
+        "frames",
+        "left out",
+        "lost",
+        "status",
+    ]
+    # Up to date, it is said again.
+    assert command(here, "track", "chair").out.splitlines()[-1] == f"chair: {health['verdict']}"
+    (row,) = json.loads(command(here, "track", "chair", "--json").out)
+    assert {key: row[key] for key in ("source", "grade", "verdict", "recommended")} == {
+        key: health[key] for key in ("source", "grade", "verdict", "recommended")
+    }
+    assert {"frames", "left_out", "lost", "repeatability_iou", "views", "pairs", "warnings"} <= set(row)
+    # The table of the stages before it, and no verdict.
+    ingested = command(here, "ingest", "chair").out
+    assert "frames" in ingested and "lost" not in ingested and health["verdict"] not in ingested
+
+
+@pytest.mark.parametrize(
+    ("done", "recommended", "advice"),
+    [
+        ("trust", "trust", ""),
+        ("trust", "refine", "; recommended is `trajectory: refine`"),
+        ("refine", "trust", "; recommended is `trajectory: trust`"),
+        ("tracked", "ignore", ""),
+        ("tracked", None, ""),
+    ],
+)
+def test_what_is_recommended_is_said_if_it_was_not_done(
+    command: Command, here: Path, done: str, recommended: str | None, advice: str
+) -> None:
+    assert command(here, "track", "chair").status == 0
+    path = here / "build/chair/trajectory/health.json"
+    figures = {**json.loads(path.read_text()), "source": done, "recommended": recommended, "verdict": "fair"}
+    size = path.stat().st_size
+    path.write_text(json.dumps(figures).ljust(size))
+    run = command(here, "track", "chair")
+    assert path.stat().st_size == size and run.out.splitlines()[-1] == f"chair: fair{advice}"
+
+
+def test_a_failed_run_says_no_verdict(command: Command, here: Path) -> None:
+    assert "chair: good" in command(here, "track", "chair").out
+    (here / "recordings/chair/groundtruth.txt").unlink()
+    run = command(here, "track", "chair", "--set", "recordings.chair.trajectory=trust")
+    assert run.status == 1 and "the recording has none" in run.err
+    assert not [line for line in run.out.splitlines() if line.startswith("chair: ")]
+
+
+def test_given_poses_against_themselves(command: Command, here: Path, given: GivenTrajectory) -> None:
+    themselves = "chair: these are the given poses themselves"
+    run = command(here, "track", "chair", "--compare", "recordings/chair/groundtruth.txt")
+    assert themselves in run.out
+    moved = given.T_world_camera.copy()
+    moved[3, 0, 3] += 1e-4
+    write(here / "moved.txt", given.stamps_ns, moved)
+    run = command(here, "track", "chair", "--compare", "moved.txt")
+    assert run.status == 0 and themselves not in run.out
+    # Stamps between those of the frames: the poses that were interpolated are off a little.
+    write(here / "recordings/chair/groundtruth.txt", given.stamps_ns + 5 * 10**7, given.T_world_camera)
+    path, gap = "recordings/chair/groundtruth.txt", "tracking.max_stamp_gap_s=1"
+    run = command(here, "track", "chair", "--compare", path, "--set", gap, "--json")
+    (row,) = json.loads(run.out)
+    assert row["comparison"]["ate_rmse_mm"] > 0.1 and row["comparison"]["with_itself"] is True
+
+
+def test_a_picture_of_an_older_trajectory_goes(command: Command, here: Path, given: GivenTrajectory) -> None:
+    write(here / "truth.txt", given.stamps_ns, given.T_world_camera)
+    picture = here / "build/chair/compare.png"
+    command(here, "track", "chair", "--compare", "truth.txt")
+    command(here, "track", "chair")
+    assert picture.exists()  # it is still of this trajectory
+    command(here, "track", "chair", "--force")
+    assert not picture.exists()
+
+
+def test_a_warning_names_the_recording_once(command: Command, here: Path) -> None:
+    """A recording whose path is its id."""
+    (here / "recordings/chair").rename(here / "chair")
+    (here / "benchmark.yaml").write_text(YAML.replace("recordings/chair", "chair"))
+    colors = here / "chair/rgb.txt"
+    rows = colors.read_text().splitlines()
+    colors.write_text("\n".join(rows[:-2]) + "\n")
+    run = command(here, "track", "chair")
+    assert run.err == f"chair: warning: 2 of {FRAMES} depth frames have no colour frame within 20 ms\n"
