@@ -36,6 +36,8 @@ DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
 AGREE_M, AGREE_RAD = 0.06, 0.06
 # And they are nearly as good as the ties of consecutive keyframes: a chair's back looks much like its front.
 FEWER_INLIERS = 0.015
+# Ties between two groups whose neighbourhood is tried.
+JOINTS_CONFIRMED = 5
 MIN_TIE_WEIGHT = 0.05
 # Ties that the depth's distortion is estimated from.
 CALIBRATION_TIES = 150
@@ -208,6 +210,7 @@ class _Builder:
     def optimise(self) -> None:
         """Join groups that enough ties connect, then optimise each group."""
         self.round += 1
+        self._confirm_joints()
         self._join_groups()
         self.weights = np.ones(len(self.ties))
         for group in np.unique(self.group):
@@ -244,15 +247,35 @@ class _Builder:
     def _both_in(self, each: Tie, rows: dict[int, int]) -> bool:
         return self.row[each.a] in rows and self.row[each.b] in rows
 
+    def _joints(self) -> dict[tuple[int, int], list[Tie]]:
+        """The ties between each two groups that are nearly as good as those of consecutive keyframes."""
+        usual = np.median([each.inlier_share for each in self.ties if each.kind == "odometry"] or [0.0])
+        between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
+        for each in self.ties:
+            groups = int(self.group[self.row[each.a]]), int(self.group[self.row[each.b]])
+            if groups[0] != groups[1] and each.inlier_share >= usual - FEWER_INLIERS:
+                between[min(groups), max(groups)].append(each)
+        return between
+
+    def _confirm_joints(self) -> None:
+        """Where one tie joins two groups, the keyframes next to its ends ought to see each other as well."""
+        for _, ties in sorted(self._joints().items()):
+            for each in ties[:JOINTS_CONFIRMED]:
+                a, b = self.row[each.a], self.row[each.b]
+                for i, j in ((a - 1, b), (a + 1, b), (a, b - 1), (a, b + 1)):
+                    inside = 0 <= i < len(self.group) and 0 <= j < len(self.group)
+                    if not inside or (self.group[i], self.group[j]) != (self.group[a], self.group[b]):
+                        continue
+                    T_i_a, T_b_j = (
+                        invert_rigid(self.T_world[first]) @ self.T_world[second]
+                        for first, second in ((i, a), (b, j))
+                    )
+                    self._try(i, j, T_i_a @ each.T_a_b @ T_b_j)
+
     def _join_groups(self) -> None:
         """Join two groups if two ties agree how they lie to each other, or one tie spans a gap in time."""
-        usual = np.median([each.inlier_share for each in self.ties if each.kind == "odometry"] or [0.0])
         while True:
-            between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
-            for each in self.ties:
-                groups = int(self.group[self.row[each.a]]), int(self.group[self.row[each.b]])
-                if groups[0] != groups[1] and each.inlier_share >= usual - FEWER_INLIERS:
-                    between[min(groups), max(groups)].append(each)
+            between = self._joints()
             found = [(self._agreed(ties), groups) for groups, ties in sorted(between.items())]
             joints = [(agreed, groups) for agreed, groups in found if agreed is not None]
             if not joints:

@@ -22,6 +22,7 @@ from tracking_scenes import (
     stored,
     walk,
     waves,
+    with_blank_color,
     with_depth,
     with_frames,
     without_color,
@@ -217,6 +218,14 @@ def test_the_lost_stretch_is_reported_with_its_times():
     assert np.nanmax(errors_m(trajectory.T_world_camera, couch_poses(range(10)))) < 0.01
 
 
+@pytest.mark.parametrize("missing", [[0], [9], range(0, 24, 3)])
+def test_frames_whose_colour_is_missing_are_tracked_by_their_depth(missing):
+    tracked = track_frames(with_blank_color(couch().sequence, missing))
+    check_consistent(tracked, 24)
+    assert len(posed(tracked)) == 24
+    assert errors_m(tracked.T_world_camera, couch_poses(range(24))).max() < 0.01
+
+
 # --- gaps
 
 
@@ -241,6 +250,16 @@ def test_after_a_long_gap_the_circle_joins_again(color):
     poses = chair_circle().simulation.T_world_camera[order]
     assert np.nanmax(errors_m(tracked.T_world_camera, poses)) < WRONG_M
     assert len(posed(tracked)) == len(order) or not color
+
+
+def test_after_blank_frames_the_circle_joins_again():
+    """A fifth of the circle is blank; one place seen again is enough, for those beside it confirm it."""
+    blank = np.zeros((120, 160), np.uint16)
+    sequence = with_depth(chair_circle().sequence, dict.fromkeys(range(14, 24), blank))
+    tracked = track_frames(sequence)
+    check_consistent(tracked, 48)
+    assert len(posed(tracked)) == 38 and tracked.states.count("relocalised") >= 20
+    assert np.nanmax(errors_m(tracked.T_world_camera, chair_circle().simulation.T_world_camera)) < WRONG_M
 
 
 def test_two_rooms_in_one_recording():

@@ -172,6 +172,14 @@ def with_depth(sequence: Sequence, depth: dict[int, NDArray[np.uint16]]) -> Sequ
     return made_of(sequence, [(depth.get(i, frame[0]), frame[1]) for i, frame in enumerate(frames)])
 
 
+def with_blank_color(sequence: Sequence, missing: Iterable[int]) -> Sequence:
+    """A recording without the colour images of some frames."""
+    frames, gone = [stored(sequence, i) for i in range(len(sequence))], set(missing)
+    return made_of(
+        sequence, [(depth, None if i in gone else color) for i, (depth, color) in enumerate(frames)]
+    )
+
+
 def spliced(*parts: tuple[Sequence, Iterable[int]]) -> Sequence:
     """Chosen frames of several recordings of one camera, one after the other."""
     return made_of(parts[0][0], [stored(sequence, int(i)) for sequence, chosen in parts for i in chosen])
