@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from kinectbench.geometry import Camera, transform_points
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.tracking.frame_maps import Level
+from kinectbench.tracking.linearise import add_products, mirrored
 from kinectbench.tracking.registration import CORRELATED_POINTS
 
 Float64 = NDArray[np.float64]
@@ -75,8 +76,11 @@ def calibrate(views: Iterable[View]) -> Calibration:
         if len(rows) < 10 * k:
             continue
         ties += 1
-        weighted = rows * (weights / CORRELATED_POINTS)[:, None]
-        A, b = weighted.T @ rows, weighted.T @ residuals
+        sums = np.zeros((6 + k + 1, 6 + k + 1))
+        columns = np.ascontiguousarray(np.column_stack([rows, residuals]).T)
+        add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
+        sums = mirrored(sums)
+        A, b = sums[:-1, :-1], sums[:-1, -1]
         # The motion is eliminated: what is left is what it cannot explain.
         motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
         normal_matrix += A[6:, 6:] - A[6:, :6] @ motion[:, :-1]

@@ -16,7 +16,7 @@ from kinectbench.tracking.covisibility import Glimpse, covisible, glimpse
 from kinectbench.tracking.depth_calibration import View, calibrate
 from kinectbench.tracking.features import FeatureCache, pose_from_features
 from kinectbench.tracking.frame_maps import MapCache
-from kinectbench.tracking.odometry import Odometry, is_believable, tie
+from kinectbench.tracking.odometry import Odometry, every_of, is_believable, tie
 from kinectbench.tracking.pose_graph import optimise
 from kinectbench.tracking.registration import PLACED, Registration, measure, register
 from kinectbench.tracking.search import score, search
@@ -24,7 +24,8 @@ from kinectbench.tracking.tracked import Tie, TieKind
 
 Float64 = NDArray[np.float64]
 
-ROUNDS = 3
+# Texture ties keyframes so well that more rounds add little.
+ROUNDS_WITH_COLOR, ROUNDS_WITHOUT = 2, 3
 # Tries per keyframe and round: of what looks alike, and of what ought to be in view.
 ALIKE_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
 MIN_LIKENESS, MIN_SHARED_VIEW = 0.25, 0.3
@@ -81,7 +82,8 @@ def build_graph(
     """
     builder = _Builder(maps, features, odometry, T_given)
     builder.tie_alike()
-    for last in [False] * (ROUNDS - 1) + [True]:
+    rounds = ROUNDS_WITH_COLOR if maps.sequence.color_registered else ROUNDS_WITHOUT
+    for last in [False] * (rounds - 1) + [True]:
         builder.tie_covisible()
         builder.optimise()
         if not last:
@@ -117,7 +119,8 @@ class _Builder:
 
     def _again(self, each: Tie) -> Tie:
         """A tie of the odometry, registered again now that the keyframes' depth is averaged."""
-        found = register(self.maps[each.b], [self.maps[each.a]], [each.T_a_b], coarsest=0, prior=PLACED)
+        source, target = self.maps[each.b], self.maps[each.a]
+        found = register(source, [target], [each.T_a_b], 0, PLACED, every_of(source))
         return tie(each.a, each.b, found, each.kind) if is_believable(found) else each
 
     def tie_alike(self) -> None:
@@ -139,6 +142,7 @@ class _Builder:
     def tie_covisible(self) -> None:
         """Try keyframes that ought to see the same places, those with the largest shared view first."""
         tries: dict[int, int] = defaultdict(int)
+        chosen = []
         pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
         for share, a, b in pairs:
             if share < MIN_SHARED_VIEW or max(tries[a], tries[b]) >= COVISIBLE_PER_KEYFRAME:
@@ -147,6 +151,9 @@ class _Builder:
                 continue
             tries[a] += 1
             tries[b] += 1
+            chosen.append((a, b))
+        # One after the other along the path: their maps are still at hand then.
+        for a, b in sorted(chosen):
             self._try(a, b, invert_rigid(self.T_world[a]) @ self.T_world[b])
 
     def _covisible_pairs(self) -> list[tuple[float, int, int]]:
@@ -178,14 +185,14 @@ class _Builder:
         target, source = (self.maps[frame] for frame in frames)
         best: Registration | None = None
         if T_a_b is not None:
-            best = register(source, [target], [T_a_b])
+            best = register(source, [target], [T_a_b], every=every_of(source))
         lost = T_a_b is None or self.round == 0
         if lost and (best is None or not _convinces(best)):
             seen = pose_from_features(
                 self.features[frames[1]], self.features[frames[0]], source.levels[0].camera
             )
             if seen is not None:
-                other = register(source, [target], [seen[0]], coarsest=1)
+                other = register(source, [target], [seen[0]], 1, every=every_of(source))
                 best = other if best is None or score(other) > score(best) else best
         if lost and T_a_b is not None and best is not None and not _convinces(best):
             other = search(source, target, T_a_b)
@@ -194,9 +201,8 @@ class _Builder:
 
     def _is_mutual(self, frames: tuple[int, int], registration: Registration) -> bool:
         """Whether the registration convinces from either side."""
-        back = measure(
-            self.maps[frames[0]], [self.maps[frames[1]]], [invert_rigid(registration.T_target_source)]
-        )
+        source, target = self.maps[frames[0]], self.maps[frames[1]]
+        back = measure(source, [target], [invert_rigid(registration.T_target_source)], every_of(source))
         return _convinces(registration) and _convinces(back)
 
     def _breaks_drift_bound(self, a: int, b: int, T_a_b: Float64) -> bool:
@@ -237,7 +243,9 @@ class _Builder:
         calibration = calibrate(self._view(believed[i]) for i in chosen)
         level = self.maps[self.keyframes[0]].levels[0]
         self.maps.correct(calibration.correction_per_m(level.camera.width, level.camera.height))
-        self.ties = [self._again(each) for each in self.ties]
+        along = sorted(range(len(self.ties)), key=lambda t: (self.ties[t].a, self.ties[t].b))
+        for t in along:
+            self.ties[t] = self._again(self.ties[t])
 
     def _view(self, each: Tie) -> View:
         a, b = self.row[each.a], self.row[each.b]

@@ -140,8 +140,11 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def _add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
-    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights."""
+def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
+    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
+
+    Kept from BLAS, whose threads wait for work longer than they do any.
+    """
     for i in range(len(sums)):
         for j in range(i + 1):
             total = 0.0
@@ -151,7 +154,7 @@ def _add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mirrored(lower):  # type: ignore[no-untyped-def]
+def mirrored(lower):  # type: ignore[no-untyped-def]
     """The symmetric matrix of a lower triangle."""
     return lower + np.tril(lower, -1).T
 
@@ -268,11 +271,11 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             Q[6, k], Q[7, k], Q[8, k] = own, 1.0, e
             Q_weights[k] = w
             k += 1
-        _add_products(A, J, J_weights, m)
-        _add_products(P, Q, Q_weights, k)
+        add_products(A, J, J_weights, m)
+        add_products(P, Q, Q_weights, k)
         compared += k
         if with_shares:
-            _add_products(S, J, over_noise, m)
-            _add_products(M, places, inlying, m)
-    sums = _mirrored(A), _mirrored(P), _mirrored(S), _mirrored(M)
+            add_products(S, J, over_noise, m)
+            add_products(M, places, inlying, m)
+    sums = mirrored(A), mirrored(P), mirrored(S), mirrored(M)
     return sums, inliers, violations, compared, squares, variances

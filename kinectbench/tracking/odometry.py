@@ -40,7 +40,7 @@ OPEN_MOTION = "one plane in view: a motion is left open"
 # A frame is compared with itself to see whether all it shows is one plane: few points tell. Its normals then
 # say no more than so many times what their noise does.
 EVERY_ALONE, ONE_PLANE = 4, 1.2
-# Enough points to follow, and to place among keyframes; these are tied with all of them.
+# Texture holds what few points leave open.
 EVERY_WITH_COLOR, EVERY_WITHOUT = 2, 1
 
 
@@ -182,6 +182,11 @@ def _begun_average(
     return average
 
 
+def every_of(source: FrameMaps) -> int:
+    """Every how many points of a frame are enough to register it."""
+    return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
+
+
 def tie(a: int, b: int, registration: Registration, kind: str) -> Tie:
     """The registration of keyframe b to keyframe a as a tie."""
     return Tie(
@@ -235,7 +240,7 @@ def _register(
 ) -> Followed | None:
     """Register a frame to a reference: from the prediction, and if that does not convince, from elsewhere."""
     source, target = maps[index], maps[reference]
-    every = EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
+    every = every_of(source)
     before = frames[reference]
     assert before is not None
     starts = _predictions(frames, before, reference, index, maps.sequence.stamps_ns, T_given)

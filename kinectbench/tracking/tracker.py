@@ -14,12 +14,11 @@ from kinectbench.tracking.features import FeatureCache
 from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.tracking.odometry import (
-    EVERY_WITH_COLOR,
-    EVERY_WITHOUT,
     OPEN_MOTION,
     Followed,
     Odometry,
     Usual,
+    every_of,
     follow,
     is_believable,
 )
@@ -169,8 +168,7 @@ class _Placer:
         T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
         if index in self.row:
             return measure(source, targets, [T @ T_world for T in T_around])
-        every = EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
-        found = register(source, targets, [T @ T_world for T in T_around], 0, PLACED, every)
+        found = register(source, targets, [T @ T_world for T in T_around], 0, PLACED, every_of(source))
         if self.usual.is_sure(found):
             self.usual = self.usual.after(found)
             return found
