@@ -5,7 +5,7 @@ segments later. Nothing is guessed.
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,6 +107,21 @@ class Usual:
         )
 
 
+# Before anything is known much is asked: a first frame that is wrong would be followed by others.
+AT_FIRST = Usual(0.99, 0.99)
+
+
+def usual_of(registrations: Sequence[Registration]) -> Usual:
+    """The median of registrations that are believed."""
+    correlations = [r.intensity_correlation for r in registrations if np.isfinite(r.intensity_correlation)]
+    if not registrations:
+        return AT_FIRST
+    return Usual(
+        float(np.median([r.inlier_share for r in registrations])),
+        float(np.median(correlations)) if correlations else AT_FIRST.correlation,
+    )
+
+
 def follow(
     maps: MapCache,
     features: FeatureCache,
@@ -125,7 +140,7 @@ def follow(
     reasons: dict[int, str] = {}
     keyframes: list[int] = []
     ties: list[Tie] = []
-    usual = Usual(0.99, 0.95)
+    usual = AT_FIRST
     average: DepthAverage | None = None
     for index in range(len(maps.sequence)):
         found: Followed | None = None

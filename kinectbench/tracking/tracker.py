@@ -17,10 +17,10 @@ from kinectbench.tracking.odometry import (
     OPEN_MOTION,
     Followed,
     Odometry,
-    Usual,
     every_of,
     follow,
     is_believable,
+    usual_of,
 )
 from kinectbench.tracking.registration import PLACED, Registration, measure, register
 from kinectbench.tracking.search import score, search
@@ -122,7 +122,8 @@ class _Placer:
         self.tied = _tied(graph, self.row)
         joined = (f.segment for f in odometry.frames if f is not None and f.segment in graph.joined)
         self.first_segment = min(joined, default=0)
-        self.usual = Usual(0.97, 0.9)
+        followed = [f.registration for f in odometry.frames if f is not None and f.registration is not None]
+        self.usual = usual_of(followed)
 
     def place(self, index: int) -> _Placed:
         """Register one frame to the keyframes that see most of what it sees."""
