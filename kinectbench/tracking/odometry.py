@@ -41,7 +41,7 @@ OPEN_MOTION = "one plane in view: a motion is left open"
 # say no more than so many times what their noise does.
 EVERY_ALONE, ONE_PLANE = 4, 1.2
 # Texture holds what few points leave open.
-EVERY_WITH_COLOR, EVERY_WITHOUT = 2, 1
+EVERY_WITH_COLOR, EVERY_WITHOUT = 3, 1
 
 
 @dataclass(frozen=True)
