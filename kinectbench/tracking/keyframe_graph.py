@@ -82,7 +82,7 @@ def build_graph(
     """
     builder = _Builder(maps, features, odometry, T_given)
     builder.tie_alike()
-    rounds = ROUNDS_WITH_COLOR if maps.sequence.color_registered else ROUNDS_WITHOUT
+    rounds = ROUNDS_WITH_COLOR if builder.textured else ROUNDS_WITHOUT
     for last in [False] * (rounds - 1) + [True]:
         builder.tie_covisible()
         builder.optimise()
@@ -101,6 +101,7 @@ class _Builder:
         self.keyframes = odometry.keyframes
         self.row = {frame: row for row, frame in enumerate(self.keyframes)}
         self.glimpses: list[Glimpse] = [glimpse(maps[frame]) for frame in self.keyframes]
+        self.textured = any(maps[frame].has_intensity for frame in self.keyframes[:3])
         followed = [odometry.frames[frame] for frame in self.keyframes]
         self.segments = np.array([f.segment for f in followed if f is not None])
         self.T_segment = np.array([f.T_segment_camera for f in followed if f is not None])
