@@ -6,8 +6,8 @@ import fcntl
 import hashlib
 import json
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,11 +135,13 @@ def _reachable(path: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary sibling folder that takes `folder`'s place when the block ends well."""
-    with storage_errors(folder), _reachable(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
-        temporary.chmod(0o755)
+    # The name comes first: an interrupt right after the folder is made must find it to take away.
+    temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.part")
     try:
+        with storage_errors(folder), _reachable(folder):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            temporary.mkdir()
+            temporary.chmod(0o755)
         with storage_errors(folder):
             yield temporary
             old = temporary.with_suffix(".old")
