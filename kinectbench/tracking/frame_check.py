@@ -210,6 +210,7 @@ class _Checker:
         return tuple(found)
 
     def result(self, posed: Indices) -> FrameCheck:
+        """What was found of the frames (k,) that have a pose."""
         n = len(self.T)
         shift_m, turn_rad, inlier_share = (np.full(n, np.nan) for _ in range(3))
         degenerate, disagrees = np.zeros(n, bool), np.zeros(n, bool)
@@ -239,6 +240,7 @@ class _Usual:
 
     @classmethod
     def of(cls, registrations: Iterable[Registration]) -> "_Usual":
+        """What nine of ten registrations reach, and some slack."""
         figures = [(each.inlier_share, each.intensity_correlation) for each in registrations]
         inliers, correlation = np.array(figures or [(0.0, np.nan)]).T
         known = correlation[np.isfinite(correlation)]

@@ -185,7 +185,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     for first in range(0, n, BLOCK):
         m, k = 0, 0
         for i in range(first, min(first + BLOCK, n)):
-            px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
+            px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
             z = r20 * px + r21 * py + r22 * pz + t2
             if z < 0.1:
                 continue
@@ -210,7 +210,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             if mz == 0:
                 continue
             # The mean of both normals, in the source's axes: its noise is less (Rusinkiewicz 2019).
-            ox, oy, oz = float(points[i, 3]), float(points[i, 4]), float(points[i, 5])
+            ox, oy, oz = np.float64(points[i, 3]), np.float64(points[i, 4]), np.float64(points[i, 5])
             nx = r00 * mx + r10 * my + r20 * mz
             ny = r01 * mx + r11 * my + r21 * mz
             nz = r02 * mx + r12 * my + r22 * mz
@@ -225,7 +225,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             my = r10 * nx + r11 * ny + r12 * nz
             mz = r20 * nx + r21 * ny + r22 * nz
             r = mx * ((ui - cx) * over_fx * d - x) + my * ((vi - cy) * over_fy * d - y) + mz * (d - z)
-            variance = sigma * sigma + float(points[i, 6]) ** 2
+            variance = sigma * sigma + np.float64(points[i, 6]) ** 2
             w = 1 / variance
             if r * r > HUBER_SIGMAS**2 * variance:
                 w = HUBER_SIGMAS * np.sqrt(w) / abs(r)
@@ -244,7 +244,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
                 cosine = abs(px * ox + py * oy + pz * oz) / np.sqrt(px * px + py * py + pz * pz)
                 places[0, m], places[1, m], places[2, m], places[3, m] = px, py, pz, 1.0
                 inlying[m] = 1.0 if inlies else 0.0
-                over_noise[m] = inlying[m] * (pz / (float(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
+                over_noise[m] = inlying[m] * (pz / (np.float64(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
             m += 1
             if not has_intensity or not _within(d - z, variance, 0.01):
                 continue
@@ -255,7 +255,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             value = (i00 * (1 - au) + i01 * au) * (1 - av) + (i10 * (1 - au) + i11 * au) * av
             gu = (i01 - i00) * (1 - av) + (i11 - i10) * av
             gv = (i10 - i00) * (1 - au) + (i11 - i01) * au
-            own = float(points[i, 7])
+            own = np.float64(points[i, 7])
             e = value - gain * own - offset
             # Gradient of the target's intensity in space, then in the source's axes.
             sx, sy = gu * fx * over_z, gv * fy * over_z

@@ -155,8 +155,8 @@ def test_geometric_sums_equal_a_plain_reference(pair, level):
 
 
 def close(a: np.ndarray, b: np.ndarray) -> bool:
-    """Equal to 1e-8 of the largest entry."""
-    return bool(np.abs(a - b).max() <= 1e-8 * np.abs(b).max())
+    """Equal to 1e-9 of the largest entry."""
+    return bool(np.abs(a - b).max() <= 1e-9 * np.abs(b).max())
 
 
 def without_intensity(level: Level) -> Level:
