@@ -1,6 +1,6 @@
 """How far a given trajectory can be trusted: each frame against those around it, and distant ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,12 +37,14 @@ class Checked:
         frames: each frame against those around it.
         distant: frames that are far apart in time, registered from the given poses.
         given: the figures for people; `refined_distant_residual_m` is that of the registrations.
+        sharpness: of the colour, by frame, where it was read.
     """
 
     T_given: Float64
     frames: FrameCheck
     distant: tuple[Tie, ...]
     given: GivenCheck
+    sharpness: Mapping[int, float]
 
 
 def check_given(
@@ -74,7 +76,7 @@ def check_given(
         distant_unmatched=unmatched,
         largest_jump_m=max((by_m for _, by_m in frames.jumps), default=0.0),
     )
-    return Checked(T_given, frames, distant, given)
+    return Checked(T_given, frames, distant, given, maps.sharpness)
 
 
 def as_refined(
@@ -115,6 +117,7 @@ def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
         noise_m=checked.frames.noise_m,
         inlier_share=checked.frames.inlier_share,
         degenerate=checked.frames.degenerate,
+        sharpness=checked.sharpness,
     )
 
 

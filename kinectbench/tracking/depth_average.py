@@ -56,28 +56,36 @@ class DepthAverage:
 def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyped-def]
     height, width = keyframe.shape
     fx, fy, cx, cy = intrinsics
+    over_fx, over_fy = 1 / fx, 1 / fy
+    r00, r01, r02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    r10, r11, r12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    r20, r21, r22, t2 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
     for v in range(height):
+        b = (v - cy) * over_fy
         for u in range(width):
             d = float(keyframe[v, u])
             if d <= 0:
                 continue
-            px, py = (u - cx) / fx * d, (v - cy) / fy * d
-            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * d + T[2, 3]
+            a = (u - cx) * over_fx
+            z = (r20 * a + r21 * b + r22) * d + t2
             if z < 0.1:
                 continue
-            x = fx * (T[0, 0] * px + T[0, 1] * py + T[0, 2] * d + T[0, 3]) / z + cx
-            y = fy * (T[1, 0] * px + T[1, 1] * py + T[1, 2] * d + T[1, 3]) / z + cy
+            over_z = 1 / z
+            x = fx * ((r00 * a + r01 * b + r02) * d + t0) * over_z + cx
+            y = fy * ((r10 * a + r11 * b + r12) * d + t1) * over_z + cy
             if x < 0 or y < 0 or x >= width - 1 or y >= height - 1:
                 continue
+            near = frame[np.uint32(y + 0.5), np.uint32(x + 0.5)]
             reach = 4 * (SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2) + 0.003
-            i, j = int(y), int(x)
-            a, b = y - i, x - j
-            near = frame[int(y + 0.5), int(x + 0.5)]
             if near <= 0 or abs(near - z) > reach:
                 continue
+            # Unsigned, so that no index is taken for one from the end.
+            i, j = np.uint32(y), np.uint32(x)
+            down, right = y - i, x - j
             d00, d01, d10, d11 = frame[i, j], frame[i, j + 1], frame[i + 1, j], frame[i + 1, j + 1]
             seen = float(near)
             if max(abs(d00 - near), abs(d01 - near), abs(d10 - near), abs(d11 - near)) < reach:
-                seen = (d00 * (1 - b) + d01 * b) * (1 - a) + (d10 * (1 - b) + d11 * b) * a
+                seen = (d00 * (1 - right) + d01 * right) * (1 - down)
+                seen += (d10 * (1 - right) + d11 * right) * down
             total[v, u] += d + (seen - z)
             count[v, u] += 1

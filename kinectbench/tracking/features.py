@@ -1,8 +1,8 @@
 """Where a frame may lie to another one when nothing else says so: ORB features, matched and lifted to 3-D.
 
-ORB: Rublee et al. 2011; the pose by PnP (EPnP, Lepetit et al. 2009) in RANSAC. Where colour is not registered
-to depth, the features are found in the depth's shading, which looks alike while the camera turns by less than
-some 30 degrees.
+ORB: Rublee et al. 2011; the pose by P3P (Ke & Roumeliotis 2017) in RANSAC, then EPnP (Lepetit et al. 2009)
+of all inliers. Where colour is not registered to depth, the features are found in the depth's shading, which
+looks alike while the camera turns by less than some 30 degrees.
 """
 
 from collections import OrderedDict
@@ -124,7 +124,7 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
         iterationsCount=200,
         reprojectionError=REPROJECTION_PX,
         confidence=0.999,
-        flags=cv2.SOLVEPNP_EPNP,
+        flags=cv2.SOLVEPNP_AP3P,
     )
     if not found or inliers is None or len(inliers) < MIN_INLIERS:
         return None

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import invert_rigid, rotation_angle_rad
+from kinectbench.sequence import Sequence
+from kinectbench.tracking.frame_maps import reduced_gray
 from kinectbench.tracking.json_figures import mm, seconds, share
-from kinectbench.tracking.sharpness import relative_blur
+from kinectbench.tracking.sharpness import image_sharpness, relative_blur
 from kinectbench.tracking.tracked import Tracked
 
 Float64 = NDArray[np.float64]
@@ -95,3 +97,30 @@ def lost_stretches(
         }
         for run in runs
     ]
+
+
+def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
+    """Sharpness of the colour of each frame (`image_sharpness`): (n,); NaN where there is none.
+
+    Args:
+        sequence: the recording.
+        known: of frames whose colour has been read already.
+    """
+    frames = range(len(sequence))
+    return np.array([known[f] if f in known else _frame_sharpness(sequence, f) for f in frames])
+
+
+def _frame_sharpness(sequence: Sequence, index: int) -> float:
+    """Of one frame, read at the resolution the tracker works at, or at half its own."""
+    gray = reduced_gray(sequence, index) if sequence.color_registered else _half_gray(sequence, index)
+    return np.nan if gray is None else image_sharpness(gray)
+
+
+def _half_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
+    import cv2
+
+    encoded = sequence.frames.color_encoded(index)
+    if encoded is None:
+        return None
+    gray = cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+    return None if gray is None else np.asarray(gray, dtype=np.uint8)

@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera
-from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.sequence import Sequence
-from kinectbench.tracking.map_kernels import chosen_points, halved, normals_of, reduced_depth, smoothed
+from kinectbench.tracking.map_kernels import (
+    chosen_points,
+    halved,
+    normal_differences,
+    normals_of,
+    reduced_depth,
+    smoothed,
+)
+from kinectbench.tracking.sharpness import image_sharpness
 
 Float32 = NDArray[np.float32]
 
@@ -22,8 +29,6 @@ WORKING_WIDTH_PX = 320
 POINTS = (20_000, 3_000, 1_500)
 # Noise of normals is no less: smoothing bends the exact planes of a simulation by as much.
 MIN_NORMAL_NOISE = 8.0
-# Surfaces more slanted than this have normals as noisy as there.
-MIN_COSINE = 0.3
 # Neighbouring pixels are of one surface if their depths differ by less than this share, or less than a slope
 # makes them: over the focal length. For smoothing, and for differences.
 SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
@@ -115,11 +120,13 @@ class MapCache:
         sequence: the recording.
         averaged: better depth of some frames, by index: see `improve`.
         correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `correct`.
+        sharpness: of the frames read, by index; none where colour is not registered to depth.
     """
 
     sequence: Sequence
     averaged: dict[int, NDArray[np.uint16]] = field(default_factory=dict)
     correction_per_m: Float32 | None = None
+    sharpness: dict[int, float] = field(default_factory=dict)
     _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
@@ -127,9 +134,7 @@ class MapCache:
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
-        frame = self._read.get(index) or reduced_frame(self.sequence, index)
-        if len(self._read) < READ_FRAMES:
-            self._read[index] = frame
+        frame = self._read.get(index) or self._reduced(index)
         if index in self.averaged:
             frame = replace(frame, depth=self.averaged[index])
         maps = maps_of(self.sequence.camera, frame, self.correction_per_m)
@@ -137,6 +142,14 @@ class MapCache:
         if len(self._kept) > CACHED_FRAMES:
             self._kept.popitem(last=False)
         return maps
+
+    def _reduced(self, index: int) -> ReducedFrame:
+        frame = reduced_frame(self.sequence, index)
+        if len(self._read) < READ_FRAMES:
+            self._read[index] = frame
+        if frame.gray.size and index not in self.sharpness:
+            self.sharpness[index] = image_sharpness(frame.gray)
+        return frame
 
     def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
         """From now on use this depth for a frame: (height, width) uint16, 0.1 mm, working resolution."""
@@ -151,18 +164,25 @@ class MapCache:
 
 def reduced_frame(sequence: Sequence, index: int) -> ReducedFrame:
     """Read one frame of a recording; gray only where colour is registered to depth."""
-    import cv2
-
     reduction = _reduction(sequence.camera)
     depth = reduced_depth(
         sequence.frames.depth_native(index), sequence.depth_scale, reduction, np.float32(STORED_PER_M)
     )
-    gray = _gray(sequence, index) if sequence.color_registered else None
+    gray = reduced_gray(sequence, index) if sequence.color_registered else None
+    return ReducedFrame(depth, np.zeros((0, 0), np.uint8) if gray is None else gray)
+
+
+def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
+    """Read the colour of one frame as gray, at working resolution; None if it is missing or does not fit."""
+    import cv2
+
+    gray = _gray(sequence, index)
     if gray is None:
-        return ReducedFrame(depth, np.zeros((0, 0), np.uint8))
-    height, width = depth.shape
+        return None
+    reduction = _reduction(sequence.camera)
+    height, width = (size // reduction for size in gray.shape)
     whole = gray[: height * reduction, : width * reduction]
-    return ReducedFrame(depth, np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)))
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def frame_maps(sequence: Sequence, index: int) -> FrameMaps:
@@ -234,24 +254,16 @@ def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) 
     smooth, differ = (np.float32(max(least, slope / camera.fx)) for least, slope in SAME_SURFACE)
     normals = normals_of(smoothed(depth_m, smooth), intrinsics, differ)
     points = chosen_points(depth_m, normals, intensity, intrinsics, n_points)
-    return Level(camera, depth_m, normals, intensity, points, _normal_noise(camera, normals, depth_m))
+    return Level(camera, depth_m, normals, intensity, points, _normal_noise(normals, depth_m, intrinsics))
 
 
-def _normal_noise(camera: Camera, normals: Float32, depth_m: Float32) -> float:
+def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.float64]) -> float:
     """From what normals nine pixels apart differ by, in the median: most of them lie on one plane.
 
-    A pixel is as wide as its depth, and a slanted surface is seen larger than it looks: the noise of normals
-    goes with sigma / depth and the cosine of the slant. The squared difference of two normals with this noise
-    along both tangents is exponential, its mean 4 sigma^2.
+    The squared difference of two normals with this noise along both tangents is exponential, its mean
+    4 sigma^2.
     """
-    this, other = normals[::4, :-9:4], normals[::4, 9::4]
-    both = (this[..., 2] != 0) & (other[..., 2] != 0)
-    if not both.any():
+    squared = normal_differences(normals, depth_m, intrinsics)
+    if not len(squared):
         return MIN_NORMAL_NOISE
-    v, u = 4 * np.stack(np.nonzero(both)).astype(np.float32)
-    x, y, z = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, depth_m[::4, :-9:4][both]
-    nx, ny, nz = this[both].T
-    cosine = np.abs(x * nx + y * ny + nz) / np.sqrt(x * x + y * y + 1)
-    over_noise = z / (depth_sigma_m(z) * np.maximum(cosine, MIN_COSINE))
-    squared = ((this[both] - other[both]) ** 2).sum(axis=1) * over_noise**2
     return max(MIN_NORMAL_NOISE, float(np.sqrt(np.median(squared) / (4 * np.log(2)))))

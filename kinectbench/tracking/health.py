@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.corrections import TieCorrection, median_depths_m, pose_sigma_m, tie_correction
 from kinectbench.tracking.coverage import covered_arc_rad, covisibility
-from kinectbench.tracking.frame_health import frame_rows, lost_stretches
+from kinectbench.tracking.frame_health import frame_rows, lost_stretches, sharpness
 from kinectbench.tracking.json_figures import degrees, median, mm, share
-from kinectbench.tracking.sharpness import sharpness as measure_sharpness
 from kinectbench.tracking.tracked import Tie, Tracked
 from kinectbench.tracking.verdict import Doubts, Evidence, Recommendation, Source, judge, recommend
 
@@ -60,7 +59,6 @@ def health(
     tracked: Tracked,
     warnings: Rows[str],
     given: GivenCheck | None = None,
-    sharpness: Float64 | None = None,
 ) -> dict[str, Any]:
     """The figures of health.json, and a verdict; docs/tracking.md says what each key is.
 
@@ -70,7 +68,6 @@ def health(
         tracked: what the tracker found. Frames that are left out have no pose in it.
         warnings: for people, one line each.
         given: of the given trajectory, if there is one; trust needs it.
-        sharpness: (n,) of the colour (`tracking.sharpness`), where it is known already; None: it is measured.
     """
     case = _Case(sequence, source, tracked, given)
     figures = {**_frame_figures(case), **_residual_figures(case), **_path_figures(case), **_tie_figures(case)}
@@ -92,7 +89,7 @@ def health(
             case.states,
             shift_m=case.shift_m,
             residual_m=case.residual_m,
-            sharpness=measure_sharpness(sequence) if sharpness is None else sharpness,
+            sharpness=sharpness(sequence, tracked.sharpness),
         ),
     }
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry.depth_noise import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
-from kinectbench.tracking.frame_maps import MIN_COSINE, Level
+from kinectbench.tracking.frame_maps import Level
+from kinectbench.tracking.map_kernels import MIN_COSINE
 
 Float64 = NDArray[np.float64]
 

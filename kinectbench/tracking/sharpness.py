@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.sequence import Sequence
-
 # Detail finer than this, in pixels of the halved image, is what motion takes first.
 COARSE_SIGMA_PX = 2.0
 # Below this the coarse detail of an image is rounding: there is nothing to see in it.
@@ -19,21 +17,16 @@ def image_sharpness(gray: NDArray[np.uint8]) -> float:
     rule).
 
     Args:
-        gray: (height, width) uint8, at half size, where less of its detail is the sensor's noise.
+        gray: (height, width) uint8, about 320 wide, where less of its detail is the sensor's noise.
     """
     import cv2
 
     image = gray.astype(np.float32)
     coarse = cv2.GaussianBlur(image, (0, 0), COARSE_SIGMA_PX)
     fine_variance, coarse_variance = (
-        float(cv2.Laplacian(each, cv2.CV_32F).var()) for each in (image, coarse)
+        float(cv2.meanStdDev(cv2.Laplacian(each, cv2.CV_32F))[1][0, 0] ** 2) for each in (image, coarse)
     )
     return fine_variance / coarse_variance if coarse_variance > MIN_COARSE_VARIANCE else np.nan
-
-
-def sharpness(sequence: Sequence) -> NDArray[np.float64]:
-    """Sharpness of the colour of each frame at half size: (n,); NaN without colour."""
-    return np.array([_frame_sharpness(sequence, index) for index in range(len(sequence))])
 
 
 def relative_blur(sharpness: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -50,13 +43,3 @@ def relative_blur(sharpness: NDArray[np.float64]) -> NDArray[np.float64]:
     if known.any():
         relative[known] = np.median(sharpness[known]) / sharpness[known]
     return relative
-
-
-def _frame_sharpness(sequence: Sequence, index: int) -> float:
-    import cv2
-
-    encoded = sequence.frames.color_encoded(index)
-    if encoded is None:
-        return np.nan
-    gray = cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_2)
-    return np.nan if gray is None else image_sharpness(np.asarray(gray, dtype=np.uint8))

@@ -1,6 +1,7 @@
 """What the tracker found: a state and a pose for every frame, and what ties the keyframes to each other."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -54,6 +55,7 @@ class Tracked:
         noise_m: (n,) what the noise of a Kinect's depth alone would make of that residual; NaN where unknown.
         inlier_share: (n,) share of its points that agree with them; NaN where unknown.
         degenerate: (n,) bool, its depth alone leaves a motion open (as one plane in view does).
+        sharpness: of the colour, by frame, where it was read (`image_sharpness`).
     """
 
     T_world_camera: Float64
@@ -66,3 +68,4 @@ class Tracked:
     noise_m: Float64
     inlier_share: Float64
     degenerate: NDArray[np.bool_]
+    sharpness: Mapping[int, float] = field(default_factory=dict)

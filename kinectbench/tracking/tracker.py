@@ -100,6 +100,7 @@ def _place(
         noise_m,
         inlier_share,
         degenerate,
+        maps.sharpness,
     )
 
 

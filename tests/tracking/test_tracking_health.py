@@ -14,8 +14,9 @@ from kinectbench.geometry import Camera, invert_rigid, rigid
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.corrections import median_depths_m, tie_correction
 from kinectbench.tracking.coverage import convergence_point, covered_arc_rad, covisibility, from_above
+from kinectbench.tracking.frame_health import sharpness
 from kinectbench.tracking.health import GivenCheck, health
-from kinectbench.tracking.sharpness import image_sharpness, relative_blur, sharpness
+from kinectbench.tracking.sharpness import image_sharpness, relative_blur
 from kinectbench.tracking.tracked import Tie, Tracked
 from kinectbench.tracking.trajectory import Trajectory
 from kinectbench.tracking.verdict import Doubts, Evidence, judge, recommend
@@ -249,13 +250,13 @@ class Colored:
 def test_sharpness_of_colour_that_is_missing_or_damaged(circle: np.ndarray) -> None:
     images = [striped(0.8), striped(3.0), striped(0.8), None, np.zeros((0, 0))]
     sequence = replace(sequence_at(circle[:5]), frames=Colored(images))
-    measured = sharpness(sequence)
+    measured = sharpness(sequence, {})
     np.testing.assert_array_equal(np.isfinite(measured), [True, True, True, False, False])
     assert measured[0] == measured[2] > 1.5 * measured[1]
     rows = health(sequence, "tracked", tracked_of(circle[:5]), [])["per_frame"]
     assert [row["blur"] for row in rows][::2] == [1, 1, None] and rows[1]["blur"] > 1.5
-    given = health(sequence, "tracked", tracked_of(circle[:5]), [], sharpness=np.full(5, 7.0))
-    assert [row["blur"] for row in given["per_frame"]] == [1.0] * 5
+    known = replace(tracked_of(circle[:5]), sharpness=dict.fromkeys(range(5), 7.0))
+    assert [row["blur"] for row in health(sequence, "tracked", known, [])["per_frame"]] == [1.0] * 5
 
 
 # --- the figures
