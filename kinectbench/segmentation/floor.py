@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import invert_rigid
+from kinectbench.tracking.coverage import from_above
 
 CANDIDATES = 6
 HYPOTHESES = 400
@@ -20,7 +21,15 @@ FOCUS_M = 1.2
 MIN_NEAR_POINTS = 100
 # Clutter that a plane happens to cut spreads evenly about it (30 mm); a real floor does not.
 MAX_NOISE_M = 0.02
-NO_FLOOR = "no floor found: no plane below all cameras that faces up; record with more of the floor in view"
+NO_FLOOR = (
+    "no floor found: no plane below all cameras that faces up; record with more of the floor in view, "
+    "or give a box: `kinectbench segment --suggest` lists some"
+)
+# A plane this parallel to the one with most points, and this much lower, is the floor below a table top.
+PARALLEL_COSINE = 0.97
+LOWER_M = 0.2
+# Of the surface, what may lie below the lowest height that a scene without floor is given.
+LOWEST_SHARE = 0.001
 
 
 @dataclass(frozen=True)
@@ -33,12 +42,16 @@ class Floor:
             along the world's x axis projected onto the floor (or its z axis where that is degenerate).
         noise_m: robust standard deviation of the surface around the plane, metres.
         inlier_share: share of the scene's surface that lies on the plane.
+        tilt_rad: angle between its normal and up as the cameras were held, radians; coarse, as hands are.
+        found: False if it is not a measured plane but `level_floor`.
     """
 
     plane_world: NDArray[np.float64]
     T_floor_world: NDArray[np.float64]
     noise_m: float
     inlier_share: float
+    tilt_rad: float = 0.0
+    found: bool = True
 
     @property
     def T_world_floor(self) -> NDArray[np.float64]:
@@ -57,9 +70,10 @@ def find_floor(
 
     A plane qualifies if its normal agrees with the cameras' mean up direction (cosine > 0.6), every
     camera is more than 0.1 m above it, and under 5 % of the points are below it. Of those that
-    qualify, the one with most points is the floor. It is then refined by least squares where it
-    matters, within 1.2 m of the focus: farther floor is measured with several times the noise, and a
-    Kinect's depth bias grows with distance.
+    qualify, the one with most points is the floor, unless another one lies parallel to it and at least
+    0.2 m lower: a table top may fill more of the frames than the floor does. The floor is then refined by
+    least squares where it matters, within 1.2 m of the focus: farther floor is measured with several times
+    the noise, and a Kinect's depth bias grows with distance.
 
     Args:
         points_world: (n, 3) points spread evenly over the scene's surface, metres.
@@ -76,7 +90,7 @@ def find_floor(
     cameras = T_world_camera[:, :3, 3]
     rng = np.random.default_rng(seed)
     left = normals_world @ up > MIN_UP_COSINE
-    best: tuple[int, NDArray[np.float64]] | None = None
+    planes: list[tuple[int, NDArray[np.float64]]] = []
     for _ in range(CANDIDATES):
         indices = np.flatnonzero(left)
         if len(indices) < max(50, MIN_INLIER_SHARE * len(points_world)):
@@ -91,18 +105,36 @@ def find_floor(
             and (cameras @ plane[:3] + plane[3]).min() > MIN_CAMERA_HEIGHT_M
             and np.mean(distance_m < -BELOW_M) < MAX_BELOW_SHARE
         )
-        if qualifies and (best is None or inliers.sum() > best[0]):
-            best = (int(inliers.sum()), plane)
-    if best is None:
+        if qualifies and inliers.sum() >= MIN_INLIER_SHARE * len(points_world):
+            planes.append((int(inliers.sum()), plane))
+    if not planes:
         raise SegmentationError(NO_FLOOR)
-    plane = best[1]
+    count, plane = _lowest(planes, points_world, focus_world)
     flat = (np.linalg.norm(points_world - focus_world, axis=1) < FOCUS_M) & (normals_world @ plane[:3] > 0.9)
     near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * BELOW_M)]
     if len(near) >= MIN_NEAR_POINTS:
         plane = _refine(near, plane, 2 * BELOW_M)
-    return _describe(
-        plane, near if len(near) >= MIN_NEAR_POINTS else points_world, best[0] / len(points_world)
-    )
+    judged = near if len(near) >= MIN_NEAR_POINTS else points_world
+    noise_m = _noise_m(plane, judged)
+    if noise_m > MAX_NOISE_M:
+        raise SegmentationError(NO_FLOOR)
+    tilt_rad = _tilt_rad(plane, T_world_camera)
+    return Floor(plane, floor_frame(plane), noise_m, count / len(points_world), tilt_rad)
+
+
+def level_floor(points_world: NDArray[np.float64], T_world_camera: NDArray[np.float64]) -> Floor:
+    """A floor for a scene without one: level as the cameras were held, at its lowest surface (own rule).
+
+    Only a box that a person gives makes sense of it: its frame is where the box is given.
+
+    Args:
+        points_world: (n, 3) points spread evenly over the scene's surface, metres.
+        T_world_camera: (m, 4, 4) poses of the good frames.
+    """
+    up = from_above(T_world_camera)[2]
+    lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
+    plane = np.append(up, -lowest_m)
+    return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False)
 
 
 def floor_frame(plane_world: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -150,10 +182,33 @@ def _refine(points: NDArray[np.float64], plane: NDArray[np.float64], reach_m: fl
     return plane
 
 
-def _describe(plane: NDArray[np.float64], points_world: NDArray[np.float64], inlier_share: float) -> Floor:
-    distance_m = points_world @ plane[:3] + plane[3]
-    near = np.abs(distance_m[np.abs(distance_m) < 2 * INLIER_M])
-    noise_m = float(1.4826 * np.median(near))
-    if noise_m > MAX_NOISE_M:
-        raise SegmentationError(NO_FLOOR)
-    return Floor(plane, floor_frame(plane), noise_m, inlier_share)
+def _lowest(
+    planes: list[tuple[int, NDArray[np.float64]]],
+    points_world: NDArray[np.float64],
+    focus_world: NDArray[np.float64],
+) -> tuple[int, NDArray[np.float64]]:
+    """Of (points, plane): the one with most points, or the lowest parallel one well below it."""
+    most = max(planes, key=lambda each: each[0])
+
+    def height_m(plane: NDArray[np.float64]) -> float:
+        """Of the focus above the plane."""
+        return float(focus_world @ plane[:3] + plane[3])
+
+    lower = [
+        each
+        for each in planes
+        if each[1][:3] @ most[1][:3] > PARALLEL_COSINE
+        and height_m(each[1]) > height_m(most[1]) + LOWER_M
+        and _noise_m(each[1], points_world) < MAX_NOISE_M
+    ]
+    return max([most, *lower], key=lambda each: height_m(each[1]))
+
+
+def _noise_m(plane: NDArray[np.float64], points_world: NDArray[np.float64]) -> float:
+    """Robust standard deviation of the points about a plane that passes through them, metres."""
+    distance_m = np.abs(points_world @ plane[:3] + plane[3])
+    return float(1.4826 * np.median(distance_m[distance_m < 2 * INLIER_M]))
+
+
+def _tilt_rad(plane: NDArray[np.float64], T_world_camera: NDArray[np.float64]) -> float:
+    return float(np.arccos(np.clip(plane[:3] @ from_above(T_world_camera)[2], -1, 1)))

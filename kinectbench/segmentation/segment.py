@@ -8,18 +8,21 @@ from numpy.typing import NDArray
 from kinectbench.config import SegmentationSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, transform_points
-from kinectbench.segmentation.floor import Floor, find_floor
+from kinectbench.segmentation.doubts import FINE_CELL_M, Selection, doubts
+from kinectbench.segmentation.floor import Floor
+from kinectbench.segmentation.pieces import spacing_m
+from kinectbench.segmentation.scene import check_focus, find_scene
 from kinectbench.segmentation.select import (
     CELL_M,
+    NOTHING_STANDS,
     fit_box,
     select_in_box,
     select_object,
-    surface_points,
 )
-from kinectbench.tracking.coverage import convergence_point
 from kinectbench.tracking.trajectory import Trajectory
 
 MIN_BOX_POINTS = 20
+NO_FLOOR = "no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class Segmentation:
         object_cells: (n, 3) int64, cells of 30 mm in the floor frame that hold its surface.
         other_cells: (m, 3) int64, the same for everything else that stands on the floor.
         how: "automatic" or "box".
+        doubts: why the choice may be wrong, one line for people each.
     """
 
     floor: Floor
@@ -39,6 +43,7 @@ class Segmentation:
     object_cells: NDArray[np.int64]
     other_cells: NDArray[np.int64]
     how: str
+    doubts: tuple[str, ...] = ()
 
     def excluded(self, grid: Grid, given_box: OrientedBox | None) -> NDArray[np.bool_]:
         """Voxels of an upright grid that cannot be the object: bool of the grid's shape.
@@ -82,35 +87,48 @@ def segment(
         settings: seed and floor cut.
 
     Raises:
-        SegmentationError: no floor, no object, or nothing in the box.
+        SegmentationError: no floor (without a box), no object where the cameras look, or nothing in the box.
     """
-    T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
-    surface = surface_points(mesh)
-    if len(surface.points) == 0:
-        raise SegmentationError("no object found: the fused scene is empty; is the depth within max_depth_m?")
-    focus_world = convergence_point(T_world_camera)
-    floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, settings.seed)
-    points_floor = transform_points(floor.T_floor_world, surface.points)
-    above = points_floor[:, 2] > settings.floor_cut_m
+    scene = find_scene(mesh, trajectory, settings, given_box is not None)
+    points_floor, above = scene.points_floor, scene.points_floor[:, 2] > settings.floor_cut_m
     if given_box is None:
-        chosen = select_object(
-            points_floor, settings.floor_cut_m, transform_points(floor.T_floor_world, focus_world)
-        )
+        chosen = select_object(points_floor, settings.floor_cut_m, scene.focus_floor)
         box = fit_box(points_floor[chosen])
+        check_focus(box, scene.focus_floor)
     else:
-        in_box = above & given_box.contains(points_floor)
         box = given_box
-        if in_box.sum() < MIN_BOX_POINTS:
-            low, high = points_floor[above].min(axis=0), points_floor[above].max(axis=0)
-            raise SegmentationError(
-                f"the box in benchmark.yaml holds nothing of the scene, which reaches from {_text(low)} to "
-                f"{_text(high)} m in the floor frame; correct center_m and size_m"
-            )
         chosen = np.zeros(len(points_floor), dtype=bool)
-        chosen[above] = select_in_box(points_floor[above], in_box[above])
+        chosen[above] = _held(points_floor[above], given_box)
     cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
+    own, left = chosen[scene.owner], vertices_floor[:, 2] > settings.floor_cut_m
+    cell_m = max(FINE_CELL_M, spacing_m(mesh))
+    chose = Selection(
+        vertices_floor[left & own],
+        vertices_floor[left & ~own],
+        box,
+        given_box is not None,
+        scene.focus_floor,
+        cell_m,
+    )
+    lines = doubts(chose) if scene.floor.found else (NO_FLOOR, *doubts(chose))
     how = "automatic" if given_box is None else "box"
-    return Segmentation(floor, box, cells[chosen], cells[above & ~chosen], how)
+    return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines)
+
+
+def _held(points_floor: NDArray[np.float64], box: OrientedBox) -> NDArray[np.bool_]:
+    """Which of the points (n, 3) above the floor are the object that a person's box holds."""
+    in_box = box.contains(points_floor)
+    if not len(in_box):
+        raise SegmentationError(NOTHING_STANDS)
+    if in_box.sum() < MIN_BOX_POINTS:
+        low, high = points_floor.min(axis=0), points_floor.max(axis=0)
+        raise SegmentationError(
+            f"the box in benchmark.yaml holds nothing of the scene, which reaches from {_text(low)} to "
+            f"{_text(high)} m in the floor frame; correct center_m and size_m, or choose one of those "
+            "that `kinectbench segment --suggest` lists"
+        )
+    return select_in_box(points_floor, in_box)
 
 
 def _dilated(

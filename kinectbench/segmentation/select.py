@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import OrientedBox, TriangleMesh
 from kinectbench.geometry.box import yaw_rotation
+from kinectbench.segmentation.pieces import label_pieces
 
 CELL_M = 0.03
 MIN_CELLS = 30
-# A piece whose lowest point is higher hangs in the air, and something not too far away holds it.
-GROUNDED_M = 0.12
-MAX_HANGING_GAP_M = 0.3
-MIN_HANGING_CELLS = 10
+NOTHING_STANDS = (
+    "no object found: nothing stands on the floor; is the object in view? A black, glass or mirror-like one "
+    "gives no depth: make it matt"
+)
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,13 @@ class SurfacePoints:
         points: (n, 3) float64, metres: mean of the mesh vertices in the cell.
         normals: (n, 3) float64, unit: their mean normal.
         cells: (n, 3) int64, the cell each lies in.
+        owner: (v,) int64, the point that each vertex of the mesh belongs to.
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     cells: NDArray[np.int64]
+    owner: NDArray[np.int64]
 
 
 def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
@@ -51,7 +54,7 @@ def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
         points[:, axis] = np.bincount(owner, weights=mesh.vertices[:, axis], minlength=len(cells)) / counts
         mean_normals[:, axis] = np.bincount(owner, weights=normals[:, axis], minlength=len(cells))
     mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
-    return SurfacePoints(points, mean_normals, cells)
+    return SurfacePoints(points, mean_normals, cells, owner)
 
 
 def select_object(
@@ -73,50 +76,22 @@ def select_object(
     Raises:
         SegmentationError: nothing stands on the floor.
     """
-    from scipy import ndimage
-
     above = np.flatnonzero(points_floor[:, 2] > floor_cut_m)
     if len(above) < MIN_CELLS:
-        raise SegmentationError("no object found: nothing stands on the floor; is the object in view?")
-    cells = np.floor(points_floor[above] / CELL_M).astype(np.int64)
-    cells -= cells.min(axis=0)
-    occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
-    occupied[tuple(cells.T)] = True
-    labels, count = ndimage.label(occupied, structure=np.ones((3, 3, 3)))
-    label = _with_hanging(labels[tuple(cells.T)], points_floor[above])
-    sizes = np.bincount(label, minlength=count + 1)
-    distance_m = np.full(count + 1, np.inf)
+        raise SegmentationError(NOTHING_STANDS)
+    label = label_pieces(points_floor[above], CELL_M)
+    sizes = np.bincount(label)
+    distance_m = np.full(len(sizes), np.inf)
     np.minimum.at(distance_m, label, np.linalg.norm(points_floor[above] - target_floor, axis=1))
     distance_m[sizes < MIN_CELLS] = np.inf
     if not np.isfinite(distance_m).any():
         raise SegmentationError(
-            "no object found: only specks stand on the floor; record closer, or give a box in benchmark.yaml"
+            "no object found: only specks stand on the floor; a black, glass or mirror-like thing gives no "
+            "depth: make it matt, or record closer"
         )
     chosen = np.zeros(len(points_floor), dtype=bool)
     chosen[above[label == np.argmin(distance_m)]] = True
     return chosen
-
-
-def _with_hanging(label: NDArray[np.int32], points_floor: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Labels (n,) in which pieces that do not reach down to the floor have the label of what holds them."""
-    from scipy.spatial import cKDTree
-
-    count = int(label.max()) + 1
-    lowest_m = np.full(count, np.inf)
-    np.minimum.at(lowest_m, label, points_floor[:, 2])
-    stands = lowest_m <= GROUNDED_M
-    sizes = np.bincount(label, minlength=count)
-    if not stands[label].any():
-        return label
-    standing = np.flatnonzero(stands[label])
-    tree = cKDTree(points_floor[standing])
-    holder = np.arange(count, dtype=label.dtype)
-    for piece in np.flatnonzero(~stands & (sizes >= MIN_HANGING_CELLS)):
-        distance_m, nearest = tree.query(points_floor[label == piece])
-        closest = int(np.argmin(distance_m))
-        if distance_m[closest] <= MAX_HANGING_GAP_M:
-            holder[piece] = label[standing[nearest[closest]]]
-    return holder[label]
 
 
 def select_in_box(points_floor: NDArray[np.float64], in_box: NDArray[np.bool_]) -> NDArray[np.bool_]:

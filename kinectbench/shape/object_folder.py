@@ -30,6 +30,8 @@ def write_object(model: ObjectModel, folder: Path) -> None:
         "T_floor_world": floor.T_floor_world.tolist(),
         "noise_m": round(floor.noise_m, 6),
         "inlier_share": round(floor.inlier_share, 4),
+        "tilt_rad": round(floor.tilt_rad, 4),
+        "found": floor.found,
     }
     (folder / "floor.json").write_text(pretty_json(floor_json))
     write_ply(shape.mesh, folder / "mesh.ply")
@@ -61,6 +63,8 @@ def read_object(folder: Path) -> ObjectModel:
             np.array(floor_json["T_floor_world"]),
             floor_json["noise_m"],
             floor_json["inlier_share"],
+            floor_json["tilt_rad"],
+            floor_json["found"],
         )
         box = OrientedBox(
             tuple(quality["box"]["center_m"]), tuple(quality["box"]["size_m"]), quality["box"]["yaw_rad"]

@@ -19,6 +19,7 @@ from kinectbench.sequence import Sequence
 from kinectbench.shape.labels import Label
 from kinectbench.shape.quality import measure_quality, surface_sigma_m
 from kinectbench.shape.solid import SolidShape, solidify
+from kinectbench.shape.witness import witness
 from kinectbench.tracking.trajectory import Trajectory
 
 MARGIN_M = 0.05
@@ -88,7 +89,9 @@ def build_object(
     cut_layers = max(1, round(segmentation.floor_cut_m / fusion.voxel_size_m))
     whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
-    quality = measure_quality(chosen, (whole, odd, even), sigma_m)
+    quality = measure_quality(
+        chosen, (whole, odd, even), sigma_m, witness(sequence, trajectory, scene, chosen)
+    )
     surround = surround_grid(grid, chosen)
     some = frames[np.unique(np.linspace(0, len(frames) - 1, SURROUND_FRAMES).astype(int))]
     around = observe(sequence, trajectory, some, surround, fusion)

@@ -11,6 +11,7 @@ from kinectbench.segmentation.segment import Segmentation
 from kinectbench.segmentation.select import fit_box
 from kinectbench.shape.labels import Label
 from kinectbench.shape.solid import METHOD, SolidShape
+from kinectbench.shape.witness import Witness
 
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
@@ -41,7 +42,7 @@ def surface_sigma_m(odd: Observation, even: Observation) -> float:
 
 
 def measure_quality(
-    chosen: Segmentation, shapes: tuple[SolidShape, SolidShape, SolidShape], sigma_m: float
+    chosen: Segmentation, shapes: tuple[SolidShape, SolidShape, SolidShape], sigma_m: float, seen: Witness
 ) -> Quality:
     """Repeatability (IoU of the solids from odd and from even frames), boxes, coverage, warnings.
 
@@ -49,13 +50,14 @@ def measure_quality(
         chosen: floor and object.
         shapes: the solid from all, from the odd and from the even frames.
         sigma_m: standard deviation of the surface, metres.
+        seen: what the recording could see of it; its warnings come first.
     """
     together, odd, even = shapes
     union = int((odd.solid | even.solid).sum())
     repeatability = int((odd.solid & even.solid).sum()) / union
     unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / int(together.solid.sum())
     box = _box(together.mesh, chosen)
-    warnings = []
+    warnings = list(seen.warnings)
     if repeatability < GOOD_REPEATABILITY:
         warnings.append(
             f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh"
@@ -75,6 +77,7 @@ def measure_quality(
         "box_odd": box_json(_box(odd.mesh, chosen, box.yaw_rad)),
         "box_even": box_json(_box(even.mesh, chosen, box.yaw_rad)),
         "selection": chosen.how,
+        **seen.figures,
         "method": METHOD,
     }
     return Quality(box, figures)
