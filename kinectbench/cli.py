@@ -4,6 +4,7 @@ import gc
 import json
 import os
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -34,6 +35,7 @@ from kinectbench.commands import (
     workers,
     write_page,
 )
+from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
 from kinectbench.errors import KinectBenchError, SettingsError, internal_error
@@ -60,6 +62,8 @@ STAGES = {
     "sample-views": "Draw the views, with the object's mask in each.",
     "pairs": "Write a pair for each view: partial and full shape.",
 }
+# Stages with options of their own.
+OWN_COMMANDS: Mapping[str, Callable[..., None]] = {"track": track, "segment": segment}
 
 
 def _print_version(asked: bool) -> None:
@@ -91,8 +95,8 @@ def _add_stage(name: str, text: str) -> None:
 
 
 for _name, _text in STAGES.items():
-    if _name == "track":
-        app.command(_name, help=_text)(track)
+    if _name in OWN_COMMANDS:
+        app.command(_name, help=_text)(OWN_COMMANDS[_name])
     else:
         _add_stage(_name, _text)
 

@@ -82,7 +82,7 @@ def build_recordings(
     force: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Build, tell warnings and errors, and return a summary row per recording, with its `error` or None."""
-    return build_jobs(_chosen(settings, root, ids), upto, workers(jobs), force)
+    return build_jobs(chosen_jobs(settings, root, ids), upto, workers(jobs), force)
 
 
 def build_jobs(
@@ -202,7 +202,7 @@ def workers(jobs: int | None) -> int:
     return jobs or cores or 1
 
 
-def _chosen(settings: "BenchmarkSettings", root: Path, ids: list[str] | None) -> "list[Job]":
+def chosen_jobs(settings: "BenchmarkSettings", root: Path, ids: list[str] | None) -> "list[Job]":
     """The recordings asked for; an unknown id is refused with the nearest one."""
     from kinectbench.stages import Job
 

@@ -14,7 +14,7 @@ from typing import Any
 from kinectbench.errors import KinectBenchError, internal_error
 from kinectbench.interrupts import check_interrupt
 from kinectbench.processes import CONTEXT, KILLED, submit_all, worker_pool
-from kinectbench.stages import STAGES, Job, Stage
+from kinectbench.stages import STAGES, Job, Stage, stages_upto
 from kinectbench.workspace import Artefact, locked, pretty_json
 
 StageProgress = Callable[[str, int, int], None]
@@ -59,7 +59,7 @@ def build_recording(
     try:
         with locked(job.build):
             artefacts: dict[str, Artefact] = {}
-            for stage in STAGES[: STAGE_NAMES.index(upto) + 1]:
+            for stage in stages_upto(upto):
                 artefact = _artefact(job, stage, artefacts)
                 artefacts[stage.name] = artefact
                 if artefact.is_current() and stage.name not in force:
@@ -77,6 +77,14 @@ def build_recording(
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
+
+
+def is_current(job: Job, upto: str) -> bool:
+    """Whether all stages up to the named one are made and current."""
+    artefacts: dict[str, Artefact] = {}
+    for stage in stages_upto(upto):
+        artefacts[stage.name] = _artefact(job, stage, artefacts)
+    return all(artefact.is_current() for artefact in artefacts.values())
 
 
 def _artefact(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Artefact:

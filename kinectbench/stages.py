@@ -93,6 +93,18 @@ def _fuse(job: Job, folder: Path, progress: Progress) -> None:
     write_reconstruction(fuse(sequence, trajectory, job.settings.fusion, progress), folder)
 
 
+def _suggest(job: Job, folder: Path, progress: Progress) -> None:
+    from kinectbench.mesh_file import read_ply
+    from kinectbench.segmentation.candidates import find_candidates
+    from kinectbench.segmentation.candidates_folder import write_candidates
+    from kinectbench.stored import read_tracked
+
+    sequence, trajectory = read_tracked(job.build)
+    scene = read_ply(job.build / "reconstruction" / "mesh.ply")
+    found = find_candidates(scene, trajectory, job.settings.segmentation)
+    write_candidates(found, sequence, trajectory, folder)
+
+
 def _segment(job: Job, folder: Path, progress: Progress) -> None:
     from kinectbench.mesh_file import read_ply
     from kinectbench.shape import build_object
@@ -223,3 +235,20 @@ STAGES: tuple[Stage, ...] = (
         _pairs,
     ),
 )
+
+# Beside the way: boxes to choose from, for a person to look at. No other stage stands on it.
+SUGGEST = Stage(
+    "suggest",
+    "candidates",
+    ("ingest", "track", "fuse"),
+    lambda job: {"segmentation": _section(job, "segmentation", "seed", "floor_cut_m")},
+    _suggest,
+)
+
+
+def stages_upto(name: str) -> tuple[Stage, ...]:
+    """The stages up to the named one, in their order; `suggest` follows `fuse`."""
+    if name == SUGGEST.name:
+        return (*stages_upto("fuse"), SUGGEST)
+    names = [stage.name for stage in STAGES]
+    return STAGES[: names.index(name) + 1]
