@@ -8,9 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from kinectbench.config import BenchmarkSettings
+from kinectbench.errors import SegmentationError
 from kinectbench.geometry import transform_points
 from kinectbench.mesh_file import read_ply
 from kinectbench.pipeline import Outcome, build_recording
+from kinectbench.segmentation.candidates import find_candidates
+from kinectbench.segmentation.segment import segment
 from kinectbench.shape.object_folder import read_object
 from kinectbench.shape.object_model import ObjectModel
 from kinectbench.stages import Job
@@ -92,6 +95,24 @@ def test_the_object_lies_in_its_box(job: Job, model: ObjectModel) -> None:
     box = job.recording.box.box().grown(model.shape.grid.voxel_size_m)
     assert box.contains(points_floor).all()
     assert points_floor[:, 2].max() > 0.75  # the back of the chair, higher than the table
+
+
+def test_the_chair_is_among_the_suggested_boxes(job: Job, outcome: Outcome) -> None:
+    """It touches the table at 30 mm; without a box the recording is refused, or doubted."""
+    _, trajectory = read_tracked(job.build)
+    scene = read_ply(job.build / "reconstruction" / "mesh.ply")
+    found = find_candidates(scene, trajectory, job.settings.segmentation)
+    near = [
+        candidate.box
+        for candidate in found.candidates
+        if np.abs(np.subtract(candidate.box.center_m, BOX["center_m"]))[:2].max() < 0.1
+        and np.abs(np.subtract(candidate.box.size_m, BOX["size_m"])).max() < 0.15
+    ]
+    assert len(near) >= 1
+    try:
+        assert segment(scene, trajectory, None, job.settings.segmentation).doubts
+    except SegmentationError as error:
+        assert "--suggest" in str(error)
 
 
 def test_masks(job: Job, outcome: Outcome) -> None:

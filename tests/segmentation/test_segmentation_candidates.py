@@ -19,7 +19,7 @@ from kinectbench.segmentation.candidates_folder import box_line, read_candidates
 from kinectbench.segmentation.doubts import separate_parts
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
-# A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. A stool away from them.
+# A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.
 CHEST, TABLE = ((-0.3, -0.15, 0), (0.02, 0.15, 0.4)), ((0.095, -0.2, 0), (0.5, 0.2, 0.4))
 STOOL = ((0.1, 0.7, 0), (0.35, 0.95, 0.3))
 
