@@ -19,7 +19,6 @@ from recgan_reader import block_maximum, centring_shift, load
 
 from kinectbench.geometry import TriangleMesh
 from kinectbench.simulate.objects.furniture import FAMILIES, make_object
-from kinectbench.synthesize.cells import packed_containment, partial_grids, visible_cells
 from kinectbench.synthesize.mesh_check import CheckedMesh, check_mesh
 from kinectbench.synthesize.pair import VOXELIZERS, make_pair
 from kinectbench.synthesize.recgan import recgan_bytes, recgan_path
@@ -27,9 +26,12 @@ from kinectbench.synthesize.render import DepthCamera
 from kinectbench.synthesize.settings import SynthesisSettings
 from kinectbench.synthesize.views import ViewAngles, all_views, camera_pose, virtual_camera
 from kinectbench.voxels.framing import object_cube
+from kinectbench.voxels.packed_containment import packed_containment
 from kinectbench.voxels.packed_shell import packed_shell
 from kinectbench.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.voxels.resample import reduce_blocks
+from kinectbench.voxels.seen_cells import seen_cells
+from kinectbench.voxels.view_grids import partial_grids
 
 Result = TypeVar("Result")
 
@@ -74,7 +76,7 @@ def one_pair(checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, clock: Cl
     full = clock.time("full", lambda: VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, grid))
     grids = clock.time("partial", lambda: partial_grids(depth_m, camera, pose, grid))
     clock.time("shell", lambda: packed_shell(full))
-    clock.time("seen", lambda: visible_cells(depth_m, camera, pose, grid))
+    clock.time("seen", lambda: seen_cells(depth_m, camera, pose, grid, noisy=False))
     clock.time("containment", lambda: packed_containment(grids[1], full))
     made = make_pair(checked, eye, view, SETTINGS)
     clock.time("encode", lambda: pair_bytes(made.pair))

@@ -143,17 +143,17 @@ def _sample_views(job: Job, folder: Path, progress: Progress) -> None:
 
 def _pairs(job: Job, folder: Path, progress: Progress) -> None:
     from kinectbench.ingest.sequence_folder import read_sequence
-    from kinectbench.pairs import make_pair, pair_row
+    from kinectbench.pairs import full_shape, make_pair, pair_row
     from kinectbench.shape.object_folder import read_object
     from kinectbench.views_folder import read_views, write_pairs_table
     from kinectbench.voxels.pair_file import pair_bytes
 
     sequence = read_sequence(job.build / "sequence")
-    model = read_object(job.build / "object")
+    shape = full_shape(read_object(job.build / "object"))
     views = read_views(job.build / "views")
     made, refused = [], []
     for done, view in enumerate(views, start=1):
-        result = make_pair(view, sequence, model, job.settings.pairs)
+        result = make_pair(view, sequence, shape, job.settings.pairs)
         if result.pair is None:
             refused.append({"view": view.name, "frame": view.frame, "reason": result.reason})
         else:

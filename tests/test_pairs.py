@@ -13,6 +13,7 @@ from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.pairs import MadePair, make_pair, pair_row
+from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.shape.labels import Label
 from kinectbench.views import View, sample_views
 from kinectbench.voxels.morphology import shell_of
@@ -180,27 +181,57 @@ def test_the_object_cube_holds_the_whole_shape(chair, view):
     assert local.min() == pytest.approx(2) and local.max() == pytest.approx(254)
 
 
-def hidden_half_changed(chair: Chair, view: View):
-    """The same model, but what lies deeper than its middle in this view is pulled back by 40 mm."""
-    mesh = chair.model.shape.mesh
-    z = transform_points(invert_rigid(view.alignment.T_world_camera), mesh.vertices)[:, 2]
-    back = view.alignment.T_world_camera[:3, 2]
-    vertices = mesh.vertices + np.where(z > np.median(z), 0.04, 0.0)[:, None] * back
-    shape = replace(chair.model.shape, mesh=TriangleMesh(vertices, mesh.faces))
-    return replace(chair.model, shape=shape)
+def hidden_part_changed(chair: Chair, view: View):
+    """The same model, but what this view cannot see is pushed 40 mm deeper, along the view's rays.
+
+    Only vertices move that lie 20 mm behind what is seen, as do all vertices of their faces: whatever is
+    rendered into the view stays as it is.
+    """
+    mesh, T_world_camera = chair.model.shape.mesh, view.alignment.T_world_camera
+    camera = chair.recorded.sequence.camera
+    seen_m = DepthRenderer(mesh).depth_m(camera, T_world_camera)
+    points = transform_points(invert_rigid(T_world_camera), mesh.vertices)
+    u, v = np.rint(camera.project(points)).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    behind_m = seen_m[np.where(inside, v, 0), np.where(inside, u, 0)]
+    hidden = inside & (behind_m > 0) & (points[:, 2] > behind_m + 0.02)
+    hidden[mesh.faces[~hidden[mesh.faces].all(axis=1)]] = False
+    points[hidden] *= 1 + 0.04 / points[hidden, 2:]
+    changed = TriangleMesh(transform_points(T_world_camera, points), mesh.faces)
+    np.testing.assert_allclose(DepthRenderer(changed).depth_m(camera, T_world_camera), seen_m, atol=1e-5)
+    assert hidden.sum() > 500
+    return replace(chair.model, shape=replace(chair.model.shape, mesh=changed))
 
 
 def test_framing_view_tells_nothing_of_the_hidden_part(chair, view):
-    changed = hidden_half_changed(chair, view)
+    changed = hidden_part_changed(chair, view)
     one, other = made(chair, view, framing="view").pair, made(chair, view, changed, framing="view").pair
     np.testing.assert_array_equal(one.T_world_grid, other.T_world_grid)
     assert one.voxel_size_m == other.voxel_size_m
     for name in ("partial", "partial_256", "seen"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert (one.full != other.full).any()
+    assert np.count_nonzero(unpack(one.full) != unpack(other.full)) > 1000
     # The paper's framing does tell.
     one, other = made(chair, view).pair, made(chair, view, changed).pair
     assert not np.array_equal(one.T_world_grid, other.T_world_grid)
+
+
+def test_a_view_is_the_same_whatever_it_cannot_see(chair, view):
+    """Pose and mask, which the framing is made of, come from the visible surface alone."""
+    settings = (ViewSettings(count=1, seed=1), SegmentationSettings(), PairSettings())
+    changed = hidden_part_changed(chair, view)
+    again = sample_views(chair.recorded.sequence, chair.trajectory, changed, *settings).views[0]
+    assert again.frame == view.frame
+    np.testing.assert_array_equal(again.mask, view.mask)
+    np.testing.assert_allclose(again.alignment.T_world_camera, view.alignment.T_world_camera, atol=1e-6)
+
+
+def test_a_mask_that_holds_something_else_is_refused(chair, view):
+    """A person's mask of the whole image has the floor in it; an empty one has nothing."""
+    whole = made(chair, replace(view, mask=np.ones_like(view.mask)))
+    assert whole.pair is None and "of the masked partial lies in the shape" in whole.reason
+    empty = made(chair, replace(view, mask=np.zeros_like(view.mask)))
+    assert empty.pair is None and "no pixel of the mask has depth" in empty.reason
 
 
 def test_a_cube_that_cuts_the_shape_is_refused(chair, view):

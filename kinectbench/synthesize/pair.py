@@ -4,16 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.synthesize.cells import packed_containment, partial_grids, visible_cells
 from kinectbench.synthesize.mesh_check import CheckedMesh
 from kinectbench.synthesize.render import DepthCamera
 from kinectbench.synthesize.settings import SynthesisSettings
 from kinectbench.synthesize.views import ViewAngles, camera_pose
 from kinectbench.voxels.framing import object_cube
 from kinectbench.voxels.open_mesh import voxelize_open
+from kinectbench.voxels.packed_containment import packed_containment
 from kinectbench.voxels.packed_shell import packed_shell
 from kinectbench.voxels.pair_file import Pair
+from kinectbench.voxels.seen_cells import seen_cells
 from kinectbench.voxels.solid import voxelize_solid
+from kinectbench.voxels.view_grids import partial_grids
 
 VOXELIZERS = {"winding": voxelize_solid, "six-rays": voxelize_open}
 
@@ -52,7 +54,7 @@ def make_pair(
         full=full,
         shell=packed_shell(full),
         known=np.full_like(full, 255),
-        seen=visible_cells(depth_m, camera, T_world_camera, grid),
+        seen=seen_cells(depth_m, camera, T_world_camera, grid, noisy=False),
         T_world_grid=grid.T_world_grid,
         T_world_camera=T_world_camera,
         K=camera.K,

@@ -1,5 +1,6 @@
 """The cube of a pair: where its grid lies in the world."""
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +22,7 @@ def object_cube(vertices_world: NDArray[np.float64], T_world_camera: NDArray[np.
         vertices_world: (n, 3) of the full shape, metres.
         T_world_camera: (4, 4), the view.
     """
-    rotated = vertices_world @ T_world_camera[:3, :3]
-    low, high = rotated.min(axis=0), rotated.max(axis=0)
+    low, high = _extent(np.ascontiguousarray(vertices_world), T_world_camera)
     return _cube((low + high) / 2, float((high - low).max()) * OBJECT_SCALE, T_world_camera)
 
 
@@ -49,3 +49,15 @@ def _cube(centre_rotated: NDArray[np.float64], side_m: float, T_world_camera: ND
     rotation = T_world_camera[:3, :3]
     corner_world = rotation @ (centre_rotated - side_m / 2)
     return Grid((FULL_CELLS,) * 3, side_m / FULL_CELLS, rigid(rotation, corner_world))
+
+
+@numba.njit(cache=True)
+def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
+    """The least and the largest coordinates (3,) of points (n, 3), turned into the view's axes."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for n in range(len(points_world)):
+        x, y, z = points_world[n, 0], points_world[n, 1], points_world[n, 2]
+        for axis in range(3):
+            turned = x * T_world_camera[0, axis] + y * T_world_camera[1, axis] + z * T_world_camera[2, axis]
+            low[axis], high[axis] = min(low[axis], turned), max(high[axis], turned)
+    return low, high

@@ -1,14 +1,11 @@
-"""What one view says about the cells of its grid: the partial shape, and what the view has seen.
-
-The grid's axes are the view's optical axes, so camera and grid frames differ by a shift only.
-"""
+"""The cells that one view's depth falls into: the partial shape."""
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera, Grid, transform_points
-from kinectbench.geometry.depth_noise import depth_sigma_m
+from kinectbench.voxels.pair_file import BLOCK
 
 
 def depth_cells(
@@ -44,43 +41,47 @@ def occupy(cells: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[np.
     return occupied
 
 
-def seen_cells(
+def partial_grids(
     depth_m: NDArray[np.float32], camera: Camera, T_world_camera: NDArray[np.float64], grid: Grid
-) -> NDArray[np.uint8]:
-    """Cells in the view's frustum with a valid depth d and z <= d + 2 sigma(d) + one voxel.
-
-    The whole image counts, unmasked; a pixel without depth sees nothing.
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The cells that back-projected depth falls into, at full resolution and by blocks of 4^3 ("any").
 
     Args:
-        depth_m: (height, width) float32, metres, 0 = none.
+        depth_m: (height, width) float32, metres, 0 = none; of the object alone.
         camera: intrinsics.
-        T_world_camera: (4, 4); must have the grid's orientation.
-        grid: a grid in the view's optical axes.
+        T_world_camera: (4, 4); has the grid's orientation, so that only a shift lies between the frames.
+        grid: in the view's optical axes, sides multiples of 32.
 
     Returns:
-        (nx, ny, nz / 8) uint8, packed along z.
+        (nx, ny, nz / 8) and (nx / 4, ny / 4, nz / 32) uint8, packed along z.
     """
-    offset_m = (grid.T_world_grid[:3, 3] - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
-    reach_m = np.where(depth_m > 0, depth_m + 2 * depth_sigma_m(depth_m) + grid.voxel_size_m, -np.inf)
-    x, y, z = (offset_m[axis] + (np.arange(grid.shape[axis]) + 0.5) * grid.voxel_size_m for axis in range(3))
-    ahead = np.maximum(z, 1e-6)
-    columns = np.rint(camera.fx * x[:, None] / ahead + camera.cx)
-    rows = np.rint(camera.fy * y[:, None] / ahead + camera.cy)
-    columns = np.where((columns >= 0) & (columns < camera.width) & (z > 0), columns, -1).astype(np.int32)
-    rows = np.where((rows >= 0) & (rows < camera.height) & (z > 0), rows, -1).astype(np.int32)
-    return np.asarray(_seen(reach_m, columns, rows, z))
+    corner_camera = corner_in_camera(grid, T_world_camera)
+    fine = np.zeros((*grid.shape[:2], grid.shape[2] // 8), np.uint8)
+    coarse = np.zeros(
+        (grid.shape[0] // BLOCK, grid.shape[1] // BLOCK, grid.shape[2] // (8 * BLOCK)), np.uint8
+    )
+    _mark(depth_m, camera.K, corner_camera, grid.voxel_size_m, fine, coarse)
+    return fine, coarse
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _seen(reach, columns, rows, z):  # type: ignore[no-untyped-def]
-    nx, ny, nz = columns.shape[0], rows.shape[0], columns.shape[1]
-    packed = np.zeros((nx, ny, nz // 8), np.uint8)
-    for i in range(nx):
-        for j in range(ny):
-            for byte in range(nz // 8):
-                bits = 0
-                for k in range(byte * 8, byte * 8 + 8):
-                    u, v = columns[i, k], rows[j, k]
-                    bits = (bits << 1) | (1 if u >= 0 and v >= 0 and z[k] <= reach[v, u] else 0)
-                packed[i, j, byte] = bits
-    return packed
+def _mark(depth, K, corner, voxel, fine, coarse):  # type: ignore[no-untyped-def]
+    nx, ny, nz = fine.shape[0], fine.shape[1], fine.shape[2] * 8
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            d = np.float64(depth[v, u])
+            if d <= 0:
+                continue
+            i = int(np.floor(((u - K[0, 2]) / K[0, 0] * d - corner[0]) / voxel))
+            j = int(np.floor(((v - K[1, 2]) / K[1, 1] * d - corner[1]) / voxel))
+            k = int(np.floor((d - corner[2]) / voxel))
+            if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+                fine[i, j, k >> 3] |= 128 >> (k & 7)
+                i, j, k = i // BLOCK, j // BLOCK, k // BLOCK
+                coarse[i, j, k >> 3] |= 128 >> (k & 7)
+
+
+def corner_in_camera(grid: Grid, T_world_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The corner (3,) of a grid in the view's axes, camera frame, metres."""
+    corner: NDArray[np.float64] = (grid.T_world_grid[:3, 3] - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+    return corner

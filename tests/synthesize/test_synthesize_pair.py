@@ -7,7 +7,6 @@ from synthesis_shapes import asymmetric, inside_asymmetric, mesh_of, open_box
 
 from kinectbench.geometry import Grid, TriangleMesh, rigid, transform_points
 from kinectbench.release.pair_check import pair_problems
-from kinectbench.synthesize.cells import packed_containment, partial_grids, visible_cells
 from kinectbench.synthesize.mesh_check import CheckedMesh, check_mesh
 from kinectbench.synthesize.pair import make_pair
 from kinectbench.synthesize.render import DepthCamera
@@ -15,9 +14,11 @@ from kinectbench.synthesize.settings import SynthesisSettings
 from kinectbench.synthesize.views import ViewAngles, all_views, camera_pose, virtual_camera
 from kinectbench.voxels.framing import object_cube
 from kinectbench.voxels.morphology import containment, shell_of
+from kinectbench.voxels.packed_containment import packed_containment
 from kinectbench.voxels.pair_file import Pair, pack, unpack
 from kinectbench.voxels.resample import reduce_blocks
-from kinectbench.voxels.view_grids import depth_cells, occupy
+from kinectbench.voxels.seen_cells import seen_cells
+from kinectbench.voxels.view_grids import depth_cells, occupy, partial_grids
 
 SETTINGS = SynthesisSettings(up="y")
 CAMERA = virtual_camera(320)
@@ -70,7 +71,7 @@ def test_partial_is_depth_voxelised_and_reduced_by_any(seen):
 
 def test_visible_cells_are_those_before_the_depth_of_their_pixel(seen):
     depth_m, pose, grid = seen
-    cells = unpack(visible_cells(depth_m, CAMERA, pose, grid))
+    cells = unpack(seen_cells(depth_m, CAMERA, pose, grid, noisy=False))
     index = np.random.default_rng(0).integers(0, 256, (200_000, 3))
     centres = transform_points(grid.T_world_grid, (index + 0.5) * grid.voxel_size_m)
     points = (centres - pose[:3, 3]) @ pose[:3, :3]
@@ -87,7 +88,7 @@ def test_cells_outside_the_image_are_not_seen(seen):
     depth_m, pose, grid = seen
     near = Grid(grid.shape, grid.voxel_size_m, pose @ rigid(np.eye(3), [-0.5, -0.5, 0.05]))
     everywhere = np.full_like(depth_m, 9)
-    cells = unpack(visible_cells(everywhere, CAMERA, pose, near))
+    cells = unpack(seen_cells(everywhere, CAMERA, pose, near, noisy=False))
     z = 0.05 + 0.5 * near.voxel_size_m
     x = -0.5 + (np.arange(256) + 0.5) * near.voxel_size_m
     u = np.rint(CAMERA.fx * x / z + CAMERA.cx)

@@ -9,7 +9,8 @@ from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.voxels.framing import object_cube, view_cube
 from kinectbench.voxels.morphology import blocks_touched, containment, containment_of_cells, shell_of
 from kinectbench.voxels.pair_file import unpack
-from kinectbench.voxels.view_grids import depth_cells, occupy, seen_cells
+from kinectbench.voxels.seen_cells import seen_cells
+from kinectbench.voxels.view_grids import depth_cells, occupy
 
 CAMERA = Camera(60, 44, 50.0, 52.0, 30.3, 20.9)
 T_WORLD_CAMERA = rigid(rotation_from_quaternion_xyzw([0.3, -0.2, 0.1, 0.8]), [0.5, 1.0, -0.4])
