@@ -34,7 +34,8 @@ from kinectbench.simulate.truth import SurfaceTruth, Truth, truth_occupancy
 from kinectbench.simulate.visibility import sample_surface
 from kinectbench.tracking.trajectory import Trajectory
 from kinectbench.tracking.trajectory_folder import write_trajectory
-from kinectbench.views import View, ViewFit, Views
+from kinectbench.view_fit import ViewFit
+from kinectbench.views import View, Views
 from kinectbench.views_folder import write_pairs_table, write_views
 from kinectbench.voxels.pair_file import Pair, pair_bytes
 

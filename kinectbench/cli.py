@@ -35,6 +35,7 @@ from kinectbench.commands import (
     workers,
     write_page,
 )
+from kinectbench.commands_exchange import export, import_
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
@@ -293,8 +294,9 @@ def init(
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
-for _command in (simulate, synthesize, evaluate):
+for _command in (simulate, synthesize, evaluate, export):
     app.command()(_command)
+app.command("import")(import_)
 
 # UsageError, wherever typer has it from.
 USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)

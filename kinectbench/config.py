@@ -116,7 +116,9 @@ class ViewSettings(Settings):
 
     count: int = Field(50, ge=1, le=1000, description="views per recording")
     seed: int = Field(0, ge=0, description="seed of the draw")
-    strategy: Literal["random"] = Field("random", description="random: uniform over the good frames (paper)")
+    strategy: Literal["random", "coverage"] = Field(
+        "random", description="random: uniform over the good frames (paper); coverage: every side alike"
+    )
     min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
 
 
@@ -127,6 +129,7 @@ class PairSettings(Settings):
     partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
     max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
+    min_visible_share: float = Field(0.25, ge=0, le=1, description="less of the outline with depth: refused")
 
 
 class PublishSettings(Settings):

@@ -187,7 +187,7 @@ def _view_settings(job: Job) -> Mapping[str, Any]:
     return {
         "views": _section(job, "views"),
         "segmentation": _section(job, "segmentation", "mask_tolerance_m"),
-        "pairs": _section(job, "pairs", "min_containment", "max_residual_m"),
+        "pairs": _section(job, "pairs", "min_containment", "max_residual_m", "min_visible_share"),
     }
 
 
@@ -231,7 +231,7 @@ STAGES: tuple[Stage, ...] = (
         "pairs",
         "pairs",
         ("ingest", "segment", "sample-views"),
-        lambda job: {"pairs": _section(job, "pairs", "framing", "partial_rule")},
+        lambda job: {"pairs": _section(job, "pairs", "framing", "partial_rule", "min_containment")},
         _pairs,
     ),
 )

@@ -1,8 +1,9 @@
 """The stage `sample-views`: 50 frames of the recording, with the object's mask in each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,40 +11,15 @@ from numpy.typing import NDArray
 from kinectbench.alignment import UNCHECKED_SIGMA_M, Alignment, align_view
 from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask, stray_masks
+from kinectbench.segmentation.masks import agreement_mask, override_mask, stray_masks
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.sequence import Sequence
 from kinectbench.shape.object_model import ObjectModel
 from kinectbench.tracking.trajectory import Trajectory
-from kinectbench.voxels.framing import object_cube
-from kinectbench.voxels.morphology import containment_of_cells
-from kinectbench.voxels.pair_file import BLOCK, unpack
-from kinectbench.voxels.solid import voxelize_solid
-from kinectbench.voxels.view_grids import depth_cells
+from kinectbench.view_fit import ViewFit, fit_of_view, refusal
+from kinectbench.view_order import frame_order
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class ViewFit:
-    """How well a view's depth fits the object. Shares are in [0, 1].
-
-    Attributes:
-        pixels: valid depth pixels on the object.
-        visible_share: of the rendered silhouette, what carries valid depth of the object.
-        border_share: of the silhouette's pixels, those within 1 px of the image border.
-        dropped_share: valid depth inside the eroded silhouette that the mask leaves out.
-        containment: share of partial cells (64^3, unmasked depth inside the eroded silhouette) that lie
-            in the full shape, dilated once.
-        residual_m: median absolute difference of measured and rendered depth there, metres.
-    """
-
-    pixels: int
-    visible_share: float
-    border_share: float
-    dropped_share: float
-    containment: float
-    residual_m: float
 
 
 @dataclass(frozen=True)
@@ -58,6 +34,8 @@ class View:
         alignment: its pose, corrected by its own depth.
         mask: (height, width) bool, the object, in depth pixels.
         fit: figures of the automatic mask.
+        blur: of the colour against the recording's sharpest frames, as health.json has it; None if unknown.
+        pose_residual_m: distance to other frames under the trajectory's pose, metres; None if unknown.
     """
 
     name: str
@@ -67,6 +45,8 @@ class View:
     alignment: Alignment
     mask: NDArray[np.bool_]
     fit: ViewFit
+    blur: float | None = None
+    pose_residual_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -88,18 +68,18 @@ def sample_views(
     masks: Path | None = None,
     progress: Progress | None = None,
 ) -> Views:
-    """Walk a seeded permutation of the good frames until enough of them fit the object.
+    """Walk the good frames, in the order of the strategy, until enough of them fit the object.
 
-    So every good frame is equally likely (paper, Sec. 4.1: 50 random views of the trajectory), and
-    refused frames do not shrink the set as long as others are left.
+    With `random` every good frame is equally likely (paper, Sec. 4.1: 50 random views of the trajectory).
+    Refused frames do not shrink the set as long as others are left.
 
     Args:
         sequence: the recording.
         trajectory: its poses.
         model: floor, closed mesh.
-        settings: how many, which seed.
+        settings: how many, which strategy and seed.
         segmentation: tolerance of the masks.
-        pairs: least containment, largest residual.
+        pairs: least containment, largest residual, least visible share.
         masks: folder of a person's PNGs, or None.
         progress: called with (views found, views wanted).
 
@@ -107,10 +87,11 @@ def sample_views(
         SegmentationError: no frame fits, or a person's mask is unusable.
     """
     renderer = DepthRenderer(model.shape.mesh)
-    order = np.random.default_rng(settings.seed).permutation(trajectory.good_frames)
+    order = frame_order(sequence, trajectory, model, renderer, settings, segmentation)
+    health = {row["frame"]: row for row in trajectory.health.get("per_frame", [])}
     views: list[View] = []
     refused: list[tuple[int, str]] = []
-    for frame in map(int, order):
+    for frame, why in order:
         if len(views) == settings.count:
             break
         depth_m = sequence.depth_m(frame)
@@ -121,8 +102,8 @@ def sample_views(
         T_world_camera = alignment.T_world_camera
         rendered_m = renderer.depth_m(sequence.camera, T_world_camera)
         mask = agreement_mask(depth_m, rendered_m, segmentation.mask_tolerance_m)
-        fit = _measure(depth_m, rendered_m, mask, sequence, T_world_camera, model)
-        reason = _refusal(fit, settings, pairs)
+        fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
+        reason = refusal(fit, settings, pairs)
         if reason:
             refused.append((frame, reason))
             continue
@@ -130,7 +111,8 @@ def sample_views(
         if masks is not None:
             mask = override_mask(mask, masks, name)
         stamp_ns = int(sequence.stamps_ns[frame])
-        views.append(View(name, frame, stamp_ns, settings.strategy, alignment, mask, fit))
+        figures = _health_figures(health.get(frame, {}))
+        views.append(View(name, frame, stamp_ns, why, alignment, mask, fit, *figures))
         if progress:
             progress(len(views), settings.count)
     if not views:
@@ -142,43 +124,10 @@ def sample_views(
     return Views(views, refused, warnings)
 
 
-def _measure(
-    depth_m: NDArray[np.float32],
-    rendered_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    sequence: Sequence,
-    T_world_camera: NDArray[np.float64],
-    model: ObjectModel,
-) -> ViewFit:
-    silhouette = rendered_m > 0
-    inner = inner_silhouette(rendered_m) & (depth_m > 0)
-    pixels, area = int(mask.sum()), int(silhouette.sum())
-    if pixels == 0 or not inner.any():
-        return ViewFit(pixels, 0.0, 0.0, 1.0, 0.0, float("inf"))
-    grid = object_cube(model.shape.mesh.vertices, T_world_camera)
-    cells = depth_cells(depth_m, inner, sequence.camera, T_world_camera, grid.coarser(BLOCK))
-    full = unpack(voxelize_solid(model.shape.mesh.vertices, model.shape.mesh.faces, grid))
-    border = silhouette.copy()
-    border[1:-1, 1:-1] = False
-    return ViewFit(
-        pixels=pixels,
-        visible_share=pixels / area,
-        border_share=int(border.sum()) / area,
-        dropped_share=int((inner & ~mask).sum()) / int(inner.sum()),
-        containment=containment_of_cells(cells, full, BLOCK),
-        residual_m=float(np.median(np.abs(depth_m[inner] - rendered_m[inner]))),
-    )
-
-
-def _refusal(fit: ViewFit, settings: ViewSettings, pairs: PairSettings) -> str | None:
-    """Why a frame is no view, or None if it is one."""
-    if fit.pixels < settings.min_pixels:
-        return f"only {fit.pixels} pixels on the object"
-    if fit.residual_m > pairs.max_residual_m:
-        return f"depth is {fit.residual_m * 1000:.1f} mm (median) off the object"
-    if fit.containment < pairs.min_containment:
-        return f"only {fit.containment:.0%} of the partial lies in the object"
-    return None
+def _health_figures(row: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """Blur and pose residual in metres of one frame's row of health.json."""
+    residual_mm = row.get("residual_mm")
+    return row.get("blur"), None if residual_mm is None else residual_mm / 1000
 
 
 def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> list[str]:
@@ -187,7 +136,7 @@ def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> li
         warnings.append(
             f"{len(views)} views instead of {settings.count}: all {good_frames} good frames were tried"
         )
-    cut = sum(view.fit.border_share > 0.01 for view in views)
+    cut = sum(view.fit.truncated_share > 0.02 or view.fit.border_share > 0.01 for view in views)
     if cut > len(views) / 2:
         warnings.append(f"the image border cuts the object in {cut} of {len(views)} views: step back")
     return warnings

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from kinectbench.alignment import Alignment
 from kinectbench.errors import StorageError
 from kinectbench.sequence import Sequence
-from kinectbench.views import View, ViewFit, Views
+from kinectbench.view_fit import ViewFit
+from kinectbench.views import View, Views
 from kinectbench.workspace import pretty_json
 
 JPEG_QUALITY = 90
@@ -37,6 +38,8 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
             "T_world_camera": view.alignment.T_world_camera.tolist(),
             "moved_m": _rounded(view.alignment.moved_m),
             "turned_rad": _rounded(view.alignment.turned_rad),
+            "blur": view.blur,
+            "pose_residual_m": view.pose_residual_m,
         }
         | {name: _rounded(value) for name, value in asdict(view.fit).items()}
         for view in views.views
@@ -68,11 +71,9 @@ def read_views(folder: Path) -> list[View]:
                 raise StorageError(f"{path}: not a readable PNG; `kinectbench build --force` makes it again")
             fit = ViewFit(**{name: row[name] for name in ViewFit.__dataclass_fields__})
             pose = Alignment(np.array(row["T_world_camera"]), row["moved_m"], row["turned_rad"])
-            views.append(
-                View(
-                    row["view"], row["frame"], row["stamp_ns"], row["reason"], pose, np.asarray(mask) > 0, fit
-                )
-            )
+            chosen = row["view"], row["frame"], row["stamp_ns"], row["reason"]
+            health = row.get("blur"), row.get("pose_residual_m")
+            views.append(View(*chosen, pose, np.asarray(mask) > 0, fit, *health))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StorageError(
             f"{folder}: the stored views are damaged ({error}); `kinectbench build --force` makes it again"

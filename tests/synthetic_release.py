@@ -86,7 +86,7 @@ def write_build(build: Path) -> None:
                 (build / name / "views" / f"{view}.{suffix}").write_bytes(f"{name} {view} {suffix}".encode())
         listed = {"pairs": [{"view": view, "frame": 7, "containment": 1.0} for view in views], "refused": []}
         (build / name / "pairs" / "pairs.json").write_text(json.dumps(listed))
-        (build / name / "views" / "views.json").write_text("[]")
+        (build / name / "views" / "views.json").write_text('{"views": [], "refused": []}')
         for file in ("floor.json", "mesh.ply", "volume.npz"):
             (build / name / "object" / file).write_bytes(f"{name} {file}".encode())
         (build / name / "object" / "quality.json").write_text('{"repeatability_iou": 0.93}')

@@ -24,7 +24,7 @@ class RecordingInfo(_Open):
     category: str = Field(description="such as chair")
     split: Split = Field(description="train, validation or test")
     pairs: int = Field(description="pairs published")
-    refused: int = Field(description="views whose pair failed the checks and was left out")
+    refused: int = Field(description="frames that were refused as views, and views whose pair was refused")
     quality: dict[str, Any] = Field(description="quality.json of the recording's object")
 
 

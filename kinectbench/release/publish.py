@@ -128,7 +128,9 @@ def _recording_info(recording: RecordingSettings, build: Path, pairs: int) -> Re
         category=recording.category,
         split=recording.split,
         pairs=pairs,
-        refused=len(_json(build / "pairs" / "pairs.json").get("refused", [])),
+        refused=sum(
+            len(_json(build / file).get("refused", [])) for file in ("views/views.json", "pairs/pairs.json")
+        ),
         quality=_json(build / "object" / "quality.json"),
     )
 

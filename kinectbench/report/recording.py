@@ -10,6 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from kinectbench.config import RecordingSettings
+from kinectbench.errors import StorageError
 from kinectbench.geometry import transform_points
 from kinectbench.report import images, looks, pictures, stored
 from kinectbench.report.frames import FramePicture, frame_pictures
@@ -43,7 +44,7 @@ class RecordingPart:
         object_pictures: the object from a few sides.
         frames: some views as recorded.
         tiles: every pair.
-        refused: (view, frame, reason) of every refused pair.
+        refused: (view, frame, reason) of every frame refused as a view ("" for the view), and refused pair.
         containment: median over the pairs, as text.
         residual: median over the pairs, as text.
         missing: what is not built yet.
@@ -92,14 +93,25 @@ def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
         object_pictures=looks.object_pictures(mesh) if mesh else (),
         frames=frames,
         tiles=tuple(_tile(folder / "pairs", row, T_floor_world) for row in rows),
-        refused=tuple(
-            (row["view"], stored.text_of(row.get("frame")), str(row.get("reason", "")))
-            for row in stored.rows_of(pairs_path, listed, "refused")
+        refused=(
+            *_refused_frames(folder / "views" / "views.json"),
+            *(
+                (row["view"], stored.text_of(row.get("frame")), str(row.get("reason", "")))
+                for row in stored.rows_of(pairs_path, listed, "refused")
+            ),
         ),
         containment=_percent(_median(rows, "containment")),
         residual=_millimetres(_median(rows, "residual_m")),
         missing=tuple(name for name, absent in missing.items() if absent),
     )
+
+
+def _refused_frames(path: Path) -> list[tuple[str, str, str]]:
+    """("", frame, reason) of every frame that was refused as a view."""
+    rows = (stored.read_json(path) or {}).get("refused", [])
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise StorageError(f"{path}: 'refused' is not a list of objects; build this recording again")
+    return [("", stored.text_of(row.get("frame")), str(row.get("reason", ""))) for row in rows]
 
 
 def _frame_numbers(value: Any) -> list[int]:

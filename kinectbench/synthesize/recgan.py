@@ -3,15 +3,13 @@
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.synthesize.models import synset_of
 from kinectbench.synthesize.views import ViewAngles
-from kinectbench.voxels.npz import npz_bytes
 from kinectbench.voxels.pair_file import Pair, unpack
+from kinectbench.voxels.recgan_file import recgan_file_bytes
 
 SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
-LEVEL = 1
 
 
 def recgan_path(kind: Literal["25d", "3d"], category: str, split: str, model: str, view: ViewAngles) -> str:
@@ -41,9 +39,4 @@ def recgan_bytes(pair: Pair) -> tuple[bytes, bytes]:
         slice(int(used[0]), int(used[-1]) + 1)
         for used in (np.flatnonzero(occupied.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1)))
     )
-    return _file(seen[box]), _file(full[box])
-
-
-def _file(cells: NDArray[np.bool_]) -> bytes:
-    theirs = np.ascontiguousarray(cells[::-1, ::-1, :, None]).view(np.int8)
-    return npz_bytes({"arr_0": theirs}, level=LEVEL)
+    return recgan_file_bytes(seen[box]), recgan_file_bytes(full[box])

@@ -135,5 +135,5 @@ def _set_cells(block, reach, columns, rows, z):  # type: ignore[no-untyped-def]
         for b in range(BLOCK):
             bits = 0
             for k in range(BLOCK):
-                bits = (bits << 1) | np.int64(z[k] <= reach[rows[b, k], columns[a, k]])
+                bits = (bits << 1) | (1 if z[k] <= reach[rows[b, k], columns[a, k]] else 0)
             block[a, b] = bits

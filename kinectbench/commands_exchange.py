@@ -1,0 +1,59 @@
+"""The commands that exchange releases with other layouts."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinectbench.commands import (
+    DEFAULT_CONFIG,
+    BenchmarkDir,
+    Config,
+    Jobs,
+    Json,
+    Set,
+    exit_for,
+    find_release,
+)
+
+
+def export(
+    out: Annotated[Path, typer.Argument(help="a new folder")],
+    benchmark: BenchmarkDir = None,
+    config: Config = DEFAULT_CONFIG,
+    overrides: Set = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Write a release's pairs as the files of the paper's authors, in their layout and axes."""
+    from kinectbench import console
+    from kinectbench.release.recgan_export import export_recgan
+
+    release, rows = find_release(benchmark, config, overrides, jobs)
+    with console.bar("export") as progress:
+        pairs = export_recgan(release, out, progress)
+    _tell("exported", pairs, out, as_json)
+    exit_for(rows)
+
+
+def import_(
+    folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/")],
+    out: Annotated[Path, typer.Argument(help="the release: a new folder")],
+    as_json: Json = False,
+) -> None:
+    """Make a release of files in the layout of the paper's authors."""
+    from kinectbench import console
+    from kinectbench.release.recgan_import import import_recgan
+
+    with console.bar("import") as progress:
+        pairs = import_recgan(folder, out, progress)
+    _tell("imported", pairs, out, as_json)
+
+
+def _tell(done: str, pairs: int, out: Path, as_json: bool) -> None:
+    """How many pairs went where."""
+    if as_json:
+        typer.echo(json.dumps({"folder": str(out), "pairs": pairs}))
+    else:
+        typer.echo(f"{done} {pairs} pairs: {out}")

@@ -1,0 +1,135 @@
+"""A release as the authors' files and back: an asymmetric shape, so that a mirrored axis shows."""
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_release import publish_synthetic
+
+from kinectbench.errors import PairError, SettingsError
+from kinectbench.release.recgan_export import export_recgan
+from kinectbench.release.recgan_import import import_recgan
+from kinectbench.release.release import open_release
+from kinectbench.release.verify import verify
+from kinectbench.voxels.npz import npz_bytes
+from kinectbench.voxels.pair_file import Pair, read_pair, unpack
+from kinectbench.voxels.recgan_file import read_recgan_file, recgan_file_bytes
+
+KEPT = {"partial", "partial_256", "full", "shell", "T_world_grid", "T_world_camera", "K", "voxel_size_m"}
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory) -> Path:
+    return publish_synthetic(tmp_path_factory.mktemp("published")).folder
+
+
+@pytest.fixture(scope="module")
+def exported(release, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("exported") / "theirs"
+    assert export_recgan(open_release(release), out) == 7
+    return out
+
+
+def corner() -> np.ndarray:
+    """Arms of different lengths along x, y and z, so that no mirror image or order of axes is the same."""
+    cells = np.zeros((256, 256, 256), bool)
+    cells[30:200, 40:60, 50:70] = cells[30:50, 40:150, 50:70] = cells[30:50, 40:60, 50:110] = True
+    return cells
+
+
+def test_axes_of_one_file(tmp_path: Path):
+    """A cell at our (i, j, k) lies at their (255 - i, 255 - j, k): x to the left, y up, z forward."""
+    path = tmp_path / "m_0_0_0.npz"
+    path.write_bytes(recgan_file_bytes(corner()))
+    with np.load(path, allow_pickle=False) as archive:
+        theirs = archive["arr_0"]
+    assert theirs.shape == (256, 256, 256, 1) and theirs.dtype == np.int8
+    i, j, k = np.argwhere(corner()).T
+    assert theirs.sum() == len(i) and theirs[255 - i, 255 - j, k, 0].all()
+    np.testing.assert_array_equal(read_recgan_file(path), corner())
+
+
+@pytest.mark.parametrize("size", [(170, 110, 60), (171, 111, 61), (258, 256, 258)])
+def test_other_sizes_are_centred_as_their_readers_do(tmp_path: Path, size):
+    cells = np.random.default_rng(0).random(size) < 0.01
+    path = tmp_path / "m_0_0_0.npz"
+    path.write_bytes(npz_bytes({"arr_0": cells[..., None].astype(np.int8)}))
+    expected = np.zeros((256, 256, 256), bool)
+    for x, y, z in np.argwhere(cells):
+        at = [
+            c - (d - 256) // 2 if d > 256 else c + (256 - d) // 2
+            for c, d in zip((x, y, z), size, strict=True)
+        ]
+        if all(0 <= a < 256 for a in at):
+            expected[255 - at[0], 255 - at[1], at[2]] = True
+    np.testing.assert_array_equal(read_recgan_file(path), expected)
+
+
+def test_round_trip_is_exact(release: Path, exported: Path, tmp_path: Path):
+    assert import_recgan(exported, tmp_path / "back") == 7
+    assert verify(tmp_path / "back") == []
+    old, new = open_release(release), open_release(tmp_path / "back")
+    assert [t.name for t in new.targets] == [t.name for t in old.targets]
+    for target, other in zip(old.targets, new.targets, strict=True):
+        assert (target.object, target.category, target.split) == (other.object, other.category, other.split)
+        one, two = read_pair(old.pair_path(target)), read_pair(new.pair_path(other))
+        for name in KEPT & {field.name for field in fields(Pair)}:
+            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+        assert unpack(two.known).all()
+
+
+def test_names_of_the_files(exported: Path):
+    assert (exported / "P1_03001627_chair/test_2_25d_vox256/chair_01_1_0_0.npz").is_file()
+    assert (exported / "P1_03001627_chair/val_2_3d_vox256/chair_03_0_0_0.npz").is_file()
+    assert (
+        len(list(exported.glob("P1_*/*_25d_*/*.npz"))) == len(list(exported.glob("P1_*/*_3d_*/*.npz"))) == 7
+    )
+
+
+def test_their_own_files_become_a_release(tmp_path: Path):
+    for kind, cells in (("25d", corner() & (np.arange(256) < 60)), ("3d", corner())):
+        for name in ("m_0_10_0", "m_0_2_0"):
+            path = tmp_path / f"in/P1_02828884_bench/test_125_{kind}_vox256/{name}.npz"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(recgan_file_bytes(cells))
+    assert import_recgan(tmp_path / "in", tmp_path / "out") == 2
+    assert verify(tmp_path / "out") == []
+    target = open_release(tmp_path / "out").targets[1]
+    assert (target.recording, target.view, target.category, target.split) == ("m-125", "001", "bench", "test")
+    np.testing.assert_array_equal(unpack(read_pair(tmp_path / "out" / target.file).full), corner())
+    (tmp_path / "in/P1_02828884_bench/test_125_3d_vox256/m_0_2_0.npz").unlink()
+    with pytest.raises(PairError, match=r"m_0_2_0\.npz: missing"):
+        import_recgan(tmp_path / "in", tmp_path / "out2")
+    assert not (tmp_path / "out2").exists()
+
+
+def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path):
+    with pytest.raises(SettingsError, match="no P1_"):
+        import_recgan(tmp_path, tmp_path / "out")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("precious")
+    with pytest.raises(SettingsError, match="something else"):
+        export_recgan(open_release(release), tmp_path / "mine")
+    with pytest.raises(SettingsError, match="something else"):
+        import_recgan(exported, tmp_path / "mine")
+    path = tmp_path / "bad.npz"
+    for content in (
+        b"no",
+        npz_bytes({"arr_0": np.zeros((4, 4, 4))}),
+        npz_bytes({"other": np.zeros((4, 4, 4, 1))}),
+        npz_bytes({"arr_0": np.full((4, 4, 4, 1), 7)}),
+        npz_bytes({"arr_0": np.zeros((600, 1, 1, 1), np.int8)}),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(PairError, match=r"bad\.npz"):
+            read_recgan_file(path)
+
+
+def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path):
+    content = json.loads((exported / "export.json").read_text())
+    content["pairs"][0]["recording"] = "../../up"
+    (tmp_path / "export.json").write_text(json.dumps(content))
+    with pytest.raises(PairError, match="not safe"):
+        import_recgan(tmp_path, tmp_path / "out")
