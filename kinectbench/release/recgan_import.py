@@ -4,11 +4,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from kinectbench.config import NAME, PairSettings
+from kinectbench.config import NAME, PairSettings, Split
 from kinectbench.errors import PairError, SettingsError
 from kinectbench.release.card import CardTexts
 from kinectbench.release.layout import BENCHMARK_JSON
@@ -106,7 +106,7 @@ def _exported(folder: Path, content: dict[str, Any]) -> list[Found]:
             raise PairError(f"{folder / EXPORT_JSON}: a row is damaged ({error}); export again") from error
         if not all(NAME.fullmatch(str(name)) for name in names.values()):
             raise PairError(f"{folder / EXPORT_JSON}: a name is not safe as a file's; export again")
-        found.append(Found(_target(**names), *files, values))
+        found.append(Found(_target(**names), files[0], files[1], values))
     return found
 
 
@@ -139,7 +139,7 @@ def _pair(found: Found) -> Pair:
         if not path.is_file():
             raise PairError(f"{path}: missing; every file of 25d needs its counterpart of 3d")
     seen, full = read_recgan_file(found.file_25d), pack(read_recgan_file(found.file_3d))
-    unknown = {
+    unknown: dict[str, Any] = {
         "T_world_grid": np.eye(4),
         "T_world_camera": np.eye(4),
         "K": np.eye(3),
@@ -168,7 +168,7 @@ def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
         name: RecordingInfo(
             object=target.object,
             category=target.category,
-            split=target.split,  # type: ignore[arg-type]
+            split=cast(Split, target.split),
             pairs=sum(other.recording == name for other in targets),
             refused=0,
             quality={"verdict": "unknown", "warnings": ["imported: nothing is known of how good it is"]},

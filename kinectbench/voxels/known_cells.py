@@ -158,20 +158,21 @@ def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
     """The bytes (8, 8) of a block that the end of a grid runs through."""
     for a in range(BLOCK):
         for b in range(BLOCK):
+            at_fine, at_coarse = _centre(fine[2], i + a, j + b, k), _centre(coarse[2], i + a, j + b, k)
             bits = 0
             for n in range(BLOCK):
-                voxel = _voxel(fine, i + a, j + b, k + n)
+                voxel = _voxel(fine, at_fine, n)
                 if voxel < 0:
-                    voxel = max(0, _voxel(coarse, i + a, j + b, k + n))
+                    voxel = max(0, _voxel(coarse, at_coarse, n))
                 bits = (bits << 1) | voxel
             block[a, b] = bits
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _voxel(level, i, j, k):  # type: ignore[no-untyped-def]
-    """1 or 0: the voxel that a cell's centre lies in is known or not; -1 beyond the grid."""
+def _voxel(level, start, n):  # type: ignore[no-untyped-def]
+    """1 or 0: whether the voxel that the n-th cell after `start` lies in is known; -1 beyond the grid."""
     known, _, M = level
-    x, y, z = _centre(M, i, j, k)
+    x, y, z = start[0] + n * M[0, 2], start[1] + n * M[1, 2], start[2] + n * M[2, 2]
     if x < 0 or y < 0 or z < 0 or x >= known.shape[0] or y >= known.shape[1] or z >= known.shape[2]:
         return -1
     return np.int64(known[np.uint32(x), np.uint32(y), np.uint32(z)])

@@ -41,10 +41,8 @@ def seen_cells(
     Returns:
         (nx, ny, nz / 8) uint8, packed along z.
     """
-    margin_m = 2 * depth_sigma_m(depth_m) if noisy else np.zeros_like(depth_m)
-    # One row and one column more: cells outside the image fall there.
-    reach_m = np.full((camera.height + 1, camera.width + 1), -np.inf)
-    np.copyto(reach_m[:-1, :-1], depth_m + np.float64(grid.voxel_size_m) + margin_m, where=depth_m > 0)
+    sigma_m = depth_sigma_m(depth_m) if noisy else np.zeros_like(depth_m)
+    reach_m = _reach(depth_m, sigma_m, grid.voxel_size_m)
     x, y, z = (
         start + (np.arange(count) + 0.5) * grid.voxel_size_m
         for start, count in zip(corner_in_camera(grid, T_world_camera), grid.shape, strict=True)
@@ -59,6 +57,18 @@ def _pixels(exact: NDArray[np.float64], count: int) -> NDArray[np.uint32]:
     """The pixels that coordinates fall on; `count` outside the image and behind the camera (NaN)."""
     nearest = np.rint(exact)
     return np.where((nearest >= 0) & (nearest < count), nearest, count).astype(np.uint32)
+
+
+@numba.njit(cache=True)
+def _reach(depth, sigma, voxel):  # type: ignore[no-untyped-def]
+    """How deep each pixel sees; one row and one column more, where cells outside the image fall."""
+    reach = np.full((depth.shape[0] + 1, depth.shape[1] + 1), -np.inf)
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            d = np.float64(depth[v, u])
+            if d > 0:
+                reach[v, u] = d + 2 * np.float64(sigma[v, u]) + voxel
+    return reach
 
 
 @numba.njit(cache=True)
