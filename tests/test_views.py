@@ -145,6 +145,9 @@ def test_folder_round_trip(chair, views, tmp_path: Path):
         np.testing.assert_array_equal(one.mask, other.mask)
         np.testing.assert_array_equal(one.alignment.T_world_camera, other.alignment.T_world_camera)
         assert other.fit.pixels == one.fit.pixels
+        assert other.fit.truncated_share == pytest.approx(one.fit.truncated_share, abs=1e-6)
+        health = chair.trajectory.health["per_frame"][one.frame]
+        assert (other.blur, other.pose_residual_m) == (health["blur"], health["residual_mm"] / 1000)
         assert other.fit.containment == pytest.approx(one.fit.containment, abs=1e-6)
         depth_mm = cv2.imread(str(tmp_path / f"{one.name}.depth.png"), cv2.IMREAD_UNCHANGED)
         assert depth_mm.dtype == np.uint16

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from synthetic_release import publish_synthetic
+from typer.testing import CliRunner
 
+from kinectbench.cli import app
 from kinectbench.errors import PairError, SettingsError
 from kinectbench.release.recgan_export import export_recgan
 from kinectbench.release.recgan_import import import_recgan
@@ -133,3 +135,11 @@ def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path):
     (tmp_path / "export.json").write_text(json.dumps(content))
     with pytest.raises(PairError, match="not safe"):
         import_recgan(tmp_path, tmp_path / "out")
+
+
+def test_commands(release: Path, tmp_path: Path):
+    runner = CliRunner()
+    there = runner.invoke(app, ["export", str(tmp_path / "theirs"), "--benchmark", str(release)])
+    assert there.exit_code == 0 and "exported 7 pairs" in there.output
+    back = runner.invoke(app, ["import", str(tmp_path / "theirs"), str(tmp_path / "back"), "--json"])
+    assert back.exit_code == 0 and json.loads(back.output)["pairs"] == 7
