@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, Grid, transform_points
+from kinectbench.geometry import Grid
 
 BLOCK_VOXELS = 16
 
@@ -24,8 +24,7 @@ class BlockVolume:
         tsdf: (n, 16, 16, 16) float32, signed distance in metres along the viewing ray's z, weighted
             mean, positive in front of the surface, clipped to the truncation; 0 where weight is 0.
         weight: (n, 16, 16, 16) float32, sum of 1 / sigma(z)^2 in 1/mm^2; 0 = never observed.
-        free: (n, 16, 16, 16) uint16, frames that saw through the voxel.
-        surface: (n, 16, 16, 16) uint16, frames that measured a surface in the voxel.
+        votes: (n, 16, 16, 16) uint32, `free` in the lower 16 bits and `surface` in the upper ones.
     """
 
     blocks: NDArray[np.int32]
@@ -33,8 +32,17 @@ class BlockVolume:
     T_world_grid: NDArray[np.float64]
     tsdf: NDArray[np.float32]
     weight: NDArray[np.float32]
-    free: NDArray[np.uint16]
-    surface: NDArray[np.uint16]
+    votes: NDArray[np.uint32]
+
+    @property
+    def free(self) -> NDArray[np.uint16]:
+        """(n, 16, 16, 16) uint16, frames that saw through the voxel."""
+        return (self.votes & 0xFFFF).astype(np.uint16)
+
+    @property
+    def surface(self) -> NDArray[np.uint16]:
+        """(n, 16, 16, 16) uint16, frames that measured a surface in the voxel."""
+        return (self.votes >> 16).astype(np.uint16)
 
     def dense(self, values: NDArray[Scalar], first_block: NDArray[np.int32], blocks: int) -> NDArray[Scalar]:
         """Copy a per-voxel array into a dense cube of `blocks`^3 blocks starting at `first_block`.
@@ -61,8 +69,7 @@ def empty_volume(
         T_world_grid,
         tsdf=np.zeros(shape, np.float32),
         weight=np.zeros(shape, np.float32),
-        free=np.zeros(shape, np.uint16),
-        surface=np.zeros(shape, np.uint16),
+        votes=np.zeros(shape, np.uint32),
     )
 
 
@@ -77,32 +84,6 @@ def dense_grid(values: NDArray[Scalar], shape: tuple[int, int, int]) -> NDArray[
     bx, by, bz = (n // BLOCK_VOXELS for n in shape)
     cells = values.reshape(bx, by, bz, BLOCK_VOXELS, BLOCK_VOXELS, BLOCK_VOXELS)
     return np.ascontiguousarray(cells.transpose(0, 3, 1, 4, 2, 5)).reshape(shape)
-
-
-def blocks_near_surface(
-    depth_m: NDArray[np.float32],
-    camera: Camera,
-    T_world_camera: NDArray[np.float64],
-    margin_m: float,
-    voxel_size_m: float,
-) -> NDArray[np.int32]:
-    """Blocks of a world-aligned volume within `margin_m` of a frame's depth, along the viewing rays.
-
-    Every fourth pixel is looked at: at 4 m these are 30 mm apart, less than half a block of 5 mm voxels.
-
-    Returns:
-        (n, 3) int32, unique, sorted.
-    """
-    step_px = 4
-    sampled = depth_m[::step_px, ::step_px]
-    valid = sampled > 0
-    rays = camera.rays()[::step_px, ::step_px][valid]
-    block_size_m = BLOCK_VOXELS * voxel_size_m
-    found = []
-    for offset_m in np.linspace(-margin_m, margin_m, max(2, int(np.ceil(4 * margin_m / block_size_m)) + 1)):
-        points_world = transform_points(T_world_camera, rays * (sampled[valid] + offset_m)[:, None])
-        found.append(np.floor(points_world / block_size_m).astype(np.int64))
-    return unique_blocks(np.concatenate(found))
 
 
 def unique_blocks(blocks: NDArray[np.int64]) -> NDArray[np.int32]:

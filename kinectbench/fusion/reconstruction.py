@@ -10,7 +10,6 @@ from kinectbench.config import FusionSettings
 from kinectbench.errors import TrackingError
 from kinectbench.fusion.blocks import (
     BlockVolume,
-    blocks_near_surface,
     blocks_of_grid,
     dense_grid,
     empty_volume,
@@ -19,6 +18,7 @@ from kinectbench.fusion.blocks import (
 from kinectbench.fusion.color import color_vertices
 from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
+from kinectbench.fusion.visible_blocks import blocks_near_surface
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory

@@ -7,13 +7,13 @@ from analytic_scenes import CAMERA, box, depth_of, look_at, plane, sphere
 from kinectbench.fusion.blocks import (
     BLOCK_VOXELS,
     BlockVolume,
-    blocks_near_surface,
     blocks_of_grid,
     dense_grid,
     empty_volume,
     unique_blocks,
 )
 from kinectbench.fusion.integrate import HALF_DIAGONAL, SURFACE_SIGMAS, integrate
+from kinectbench.fusion.visible_blocks import blocks_near_surface
 from kinectbench.geometry import (
     Camera,
     Grid,
