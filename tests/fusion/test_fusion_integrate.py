@@ -13,7 +13,7 @@ from kinectbench.fusion.blocks import (
     unique_blocks,
 )
 from kinectbench.fusion.integrate import HALF_DIAGONAL, SURFACE_SIGMAS, integrate
-from kinectbench.fusion.visible_blocks import blocks_near_surface
+from kinectbench.fusion.visible_blocks import blocks_near_surface, visible_blocks
 from kinectbench.geometry import (
     Camera,
     Grid,
@@ -224,3 +224,16 @@ def test_blocks_near_a_surface_hold_the_truncation_band():
         missed += counts[missing].sum()
         total += counts.sum()
     assert missed <= 0.01 * total
+
+
+def test_blocks_behind_the_surface_are_left_out_and_no_others():
+    """A near wall before a far one: what the plain reference changes is in blocks that count as visible."""
+    depth_m = np.full((SMALL.height, SMALL.width), 1.5, np.float32)
+    depth_m[:, :20] = 0.7
+    volume = empty_volume(blocks_of_grid(Grid((96, 96, 96), VOXEL_M, T_WORLD_GRID)), VOXEL_M, T_WORLD_GRID)
+    seen = visible_blocks(volume, depth_m, SMALL, T_WORLD_GRID, TRUNCATION_M)
+    _, weight, _, _, tie = reference(volume, [(depth_m, np.eye(4))])
+    told_about = np.flatnonzero(((weight > 0) & ~tie).any(axis=(1, 2, 3)))
+    assert set(told_about) <= set(seen)
+    assert len(told_about) > 20
+    assert len(seen) < 1.5 * len(told_about) < len(volume.blocks)
