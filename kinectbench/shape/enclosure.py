@@ -1,10 +1,18 @@
-"""How enclosed is a voxel that no camera saw? Votes along the 26 lattice directions."""
+"""How enclosed is a voxel that no camera saw? Votes along 26 directions, and steps of the outline."""
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 UNSEEN, OUTSIDE, INSIDE, NEUTRAL = 0, 1, 2, 3
+# From so many directions of 26 on an unseen voxel is inside more often than not.
+ENCLOSED = 14.5 / 26
+# A top juts out over its apron by more than this on all sides, and on all but one by more than that; voxels
+# of 5 mm count it in steps.
+LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
+# A hollow lies no deeper than this under the top, and so many of nine ways down from it lead outside.
+MAX_HOLLOW_M, OPEN_BELOW = 0.12, 5
+NOT_UNDER = 30_000
 
 
 def enclosure(state: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -23,37 +31,144 @@ def enclosure(state: NDArray[np.uint8]) -> NDArray[np.float32]:
     Returns:
         (nx, ny, nz) float32 in [0, 1]; 0 where no direction counts.
     """
-    inside, outside = _sweep(np.ascontiguousarray(state))
+    inside, outside = _votes(_bordered(state), -1, 1)
     share = np.zeros(state.shape, np.float32)
     np.divide(inside, inside + outside, out=share, where=inside > 0, dtype=np.float32)
     return share
 
 
+def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
+    """Unseen voxels behind an apron: under a top, open from below.
+
+    From no camera above the seat can the space between the aprons of a chair be told from a thick slab:
+    top and sides enclose both. But a slab or a cushion is flush, and a top juts out over the apron that it
+    rests on. So a voxel is hollow if the outline of some layer above it, within 12 cm, juts out over that
+    of its own layer by 5 mm in all of the four directions along the grid and by 10 mm in all but one, and
+    most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
+    are enough if the hollows found so far leave the voxel hardly enclosed. What is thinner than three voxels
+    is no hollow. Own rule.
+
+    Args:
+        state: as for `enclosure`; the grid is upright, its last axis points up.
+        voxel_size_m: edge of a voxel, metres.
+
+    Returns:
+        (nx, ny, nz) bool.
+    """
+    from scipy import ndimage
+
+    bordered = _bordered(state)
+    _, outside = _votes(bordered, -1, -1)
+    least, second = _overhang(bordered)
+    below_m = _under_inside(bordered) * voxel_size_m
+    under_top = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M) & (second * voxel_size_m > LEAST_OVERHANG_M)
+    all_around = (least * voxel_size_m > LEAST_OVERHANG_M) & (second * voxel_size_m > OVERHANG_M)
+    sure = under_top & all_around & (outside >= OPEN_BELOW)
+    opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
+    found = sure | (under_top & (opened < ENCLOSED))
+    thick: NDArray[np.bool_] = ndimage.binary_opening(found, np.ones((3, 3, 3)))
+    return thick
+
+
+def under_top(state: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Unseen voxels from which the way straight up leads inside: bool of the grid's shape."""
+    under: NDArray[np.bool_] = _under_inside(_bordered(state)) < NOT_UNDER
+    return under
+
+
+def _bordered(state: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """With a layer of OUTSIDE around it."""
+    return np.pad(state, 1, constant_values=OUTSIDE)
+
+
 @numba.njit(cache=True, error_model="numpy")
-def _sweep(state):  # type: ignore[no-untyped-def]
-    nx, ny, nz = state.shape
-    votes_inside = np.zeros((nx, ny, nz), np.uint8)
-    votes_outside = np.zeros((nx, ny, nz), np.uint8)
-    met = np.empty((nx, ny, nz), np.uint8)
+def _votes(state, lowest, highest):  # type: ignore[no-untyped-def]
+    """How many of the directions with lowest <= dz <= highest end INSIDE and OUTSIDE, without the border."""
+    nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
+    inside, outside = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.uint8)
+    met = state.copy()
     for direction in range(27):
         dx, dy, dz = direction // 9 - 1, direction // 3 % 3 - 1, direction % 3 - 1
-        if direction == 13:
+        if direction == 13 or dz < lowest or dz > highest:
             continue
-        # Visit the neighbour in direction d before the voxel itself.
+        # Visit the neighbour in the direction before the voxel itself.
         for a in range(nx):
-            i = nx - 1 - a if dx > 0 else a
+            i = nx - a if dx > 0 else a + 1
             for b in range(ny):
-                j = ny - 1 - b if dy > 0 else b
+                j = ny - b if dy > 0 else b + 1
+                own, into = state[i, j, 1 : nz + 1], met[i, j, 1 : nz + 1]
+                if dx == 0 and dy == 0:
+                    _walk_column(state[i, j], met[i, j], dz)
+                else:
+                    source = met[i + dx, j + dy, 1 + dz : nz + 1 + dz]
+                    for k in range(nz):
+                        into[k] = source[k] if own[k] == UNSEEN else own[k]
+                ins, outs = inside[i - 1, j - 1], outside[i - 1, j - 1]
+                for k in range(nz):
+                    unseen = own[k] == UNSEEN
+                    ins[k] += np.uint8(unseen & (into[k] == INSIDE))
+                    outs[k] += np.uint8(unseen & (into[k] == OUTSIDE))
+    return inside, outside
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _walk_column(own, met, dz):  # type: ignore[no-untyped-def]
+    """Straight up or down, one voxel after the other."""
+    n = len(own)
+    for c in range(1, n - 1):
+        k = n - 1 - c if dz > 0 else c
+        met[k] = met[k + dz] if own[k] == UNSEEN else own[k]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _under_inside(state):  # type: ignore[no-untyped-def]
+    """How many voxels below the first INSIDE above it an UNSEEN voxel lies, itself counted; else a lot."""
+    nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
+    under = np.full((nx, ny, nz), np.int16(NOT_UNDER))
+    for i in range(nx):
+        for j in range(ny):
+            count = NOT_UNDER
+            for c in range(nz):
+                k = nz - 1 - c
+                own = state[i + 1, j + 1, k + 1]
+                if own == UNSEEN:
+                    count = min(count + 1, NOT_UNDER)
+                    under[i, j, k] = count
+                else:
+                    count = 0 if own == INSIDE else NOT_UNDER
+    return under
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _overhang(state):  # type: ignore[no-untyped-def]
+    """By how many voxels layers above jut out over a voxel's own: the least of four directions, the second.
+
+    A layer's outline is where one first meets OUTSIDE; the layers above count up to the first OUTSIDE.
+    """
+    nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
+    least = np.full((nx, ny, nz), np.int16(NOT_UNDER))
+    second = np.full((nx, ny, nz), np.int16(NOT_UNDER))
+    reach = np.zeros((nx + 2, ny + 2, nz), np.int16)
+    for direction in range(4):
+        dx, dy = (1, 0, -1, 0)[direction], (0, 1, 0, -1)[direction]
+        reach[:] = 0
+        for a in range(nx):
+            i = nx - a if dx > 0 else a + 1
+            for b in range(ny):
+                j = ny - b if dy > 0 else b + 1
+                own, into, source = state[i, j, 1 : nz + 1], reach[i, j], reach[i + dx, j + dy]
+                for k in range(nz):
+                    into[k] = np.int16(0) if own[k] == OUTSIDE else source[k] + np.int16(1)
+        for i in range(nx):
+            for j in range(ny):
+                farthest = np.int16(0)
                 for c in range(nz):
-                    k = nz - 1 - c if dz > 0 else c
-                    found = state[i, j, k]
-                    if found == UNSEEN:
-                        x, y, z = i + dx, j + dy, k + dz
-                        within = 0 <= x < nx and 0 <= y < ny and 0 <= z < nz
-                        found = met[x, y, z] if within else OUTSIDE
-                        if found == INSIDE:
-                            votes_inside[i, j, k] += 1
-                        elif found == OUTSIDE:
-                            votes_outside[i, j, k] += 1
-                    met[i, j, k] = found
-    return votes_inside, votes_outside
+                    k = nz - 1 - c
+                    own_reach = reach[i + 1, j + 1, k]
+                    farthest = max(farthest, own_reach) if own_reach > 0 else np.int16(0)
+                    juts = farthest - own_reach
+                    if juts < least[i, j, k]:
+                        least[i, j, k], second[i, j, k] = juts, least[i, j, k]
+                    elif juts < second[i, j, k]:
+                        second[i, j, k] = juts
+    return least, second

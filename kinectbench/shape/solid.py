@@ -9,31 +9,51 @@ from kinectbench.errors import ShapeError
 from kinectbench.fusion.mesh import isosurface
 from kinectbench.fusion.reconstruction import Observation
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
-from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure
+from kinectbench.shape.enclosure import (
+    ENCLOSED,
+    INSIDE,
+    LEAST_OVERHANG_M,
+    MAX_HOLLOW_M,
+    NEUTRAL,
+    OUTSIDE,
+    OVERHANG_M,
+    UNSEEN,
+    enclosure,
+    hollow,
+    under_top,
+)
 from kinectbench.shape.labels import Label
 
 Bools = NDArray[np.bool_]
 
-# Chosen on simulated furniture (12 objects of 4 families). The share of enclosing directions from which on
-# unseen voxels are inside more often than not, and from which on they nearly always are (95 %).
-OCCUPIED_SHARE = 15 / 26
-INTERIOR_SHARE = 17 / 26
-# Logistic fit of how many unseen voxels are inside, against that share.
-PROBABILITY_CENTRE = 15.1 / 26
-PROBABILITY_SLOPE = 35.0
+# Chosen on simulated furniture (20 objects of 4 families, seeds 101 to 105, true poses): how many of the
+# unseen voxels are inside, by the number of enclosing directions of 26. From 15 on more often than not; from
+# 16 on they nearly always are, and below 8 they hardly ever are.
+INTERIOR_SHARE, EMPTY_SHARE = 15.5 / 26, 7.5 / 26
+ENCLOSING = np.array([0, 2, 5, 8, 10, 12, 14, 15, 16, 17, 20, 22, 26], np.float32) / 26
+INSIDE_SHARE = np.array(
+    [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
+)
+HOLLOW_INSIDE_SHARE = np.float32(0.02)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
-FREE_OVER_SURFACE = 3
+# Logistic fit, over voxels near the true surface, of being inside against the signed distance (in voxels, no
+# more than three) and the share of frames that saw through the voxel.
+CLIPPED_VOXELS = 3.0
+LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 6.1, 0.1
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
-    "name": "carving + 26-direction enclosure + floor contact + smoothing",
-    "occupied_share": round(OCCUPIED_SHARE, 4),
+    "name": "carving + hollows behind aprons + 26-direction enclosure + floor contact + smoothing",
+    "occupied_share": round(ENCLOSED, 4),
     "interior_share": round(INTERIOR_SHARE, 4),
+    "empty_share": round(EMPTY_SHARE, 4),
+    "hollow_overhang_m": [LEAST_OVERHANG_M, OVERHANG_M],
+    "hollow_depth_m": MAX_HOLLOW_M,
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,
-    "free_over_surface": FREE_OVER_SURFACE,
+    "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
 
@@ -59,24 +79,31 @@ class SolidShape:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What the frames say of each voxel, in the grid's shape; `contact` is the zone above the floor."""
+    """What the frames say of each voxel, in the grid's shape.
 
+    `signed_m` is the signed distance of the surface, corrected by the frames that saw through; `shadow` is
+    unseen and under a top, but hardly enclosed; `contact` is the zone above the floor.
+    """
+
+    signed_m: NDArray[np.float32]
     observed: Bools
     carved: Bools
     behind: Bools
+    hollow: Bools
     enclosed: NDArray[np.float32]
     unseen: Bools
+    shadow: Bools
     contact: slice
 
 
 def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> SolidShape:
     """Decide for every voxel whether it is occupied, and how that is known.
 
-    A voxel is empty if it was carved: its TSDF is positive, or frames saw through it. It is occupied
-    if it lies just behind a measured surface, or was never seen but is enclosed by such voxels in
-    58 % of all directions. Near the floor, where floor and object cannot be told apart, the lowest
-    occupied layer is extruded down to the floor. The signed field of this solid is smoothed by a
-    Gaussian of 0.7 voxels, and specks are dropped.
+    A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
+    hollow behind an apron. It is occupied if it lies just behind a measured surface, or was never seen
+    but is enclosed by such voxels in 15 of 26 directions. Near the floor, where floor and object cannot be
+    told apart, the lowest occupied layer is extruded down to the floor. The signed field of this solid is
+    smoothed by a Gaussian of 0.7 voxels, and specks are dropped.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -88,11 +115,11 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
         ShapeError: nothing is left.
     """
     evidence = _weigh(observation, excluded, floor_layers, cut_layers)
-    solid = (evidence.behind & ~excluded) | (evidence.unseen & (evidence.enclosed >= OCCUPIED_SHARE))
+    solid = (evidence.behind & ~excluded) | (evidence.unseen & (evidence.enclosed >= ENCLOSED))
     contact = evidence.contact
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
-    field = _smooth_field(observation, _without_specks(solid), evidence.observed)
+    field = _smooth_field(evidence, _without_specks(solid), observation.grid.voxel_size_m)
     field[:, :, :floor_layers] = np.abs(field[:, :, :floor_layers])
     solid = _without_specks(field < 0)
     if not solid.any():
@@ -105,14 +132,13 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
 
 def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> _Evidence:
     """Carving and enclosure."""
-    near = np.abs(observation.tsdf) < observation.grid.voxel_size_m
+    voxel_m = observation.grid.voxel_size_m
+    near = np.abs(observation.tsdf) < voxel_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed = observation.weight > least
-    seen_through = (observation.free >= MIN_FREE_VOTES) & (
-        observation.free > FREE_OVER_SURFACE * observation.surface.astype(np.uint32)
-    )
-    carved = (observed & (observation.tsdf > 0)) | seen_through
+    signed_m = _corrected(observation)
+    carved = np.where(observed, signed_m > 0, observation.free >= MIN_FREE_VOTES)
     behind = observed & ~carved
     contact = slice(floor_layers, floor_layers + cut_layers)
 
@@ -121,22 +147,41 @@ def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_lay
     state[:, :, contact][behind[:, :, contact]] = UNSEEN
     state[carved | excluded] = OUTSIDE
     # Below the object no camera sees the floor: walking down says nothing there.
-    measured = observed & (np.abs(observation.tsdf) < 2 * observation.grid.voxel_size_m)
+    measured = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
     floor_seen = measured[:, :, : contact.stop].any(axis=2)
     state[:, :, :floor_layers] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
-    return _Evidence(observed, carved, behind, enclosure(state), state == UNSEEN, contact)
+    open_below = hollow(state, voxel_m)
+    open_below[:, :, : contact.stop] = False
+    enclosed, unseen = enclosure(state), (state == UNSEEN) & ~open_below
+    shadow = unseen & (enclosed < EMPTY_SHARE) & under_top(state)
+    return _Evidence(signed_m, observed, carved, behind, open_below, enclosed, unseen, shadow, contact)
+
+
+def _corrected(observation: Observation) -> NDArray[np.float32]:
+    """The signed distance at which being inside is as likely as not is 0, metres.
+
+    The mean of projective distances makes thin parts thick: where some frames see the surface and others
+    pass beside it, the latter have little weight. What they saw through tells (own rule): log odds of being
+    inside fall with the signed distance and with the share of frames that saw through.
+    """
+    voxel_m = np.float32(observation.grid.voxel_size_m)
+    votes = observation.free.astype(np.float32) + observation.surface
+    seen_through = observation.free / np.maximum(votes, np.float32(1))
+    clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
+    shift = (LOGIT_PER_FREE * seen_through - LOGIT) / LOGIT_PER_VOXEL
+    return np.asarray(clipped_m + voxel_m * shift, np.float32)
 
 
 def _label(
     observation: Observation, evidence: _Evidence, solid: Bools, excluded: Bools, floor_layers: int
 ) -> NDArray[np.uint8]:
     """One label per voxel, by what it rests on."""
-    near = np.abs(observation.tsdf) <= 1.5 * observation.grid.voxel_size_m
+    near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
     measured = evidence.observed & near
     enclosed = evidence.unseen & (evidence.enclosed >= INTERIOR_SHARE)
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.carved] = Label.FREE
-    labels[~solid & (evidence.behind | excluded)] = Label.OTHER
+    labels[~solid & (evidence.behind | excluded | evidence.hollow | evidence.shadow)] = Label.OTHER
     labels[solid & (evidence.behind | enclosed)] = Label.INTERIOR
     contact = evidence.contact
     labels[:, :, contact][solid[:, :, contact]] = Label.INTERIOR
@@ -161,27 +206,28 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
     """Occupancy probability: from the enclosure where unseen, from the signed distance where measured."""
     from scipy.special import expit
 
-    inferred = expit(np.float32(PROBABILITY_SLOPE) * (evidence.enclosed - np.float32(PROBABILITY_CENTRE)))
-    softness_m = np.float32(0.35 * observation.grid.voxel_size_m)
-    measured = expit(-observation.tsdf / softness_m)
-    probability = np.where(evidence.unseen, inferred, measured)
+    inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
+    inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
+    measured = expit(-evidence.signed_m * np.float32(LOGIT_PER_VOXEL / observation.grid.voxel_size_m))
+    probability = np.where(evidence.unseen | evidence.hollow, inferred, measured)
     # What the rules above decided otherwise (floor contact, specks, neighbours) stays decided.
     decided = solid != (probability > 0.5)
     return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)
 
 
-def _smooth_field(observation: Observation, solid: Bools, observed: Bools) -> NDArray[np.float32]:
-    """A signed field, negative inside, in metres: the TSDF where measured, a constant step elsewhere.
+def _smooth_field(evidence: _Evidence, solid: Bools, voxel_size_m: float) -> NDArray[np.float32]:
+    """A signed field, negative inside, in metres: the distance where measured, a constant step elsewhere.
 
     Its sign is that of `solid`; then it is smoothed by a Gaussian, which takes the sensor's noise off
     the surface; a wider one would thin slats and narrow the masks.
     """
     from scipy import ndimage
 
-    step = np.float32(observation.grid.voxel_size_m)
+    step = np.float32(voxel_size_m)
     # Only the inner band next to a surface is trusted; the far one belongs to another surface.
-    use = observed & (np.abs(observation.tsdf) < 2 * step)
-    magnitude = np.clip(np.where(use, np.abs(observation.tsdf), step), np.float32(0.1) * step, step)
+    distance_m = np.abs(evidence.signed_m)
+    magnitude = np.where(evidence.observed & (distance_m < 2 * step), distance_m, step)
+    magnitude = np.clip(magnitude, np.float32(0.1) * step, step)
     field = np.where(solid, -magnitude, magnitude)
     smooth: NDArray[np.float32] = ndimage.gaussian_filter(
         field, SMOOTHING_VOXELS, mode="nearest", truncate=3.0

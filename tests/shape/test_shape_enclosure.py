@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure
+from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure, hollow, under_top
 
 
 def walked(state: np.ndarray) -> np.ndarray:
@@ -56,3 +56,49 @@ def test_input_is_left_alone():
     before = state.copy()
     np.testing.assert_allclose(enclosure(state), walked(before), atol=1e-6)
     np.testing.assert_array_equal(state, before)
+
+
+def seat(*, apron_inset: int | None, thick: int = 3) -> np.ndarray:
+    """A top of 40 x 40 voxels seen from above and from the sides, open below: the state of each voxel.
+
+    The top is `thick` voxels high with an apron of 12 that many voxels farther in; None: it is a block of
+    both heights. Only their outer two voxels were measured.
+    """
+    state = np.full((60, 60, 40), OUTSIDE, np.uint8)
+    for low, high, inset in ((18, 30, apron_inset or 0), (30, 30 + thick, 0)):
+        a, b = 10 + inset, 50 - inset
+        state[a:b, a:b, low:high] = INSIDE
+        top = high - 2 if high > 30 else high
+        state[a + 2 : b - 2, a + 2 : b - 2, low:top] = UNSEEN
+    return state
+
+
+@pytest.mark.parametrize("inset", [2, 4])
+def test_behind_an_apron_is_hollow(inset):
+    found = hollow(seat(apron_inset=inset), 0.005)
+    inner = np.zeros_like(found)
+    inner[10 + inset + 2 : 50 - inset - 2, 10 + inset + 2 : 50 - inset - 2, 18:30] = True
+    assert found[inner].mean() > 0.85 and not found[~inner].any()
+
+
+def test_a_flush_block_is_not_hollow():
+    assert not hollow(seat(apron_inset=None), 0.005).any()
+
+
+def test_a_deep_body_under_a_top_is_not_hollow():
+    # Twelve voxels of 20 mm are more than an apron's height: only the upper part may be hollow.
+    assert not hollow(seat(apron_inset=2), 0.02)[:, :, 18:24].any()
+
+
+def test_closed_below_is_not_hollow():
+    state = seat(apron_inset=2)
+    state[12:48, 12:48, 17] = INSIDE
+    assert not hollow(state, 0.005).any()
+
+
+def test_under_top():
+    state = np.full((3, 3, 5), UNSEEN, np.uint8)
+    state[1, 1, 3] = INSIDE
+    expected = np.zeros(state.shape, bool)
+    expected[1, 1, :3] = True
+    np.testing.assert_array_equal(under_top(state), expected)
