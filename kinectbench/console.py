@@ -16,7 +16,7 @@ PLAIN_WIDTH = 160
 COLUMNS: Mapping[str, Mapping[str, str]] = {
     "ingest": {"frames": "frames"},
     "track": {"left_out": "left out", "lost": "lost"},
-    "segment": {"repeatability_iou": "odd/even IoU"},
+    "segment": {"repeatability_iou": "odd/even IoU", "estimated_iou": "est. IoU"},
     "sample-views": {"views": "views"},
     "pairs": {
         "pairs": "pairs",

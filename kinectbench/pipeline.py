@@ -120,6 +120,7 @@ def summary(job: Job) -> dict[str, Any]:
         "lost": len(health["lost"]) if health else None,
         **{key: health.get(key) for key in ("source", "grade", "verdict", "recommended")},
         "repeatability_iou": quality.get("repeatability_iou"),
+        "estimated_iou": quality.get("estimated_iou"),
         "views": len(views["views"]) if views else None,
         "pairs": len(rows) if pairs else None,
         "refused": len(pairs.get("refused", [])) + len(views.get("refused", [])) if pairs else None,

@@ -10,8 +10,9 @@ ENCLOSED = 14.5 / 26
 # A top juts out over its apron by more than this on all sides, and on all but one by more than that; voxels
 # of 5 mm count it in steps.
 LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
-# A hollow lies no deeper than this under the top, and so many of nine ways down from it lead outside.
-MAX_HOLLOW_M, OPEN_BELOW = 0.12, 5
+# A hollow is at least so high and lies no deeper than this under the top, and so many of nine ways down from
+# it lead outside.
+MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
 NOT_UNDER = 30_000
 
 
@@ -45,8 +46,8 @@ def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
     rests on. So a voxel is hollow if the outline of some layer above it, within 12 cm, juts out over that
     of its own layer by 5 mm in all of the four directions along the grid and by 10 mm in all but one, and
     most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
-    are enough if the hollows found so far leave the voxel hardly enclosed. What is thinner than three voxels
-    is no hollow. Own rule.
+    are enough if the hollows found so far leave the voxel hardly enclosed. What is less than 35 mm high is
+    no hollow: cushions are rounded below. Own rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
@@ -66,8 +67,9 @@ def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
     sure = under_top & all_around & (outside >= OPEN_BELOW)
     opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
     found = sure | (under_top & (opened < ENCLOSED))
-    thick: NDArray[np.bool_] = ndimage.binary_opening(found, np.ones((3, 3, 3)))
-    return thick
+    high = max(1, round(MIN_HOLLOW_M / voxel_size_m))
+    kept: NDArray[np.bool_] = ndimage.binary_opening(found, np.ones((3, 3, high)))
+    return kept
 
 
 def under_top(state: NDArray[np.uint8]) -> NDArray[np.bool_]:

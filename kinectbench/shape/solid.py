@@ -14,6 +14,7 @@ from kinectbench.shape.enclosure import (
     INSIDE,
     LEAST_OVERHANG_M,
     MAX_HOLLOW_M,
+    MIN_HOLLOW_M,
     NEUTRAL,
     OUTSIDE,
     OVERHANG_M,
@@ -50,7 +51,7 @@ METHOD = {
     "interior_share": round(INTERIOR_SHARE, 4),
     "empty_share": round(EMPTY_SHARE, 4),
     "hollow_overhang_m": [LEAST_OVERHANG_M, OVERHANG_M],
-    "hollow_depth_m": MAX_HOLLOW_M,
+    "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
@@ -126,6 +127,7 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
     labels = _label(observation, evidence, solid, excluded, floor_layers)
     probability = _probability(observation, evidence, solid)
+    probability[:, :, :floor_layers] = 0
     mesh = _closed_mesh(np.where(solid, field, np.abs(field)), observation.grid)
     return SolidShape(observation.grid, solid, labels, probability, mesh)
 
