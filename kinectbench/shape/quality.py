@@ -90,7 +90,7 @@ def measure_quality(
     estimated = estimated_iou(expected_iou(together), repeatability)
     if estimated < GOOD_ESTIMATED_IOU:
         warnings.append(
-            f"the solid's IoU to the truth is estimated at {estimated:.2f} only: it has thin or hidden parts; "
+            f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin or hidden: "
             "record from closer, and from low down, too"
         )
     if unknown > MAX_UNKNOWN_SHARE:
