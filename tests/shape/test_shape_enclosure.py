@@ -79,7 +79,7 @@ def test_behind_an_apron_is_hollow(inset):
     inner = np.zeros_like(found)
     inner[10 + inset + 2 : 50 - inset - 2, 10 + inset + 2 : 50 - inset - 2, 18:30] = True
     # Not in the corners, which two aprons enclose.
-    assert found[20:40, 20:40, 18:30].all() and found[inner].mean() > 0.8 and not found[~inner].any()
+    assert found[26:34, 26:34, 18:30].all() and found[inner].mean() > 0.8 and not found[~inner].any()
 
 
 def test_a_flush_block_is_not_hollow():
