@@ -1,0 +1,131 @@
+"""What was built of one simulated object against its truth: a row of the ground truth's table."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builds import read_json
+from numpy.typing import NDArray
+from solid_recipes import RECIPES, poisson
+
+from kinectbench.config import FusionSettings, SegmentationSettings
+from kinectbench.evaluate.build import read_build
+from kinectbench.evaluate.evaluation import Evaluation, evaluate
+from kinectbench.evaluate.overlap import iou
+from kinectbench.evaluate.registration import Registration, register
+from kinectbench.evaluate.solid import canonical_cube, compare_on
+from kinectbench.fusion.reconstruction import observe
+from kinectbench.geometry import TriangleMesh
+from kinectbench.ingest.sequence_folder import read_sequence
+from kinectbench.mesh_file import read_ply
+from kinectbench.shape.labels import Label
+from kinectbench.shape.object_model import FLOOR_LAYERS, ObjectModel
+from kinectbench.simulate.truth import Truth, mesh_occupancy, read_truth, truth_occupancy
+
+Bools = NDArray[np.bool_]
+
+# Calibration is asked for this near to the surface, and wherever nothing is known.
+NEAR_VOXELS = 4
+BINS = 10
+OURS = "ours"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One object.
+
+    Attributes:
+        name: of the recording.
+        family: of the object.
+        evaluation: what `kinectbench evaluate` says.
+        quality: the content of quality.json.
+        recipes: IoU on the object's own voxels, of ours and of simpler recipes.
+        hull_unknown: unknown empty space within the true shape's convex hull, over the shape's volume.
+        calibration: (BINS, 3) voxels, sum of their probabilities, how many are inside.
+        dropped: share of valid depth on the object that the masks drop, of each view.
+        residual_m: median depth residual of each pair.
+    """
+
+    name: str
+    family: str
+    evaluation: Evaluation
+    quality: dict[str, Any]
+    recipes: dict[str, float]
+    hull_unknown: float
+    calibration: NDArray[np.float64]
+    dropped: NDArray[np.float64]
+    residual_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to measure: a recording's name, its object's family, its build and its truth."""
+
+    name: str
+    family: str
+    build: Path
+    truth: Path
+
+
+def measure_row(task: Task) -> Row:
+    """Measure one build."""
+    build = task.build
+    built, truth = read_build(build), read_truth(task.truth)
+    assert built.model is not None
+    registration = register(built, truth)
+    pairs = read_json(build / "pairs" / "pairs.json")["pairs"]
+    return Row(
+        name=task.name,
+        family=task.family,
+        evaluation=evaluate(built, truth),
+        quality=built.model.quality,
+        recipes=_recipes(build, built.model, truth, registration),
+        hull_unknown=_hull_unknown(built.model, truth, registration),
+        calibration=_calibration(built.model, _true(built.model, truth, registration)),
+        dropped=np.array([row["dropped_share"] for row in pairs]),
+        residual_m=np.array([row["residual_m"] for row in pairs]),
+    )
+
+
+def _true(model: ObjectModel, truth: Truth, registration: Registration) -> Bools:
+    grid = model.shape.grid
+    return truth_occupancy(truth, replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid))
+
+
+def _recipes(build: Path, model: ObjectModel, truth: Truth, registration: Registration) -> dict[str, float]:
+    """IoU of every recipe above the cut at the floor, where none of the simple ones means anything."""
+    built = read_build(build)
+    assert built.trajectory is not None
+    sequence, grid = read_sequence(build / "sequence"), model.shape.grid
+    seen = observe(sequence, built.trajectory, built.trajectory.good_frames, grid, FusionSettings())
+    above = FLOOR_LAYERS + max(1, round(SegmentationSettings().floor_cut_m / grid.voxel_size_m))
+    true = _true(model, truth, registration)[:, :, above:]
+    solids = {name: recipe(seen) for name, recipe in RECIPES.items()}
+    solids["Poisson"] = poisson(read_ply(build / "reconstruction" / "mesh.ply"), seen, above)
+    solids[OURS] = model.shape.solid
+    return {name: iou(solid[:, :, above:], true) for name, solid in solids.items()}
+
+
+def _hull_unknown(model: ObjectModel, truth: Truth, registration: Registration) -> float:
+    import trimesh
+
+    grid = canonical_cube(truth)
+    solids = compare_on(grid, model, truth, registration)
+    mesh = trimesh.Trimesh(truth.mesh_world.vertices, truth.mesh_world.faces, process=False).convex_hull
+    hull = mesh_occupancy(TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)), grid)
+    return float((hull & ~solids.true & ~solids.known).sum() / solids.true.sum())
+
+
+def _calibration(model: ObjectModel, true: Bools) -> NDArray[np.float64]:
+    from scipy import ndimage
+
+    shape = model.shape
+    near = ndimage.binary_dilation(shape.solid, iterations=NEAR_VOXELS)
+    near &= ~ndimage.binary_erosion(shape.solid, iterations=NEAR_VOXELS)
+    near |= shape.labels == Label.UNKNOWN
+    near[:, :, :FLOOR_LAYERS] = False
+    probability, inside = shape.probability[near].astype(np.float64), true[near]
+    bins = np.minimum((probability * BINS).astype(int), BINS - 1)
+    columns = (np.ones_like(probability), probability, inside.astype(np.float64))
+    return np.column_stack([np.bincount(bins, column, BINS) for column in columns])
