@@ -42,7 +42,7 @@ def winding(observation: Observation) -> Bools:
     state = np.full(observation.grid.shape, UNSEEN, np.uint8)
     state[(observation.weight > 0) & (observation.tsdf <= 0)] = INSIDE
     state[((observation.weight > 0) & (observation.tsdf > 0)) | _seen_through(observation)] = OUTSIDE
-    return (state == INSIDE) | (enclosure(state) >= ENCLOSED)
+    return np.asarray((state == INSIDE) | (enclosure(state) >= ENCLOSED))
 
 
 RECIPES: dict[str, Callable[[Observation], Bools]] = {
