@@ -96,7 +96,7 @@ def build_jobs(
         outcomes = build(chosen, upto, force, processes, progress)
     rows = []
     for job, outcome in zip(chosen, outcomes, strict=True):
-        row = summary(job)
+        row = summary(job, (*outcome.made, *outcome.current))
         done = f"{outcome.seconds:.1f} s" if outcome.made else "up to date"
         row["status"] = "failed" if outcome.error else done
         row["error"] = outcome.error

@@ -3,7 +3,7 @@
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -100,18 +100,26 @@ def _make(job: Job, stage: Stage, artefact: Artefact, report: Callable[[str, int
         (folder / "timing.json").write_text(pretty_json(timing))
 
 
-def summary(job: Job) -> dict[str, Any]:
-    """The key figures of what is built of a recording, for the table at the end; None where not built."""
+def summary(job: Job, stages: Collection[str]) -> dict[str, Any]:
+    """The key figures of a recording, for the table at the end; None where not built.
 
-    def read(name: str) -> dict[str, Any]:
+    Args:
+        job: the recording.
+        stages: those that are made and current; what lies there of others is of an earlier run.
+    """
+
+    def read(stage: str, name: str) -> dict[str, Any]:
+        if stage not in stages:
+            return {}
         try:
             content: dict[str, Any] = json.loads((job.build / name).read_text())
         except (OSError, ValueError):
             return {}
         return content
 
-    health, quality = read("trajectory/health.json"), read("object/quality.json")
-    sequence, views, pairs = read("sequence/camera.json"), read("views/views.json"), read("pairs/pairs.json")
+    sequence, health = read("ingest", "sequence/camera.json"), read("track", "trajectory/health.json")
+    quality, views = read("segment", "object/quality.json"), read("sample-views", "views/views.json")
+    pairs = read("pairs", "pairs/pairs.json")
     rows = pairs.get("pairs", [])
     return {
         "recording": job.recording.id,

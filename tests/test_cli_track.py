@@ -211,6 +211,10 @@ def test_a_failed_run_says_no_verdict(command: Command, here: Path) -> None:
     run = command(here, "track", "chair", "--set", "recordings.chair.trajectory=trust")
     assert run.status == 1 and "the recording has none" in run.err
     assert not [line for line in run.out.splitlines() if line.startswith("chair: ")]
+    # What lies there of the run before is not this run's.
+    failed = command(here, "track", "chair", "--json", "--set", "recordings.chair.trajectory=trust")
+    (row,) = json.loads(failed.out)
+    assert row["error"] and row["frames"] and row["verdict"] is None and row["lost"] is None
 
 
 def test_given_poses_against_themselves(command: Command, here: Path, given: GivenTrajectory) -> None:
