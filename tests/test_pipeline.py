@@ -65,6 +65,7 @@ SETTINGS = {
     "pairs.partial_rule=majority": ("pairs",),
     "pairs.min_containment=0.8": FROM_VIEWS,
     "pairs.max_residual_m=0.02": FROM_VIEWS,
+    "pairs.min_visible_share=0.3": FROM_VIEWS,
     "publish.color=true": (),
 }
 

@@ -43,6 +43,7 @@ MIN_FREE_VOTES = 2
 # more than three) and the share of frames that saw through the voxel.
 CLIPPED_VOXELS = 3.0
 LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 6.1, 0.1
+NARROW_PIXEL, WIDE_PIXEL = 0.7, 1.1
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
@@ -97,7 +98,9 @@ class _Evidence:
     contact: slice
 
 
-def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> SolidShape:
+def solidify(
+    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, pixel_m: float = 0.0
+) -> SolidShape:
     """Decide for every voxel whether it is occupied, and how that is known.
 
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
@@ -111,11 +114,12 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
         floor_layers: cells along z below the floor.
         cut_layers: cells along z above it that count as floor.
+        pixel_m: width of a depth pixel at the object, metres.
 
     Raises:
         ShapeError: nothing is left.
     """
-    evidence = _weigh(observation, excluded, floor_layers, cut_layers)
+    evidence = _weigh(observation, excluded, floor_layers, cut_layers, pixel_m)
     solid = (evidence.behind & ~excluded) | (evidence.unseen & (evidence.enclosed >= ENCLOSED))
     contact = evidence.contact
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
@@ -132,14 +136,16 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
     return SolidShape(observation.grid, solid, labels, probability, mesh)
 
 
-def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> _Evidence:
+def _weigh(
+    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, pixel_m: float = 0.0
+) -> _Evidence:
     """Carving and enclosure."""
     voxel_m = observation.grid.voxel_size_m
     near = np.abs(observation.tsdf) < voxel_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed = observation.weight > least
-    signed_m = _corrected(observation)
+    signed_m = _corrected(observation, pixel_m)
     carved = np.where(observed, signed_m > 0, observation.free >= MIN_FREE_VOTES)
     behind = observed & ~carved
     contact = slice(floor_layers, floor_layers + cut_layers)
@@ -159,7 +165,7 @@ def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_lay
     return _Evidence(signed_m, observed, carved, behind, open_below, enclosed, unseen, shadow, contact)
 
 
-def _corrected(observation: Observation) -> NDArray[np.float32]:
+def _corrected(observation: Observation, pixel_m: float) -> NDArray[np.float32]:
     """The signed distance at which being inside is as likely as not is 0, metres.
 
     The mean of projective distances makes thin parts thick: where some frames see the surface and others
@@ -170,7 +176,8 @@ def _corrected(observation: Observation) -> NDArray[np.float32]:
     votes = observation.free.astype(np.float32) + observation.surface
     seen_through = observation.free / np.maximum(votes, np.float32(1))
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
-    shift = (LOGIT_PER_FREE * seen_through - LOGIT) / LOGIT_PER_VOXEL
+    told = np.clip((WIDE_PIXEL - pixel_m / voxel_m) / (WIDE_PIXEL - NARROW_PIXEL), 0, 1)
+    shift = (told * LOGIT_PER_FREE * seen_through - LOGIT) / LOGIT_PER_VOXEL
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
 
 
