@@ -62,11 +62,11 @@ def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
     _, outside = _votes(bordered, -1, -1)
     least, second = _overhang(bordered)
     below_m = _under_inside(bordered) * voxel_size_m
-    under_top = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M) & (second * voxel_size_m > LEAST_OVERHANG_M)
+    possible = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M) & (second * voxel_size_m > LEAST_OVERHANG_M)
     all_around = (least * voxel_size_m > LEAST_OVERHANG_M) & (second * voxel_size_m > OVERHANG_M)
-    sure = under_top & all_around & (outside >= OPEN_BELOW)
+    sure = possible & all_around & (outside >= OPEN_BELOW)
     opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
-    found = sure | (under_top & (opened < ENCLOSED))
+    found = sure | (possible & (opened < ENCLOSED))
     high = max(1, round(MIN_HOLLOW_M / voxel_size_m))
     kept: NDArray[np.bool_] = ndimage.binary_opening(found, np.ones((3, 3, high)))
     return kept

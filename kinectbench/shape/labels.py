@@ -9,7 +9,8 @@ class Label(IntEnum):
     FREE = 0
     """Seen through: empty."""
     OTHER = 1
-    """Observed, but floor, neighbour, outside a given box, or below the floor: not the object."""
+    """Not the object: observed, but floor, neighbour, outside a given box, or below the floor; or never seen
+    and inferred to be empty (a hollow behind an apron, a shadow under the object)."""
     SURFACE = 2
     """Measured on the object: occupied."""
     INTERIOR = 3

@@ -40,7 +40,8 @@ HOLLOW_INSIDE_SHARE = np.float32(0.02)
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
 # Logistic fit, over voxels near the true surface, of being inside against the signed distance (in voxels, no
-# more than three) and the share of frames that saw through the voxel.
+# more than three) and the share of frames that saw through the voxel. Wide pixels see through a surface's
+# own voxels: the share counts in full up to the first width (in voxels), and from the second on not at all.
 CLIPPED_VOXELS = 3.0
 LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 6.1, 0.1
 NARROW_PIXEL, WIDE_PIXEL = 0.7, 1.1
@@ -55,7 +56,9 @@ METHOD = {
     "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,
+    "clipped_voxels": CLIPPED_VOXELS,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
+    "logit_pixel_widths": [NARROW_PIXEL, WIDE_PIXEL],
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
 
@@ -114,7 +117,7 @@ def solidify(
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
         floor_layers: cells along z below the floor.
         cut_layers: cells along z above it that count as floor.
-        pixel_m: width of a depth pixel at the object, metres.
+        pixel_m: width of a depth pixel at the object, metres; 0 = narrow.
 
     Raises:
         ShapeError: nothing is left.
@@ -137,7 +140,7 @@ def solidify(
 
 
 def _weigh(
-    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, pixel_m: float = 0.0
+    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, pixel_m: float
 ) -> _Evidence:
     """Carving and enclosure."""
     voxel_m = observation.grid.voxel_size_m

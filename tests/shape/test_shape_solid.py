@@ -9,7 +9,7 @@ from kinectbench.fusion.reconstruction import Observation
 from kinectbench.geometry import Grid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.shape.labels import Label
 from kinectbench.shape.quality import surface_sigma_m
-from kinectbench.shape.solid import SolidShape, solidify
+from kinectbench.shape.solid import SolidShape, _corrected, solidify
 
 VOXEL_M, FLOOR_LAYERS, CUT_LAYERS = 0.005, 4, 4
 TRUNCATION_M = 4 * VOXEL_M
@@ -231,3 +231,16 @@ def test_sigma_without_a_common_surface():
     one = observation(box_distance(*BOX))
     blind = Observation(GRID, one.tsdf * 0, one.weight * 0, one.free * 0, one.surface * 0)
     assert surface_sigma_m(one, blind) == VOXEL_M
+
+
+@pytest.mark.parametrize(
+    ("pixel_voxels", "expected_voxels"),
+    # Log odds of being inside, one voxel behind the surface, where one frame of four saw through.
+    [(0.5, (6.1 / 4 - 1.4 - 0.1) / 1.4), (0.9, (6.1 / 8 - 1.4 - 0.1) / 1.4), (1.5, (-1.4 - 0.1) / 1.4)],
+)
+def test_frames_that_saw_through_move_the_surface(pixel_voxels: float, expected_voxels: float) -> None:
+    every = np.full(SHAPE, 1.0, np.float32)
+    one, three = (np.full(SHAPE, votes, np.uint16) for votes in (1, 3))
+    seen = Observation(GRID, -np.float32(VOXEL_M) * every, every, free=one, surface=three)
+    moved_m = _corrected(seen, pixel_voxels * VOXEL_M)
+    np.testing.assert_allclose(moved_m, expected_voxels * VOXEL_M, rtol=1e-5)
