@@ -35,6 +35,7 @@ from kinectbench.commands import (
     workers,
     write_page,
 )
+from kinectbench.commands_compare import compare
 from kinectbench.commands_exchange import export, import_
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
@@ -209,6 +210,10 @@ def score(
     protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
     missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = "error",
+    upsampling: Annotated[
+        str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
+    ] = "half-pixel",
+    surface: Annotated[bool, typer.Option(help="Chamfer distance, F-score, surface Dice, normals")] = True,
     out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
     config: Config = DEFAULT_CONFIG,
     overrides: Set = None,
@@ -231,6 +236,8 @@ def score(
             protocols=protocol,
             thresholds_file=thresholds,
             missing=missing,
+            upsampling=upsampling,
+            surface=surface,
             jobs=workers(jobs),
             progress=progress,
         )
@@ -294,7 +301,7 @@ def init(
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
-for _command in (simulate, synthesize, evaluate, export):
+for _command in (compare, simulate, synthesize, evaluate, export):
     app.command()(_command)
 app.command("import")(import_)
 

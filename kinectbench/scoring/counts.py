@@ -1,5 +1,6 @@
 """What one pass over a prediction and its truth counts: enough for every metric, threshold and protocol."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.scoring.truth import Truth
 from kinectbench.voxels.pair_file import FULL_CELLS
-from kinectbench.voxels.resample import upsampled_planes
+from kinectbench.voxels.resample import HALF_PIXEL, upsampled_planes
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]
@@ -61,15 +62,16 @@ class ProtocolCounts:
     ce_sum: float
 
 
-def tally(prediction: Prediction, truth: Truth) -> Tally:
+def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) -> Tally:
     """Count a prediction against the truth in one pass.
 
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
         truth: the packed grids.
+        upsampling: see `upsampled_planes`.
     """
     if len(prediction) != FULL_CELLS:
-        return _tally_reals(prediction, truth)
+        return _tally_planes(upsampled_planes(prediction, convention=upsampling), truth)
     from kinectbench.scoring.kernels import count_bits, count_halves
 
     grids = truth.flat()
@@ -80,7 +82,7 @@ def tally(prediction: Prediction, truth: Truth) -> Tally:
         counts = count_halves(prediction.view(np.uint16).ravel(), *grids)
         values = np.arange(len(counts), dtype=np.uint16).view(np.float16).astype(np.float64)
         return _from_histogram(values, counts)
-    return _tally_reals(prediction, truth)
+    return _tally_planes(prediction, truth)
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
@@ -92,17 +94,15 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
     return Tally(counts.sum(axis=0), tail[not_above], (counts * loss).sum(axis=0))
 
 
-def _tally_reals(prediction: Prediction, truth: Truth) -> Tally:
+def _tally_planes(planes: Iterable[NDArray[np.floating]], truth: Truth) -> Tally:
     """Tally voxel by voxel in float64, plane by plane: memory stays at one plane."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)
-    steps = np.arange(STEPS + 1) / STEPS
-    planes = prediction if len(prediction) == FULL_CELLS else upsampled_planes(prediction)
     grids = (truth.full, truth.known, truth.seen)
     for plane, full, known, seen in zip(planes, *grids, strict=True):
         flat = (plane.ravel(), full.ravel(), known.ravel(), seen.ravel())
-        count_reals(*flat, steps, CE_CLIP, bins, ce_sum)
+        count_reals(*flat, STEPS, CE_CLIP, bins, ce_sum)
     above = bins[::-1].cumsum(axis=0)[::-1]
     return Tally(above[0], above[list(THRESHOLD_STEPS)], ce_sum)
 

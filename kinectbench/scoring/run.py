@@ -10,6 +10,7 @@ from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.score import Missing, score
 from kinectbench.scoring.table import ScoreTable, write_scores
+from kinectbench.voxels.resample import HALF_PIXEL
 
 
 def score_methods(
@@ -21,6 +22,8 @@ def score_methods(
     protocols: Sequence[str] | None = None,
     thresholds_file: Path | None = None,
     missing: str = "error",
+    upsampling: str = HALF_PIXEL,
+    surface: bool = True,
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[ScoreTable]:
@@ -34,6 +37,8 @@ def score_methods(
         protocols: default: all.
         thresholds_file: see `read_thresholds`.
         missing: "error" or "empty".
+        upsampling: "half-pixel" or "corner-aligned".
+        surface: whether surface metrics are computed.
         jobs: processes.
         progress: called with (pairs done, pairs in all) for each method in turn.
 
@@ -50,6 +55,7 @@ def score_methods(
         methods = dict(zip([method], methods.values(), strict=True))
     tables = []
     for name, folder in methods.items():
+        target = out if len(methods) == 1 else out / name
         table = score(
             release,
             folder,
@@ -57,9 +63,12 @@ def score_methods(
             protocols=tuple(protocols or PROTOCOLS),
             thresholds_file=thresholds_file,
             missing="empty" if missing == "empty" else "error",
+            upsampling=upsampling,
+            surface=surface,
             jobs=jobs,
             progress=progress,
+            resume_in=target,
         )
-        write_scores(table, out if len(methods) == 1 else out / name)
+        write_scores(table, target)
         tables.append(table)
     return tables

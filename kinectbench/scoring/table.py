@@ -3,13 +3,16 @@
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from kinectbench.scoring.surface import SURFACE_METRICS
 from kinectbench.workspace import pretty_json, replaced_file
 
 METRICS = ("iou", "ce", "precision", "recall", "f1")
+SURFACES = SURFACE_METRICS
+SHARES = frozenset({*METRICS, *SURFACES} - {"ce", "chamfer_mm"})  # in [0, 1], the higher the better
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,10 @@ class ScoreRow:
         base_rate_ce: the cross-entropy of the category's base-rate constant.
         coverage_voxels: share of the 256**3 voxels that the protocol counts.
         coverage_shape: share of the shape's voxels that it counts.
+        cells: side of the prediction as it was submitted; 0 if it is missing and scored as empty.
+        ceiling_iou: what the truth itself reaches when it is reduced to that side (see `ceiling.py`).
+        chamfer_mm, f_score_1pct, f_score_2pct, f_score_10mm, f_score_20mm, surface_dice,
+            normal_consistency: see `surface.py`; None if they were not asked for.
     """
 
     recording: str
@@ -47,6 +54,15 @@ class ScoreRow:
     base_rate_ce: float
     coverage_voxels: float
     coverage_shape: float
+    cells: int = 256
+    ceiling_iou: float = 1.0
+    chamfer_mm: float | None = None
+    f_score_1pct: float | None = None
+    f_score_2pct: float | None = None
+    f_score_10mm: float | None = None
+    f_score_20mm: float | None = None
+    surface_dice: float | None = None
+    normal_consistency: float | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +84,9 @@ class ScoreTable:
         truth_quality: {recording: what the release says of its truth}.
         failures: [{recording, view, reason}].
         warnings: one line each.
+        notes: what to know of the numbers, one line each.
+        extremes: {protocol: the best and the worst pairs by IoU}.
+        hashes: {pair: SHA-256 of its truth and of the prediction's file}.
     """
 
     method: str
@@ -84,6 +103,9 @@ class ScoreTable:
     truth_quality: Mapping[str, Any]
     failures: tuple[Mapping[str, str], ...]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    extremes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    hashes: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
 
 
 def scores_json(table: ScoreTable) -> str:
@@ -95,7 +117,7 @@ def scores_csv(table: ScoreTable) -> str:
     """scores.csv as text: one line per pair and protocol."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["method", *(field.name for field in fields(ScoreRow))])
+    writer.writerow(["method", *(column.name for column in fields(ScoreRow))])
     writer.writerows([table.method, *astuple(row)] for row in table.rows)
     return buffer.getvalue()
 

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from kinectbench.scoring.compare import Comparison
 from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
-from kinectbench.scoring.table import ScoreTable
+from kinectbench.scoring.table import SHARES, ScoreTable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -61,3 +62,28 @@ def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) 
 
 def _cell(iou: float, ce: float) -> str:
     return f"{iou:.3f} / {ce:.3f}"
+
+
+def comparison_tables(found: Comparison) -> "list[Table]":
+    """Ranks and means of every method, and every pair of methods."""
+    from rich.table import Table
+    from rich.text import Text
+
+    better = "higher" if found.metric in SHARES else "lower"
+    means = Table(
+        title=f"rank (tied unless significant) and {found.metric} under {found.protocol}, {better} is better",
+        title_justify="left",
+    )
+    means.add_column("method")
+    for scope in found.means:
+        means.add_column(scope, justify="right")
+    for name in found.methods:
+        cells = [f"{found.ranks[scope][name]}  {found.means[scope][name]:.3f}" for scope in found.means]
+        means.add_row(Text(name), *cells)
+    pairs = Table(title="differences, object by object", title_justify="left")
+    for column in ("methods", "scope", "difference", "p", "p (Holm)", ""):
+        pairs.add_column(column, justify="left" if column in ("methods", "scope", "") else "right")
+    for row in found.differences:
+        cells = [row.scope, f"{row.mean:+.3f}", f"{row.p:.2g}", f"{row.p_holm:.2g}", row.verdict]
+        pairs.add_row(Text(f"{row.first} - {row.second}"), *map(Text, cells))
+    return [means, pairs]

@@ -4,16 +4,20 @@ import hashlib
 import io
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.errors import ReleaseError
 from kinectbench.voxels.pair_file import PACKED_SHAPES, Packed
 
 GRIDS = ("full", "known", "seen")
+LENGTHS = ("voxel_size_m", "surface_sigma_m")
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -24,11 +28,15 @@ class Truth:
         full: the solid shape.
         known: where the truth is trusted.
         seen: what the input view saw.
+        voxel_size_m: edge of a cell, metres.
+        surface_sigma_m: standard deviation of the truth's surface, metres.
     """
 
     full: Packed
     known: Packed
     seen: Packed
+    voxel_size_m: float = 1.0
+    surface_sigma_m: float = 0.0
 
     def flat(self) -> tuple[Packed, Packed, Packed]:
         """`full`, `known` and `seen` as (v / 8,) bytes."""
@@ -45,7 +53,10 @@ def read_truth(path: Path, sha256: str) -> Truth:
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    return Truth(*read_grids(path, sha256, GRIDS))
+    content = _published(path, sha256)
+    full, known, seen = _arrays(path, content, GRIDS, _grid)
+    voxel_size_m, surface_sigma_m = _arrays(path, content, LENGTHS, _length)
+    return Truth(full, known, seen, voxel_size_m, surface_sigma_m)
 
 
 def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[Packed]:
@@ -54,6 +65,11 @@ def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[Packed]:
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
+    return _arrays(path, _published(path, sha256), names, _grid)
+
+
+def _published(path: Path, sha256: str) -> bytes:
+    """The bytes of a pair file."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -62,14 +78,27 @@ def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[Packed]:
         ) from error
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ReleaseError(f"{path}: not the file that was published (SHA-256 differs); download it again")
+    return content
+
+
+def _arrays(
+    path: Path, content: bytes, names: Sequence[str], convert: Callable[[str, NDArray[Any]], Value]
+) -> list[Value]:
+    """Some arrays of a pair file, each converted by `convert(name, array)`, which may raise ValueError."""
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            grids = [np.ascontiguousarray(archive[name]) for name in names]
+            return [convert(name, archive[name]) for name in names]
     except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
         raise ReleaseError(f"{path}: not a pair file ({error}); was it published whole?") from error
-    for name, grid in zip(names, grids, strict=True):
-        if grid.dtype != np.uint8 or grid.shape != PACKED_SHAPES[name]:
-            raise ReleaseError(
-                f"{path}: '{name}' is {grid.dtype}{grid.shape}, not uint8{PACKED_SHAPES[name]}"
-            )
-    return grids
+
+
+def _grid(name: str, array: NDArray[Any]) -> Packed:
+    if array.dtype != np.uint8 or array.shape != PACKED_SHAPES[name]:
+        raise ValueError(f"'{name}' is {array.dtype}{array.shape}, not uint8{PACKED_SHAPES[name]}")
+    return np.ascontiguousarray(array)
+
+
+def _length(name: str, array: NDArray[Any]) -> float:
+    if array.shape != () or array.dtype.kind != "f" or not 0 <= array < np.inf:
+        raise ValueError(f"'{name}' is not a length in metres")
+    return float(array)

@@ -5,52 +5,62 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import PairError, PredictionError
+from kinectbench.errors import PairError, PredictionError, SettingsError
 from kinectbench.voxels.pair_file import BLOCK, FULL_CELLS, Bools
 
 MAX_CELLS = 512
+HALF_PIXEL, CORNER_ALIGNED = "half-pixel", "corner-aligned"
+CONVENTIONS = (HALF_PIXEL, CORNER_ALIGNED)
 
 Float64 = NDArray[np.float64]
 Values = NDArray[np.bool_] | NDArray[np.uint8] | NDArray[np.floating]
 
 
-def upsample(values: Values, side: int = FULL_CELLS) -> Float64:
-    """Resample a cube trilinearly, cell centres to cell centres (half-pixel), edges clamped.
+def upsample(values: Values, side: int = FULL_CELLS, convention: str = HALF_PIXEL) -> Float64:
+    """Resample a cube trilinearly.
 
-    The same as `scipy.ndimage.zoom(order=1, grid_mode=True, mode="nearest")` where the cube grows; a cube
-    that shrinks is sampled by the same formula, without smoothing.
+    "half-pixel": cell centres to cell centres, edges clamped. The same as `scipy.ndimage.zoom(order=1,
+    grid_mode=True, mode="nearest")` where the cube grows; a cube that shrinks is sampled by the same formula,
+    without smoothing. "corner-aligned": the centres of the outermost cells onto each other, the default of
+    `scipy.ndimage.zoom(order=1)`, for comparison with figures that were computed so.
 
     Args:
         values: (n, n, n), n at most 512, any real dtype or bool; converted to float64 first.
         side: cells along each axis of the result.
+        convention: "half-pixel" or "corner-aligned".
 
     Returns:
         (side, side, side) float64.
 
     Raises:
         PredictionError: `values` is not a cube of 1 to 512 cells a side.
+        SettingsError: there is no such convention.
 
     Source: the paper upsamples by trilinear interpolation; the half-pixel convention is an own rule.
     """
     out = np.empty((side, side, side))
-    for i, plane in enumerate(upsampled_planes(values, side)):
+    for i, plane in enumerate(upsampled_planes(values, side, convention)):
         out[i] = plane
     return out
 
 
-def upsampled_planes(values: Values, side: int = FULL_CELLS) -> Iterator[Float64]:
+def upsampled_planes(
+    values: Values, side: int = FULL_CELLS, convention: str = HALF_PIXEL
+) -> Iterator[Float64]:
     """Yield what `upsample` returns plane by plane along x: `side` times (side, side) float64.
 
     The planes share one buffer: use each before asking for the next. Memory does not grow with `side`**3.
 
     Raises:
-        PredictionError: as `upsample`.
+        PredictionError, SettingsError: as `upsample`.
     """
     from kinectbench.voxels.resample_kernels import blend, expand
 
     if values.ndim != 3 or len(set(values.shape)) != 1 or not 1 <= len(values) <= MAX_CELLS:
         raise PredictionError(f"a grid of {values.shape} cells: it must be a cube of 1 to {MAX_CELLS} a side")
-    lower, upper, weight = _taps(len(values), side)
+    if convention not in CONVENTIONS:
+        raise SettingsError(f"no upsampling '{convention}': choose {' or '.join(CONVENTIONS)}")
+    lower, upper, weight = _taps(len(values), side, convention)
     expanded: dict[int, Float64] = {}
     plane = np.empty((side, side))
     for i in range(side):
@@ -63,9 +73,13 @@ def upsampled_planes(values: Values, side: int = FULL_CELLS) -> Iterator[Float64
         yield plane
 
 
-def _taps(n: int, side: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
+def _taps(n: int, side: int, convention: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Float64]:
     """For each output cell: the two input cells it lies between, and the weight of the second."""
-    position = np.clip((np.arange(side) + 0.5) * (n / side) - 0.5, 0.0, n - 1.0)
+    if convention == CORNER_ALIGNED:
+        position = np.arange(side) * ((n - 1) / max(side - 1, 1))
+    else:
+        position = (np.arange(side) + 0.5) * (n / side) - 0.5
+    position = np.clip(position, 0.0, n - 1.0)
     lower = np.floor(position).astype(np.int64)
     return lower, np.minimum(lower + 1, n - 1), position - lower
 

@@ -1,0 +1,82 @@
+"""The surface metrics a second time, in plain numpy and scipy, from their definitions in docs/scoring.md."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+Bools = NDArray[np.bool_]
+Reals = NDArray[np.float64]
+NEIGHBOURS = 32
+RADIUS = 3
+
+
+def surface_reference(
+    predicted: Bools, full: Bools, counted: Bools, voxel_size_m: float, sigma_m: float
+) -> dict[str, float]:
+    """All surface metrics of one pair; neither surface is empty."""
+    surfaces = [np.argwhere(_surface(solid) & counted) for solid in (predicted, full)]
+    (there, nearest_true), (back, nearest_ours) = _nearest(*surfaces), _nearest(*surfaces[::-1])
+    mm = voxel_size_m * 1000
+    there, back = there * mm, back * mm
+    occupied = np.argwhere(full)
+    size_mm = float(np.linalg.norm(np.ptp(occupied, axis=0) + 1)) * mm
+    normals = [_normals(solid, cells) for solid, cells in zip((predicted, full), surfaces, strict=True)]
+    agreements = [
+        _agreement(normals[0], normals[1][nearest_true]),
+        _agreement(normals[1], normals[0][nearest_ours]),
+    ]
+    tolerance = 2 * sigma_m * 1000
+    near = np.count_nonzero(there <= tolerance) + np.count_nonzero(back <= tolerance)
+    return {
+        "chamfer_mm": float(there.mean() + back.mean()) / 2,
+        "f_score_1pct": _f_score(there, back, 0.01 * size_mm),
+        "f_score_2pct": _f_score(there, back, 0.02 * size_mm),
+        "f_score_10mm": _f_score(there, back, 10),
+        "f_score_20mm": _f_score(there, back, 20),
+        "surface_dice": near / (len(there) + len(back)),
+        "normal_consistency": float(np.mean(agreements)),
+    }
+
+
+def _surface(solid: Bools) -> Bools:
+    surface: Bools = solid & ~ndimage.binary_erosion(solid, ndimage.generate_binary_structure(3, 1))
+    return surface
+
+
+def _nearest(queries: NDArray[Any], targets: NDArray[Any]) -> tuple[Reals, NDArray[Any]]:
+    """Distance in cells to the nearest target, and which: of several the first in C order."""
+    count = min(NEIGHBOURS, len(targets))
+    distances, found = (a.reshape(len(queries), count) for a in cKDTree(targets).query(queries, k=count))
+    squared = np.rint(distances**2)
+    tied = squared == squared[:, :1]
+    first = np.where(tied, found, len(targets)).min(axis=1)
+    for n in np.flatnonzero(tied.all(axis=1)):  # there may be more
+        first[n] = ((targets - queries[n]) ** 2).sum(axis=1).argmin()
+    return np.sqrt(squared[:, 0]), first
+
+
+def _normals(solid: Bools, cells: NDArray[Any]) -> Reals:
+    """Away from the centre of mass of the 7^3 cells around; zero where there is none."""
+    padded = np.pad(solid, RADIUS)
+    steps = np.arange(-RADIUS, RADIUS + 1)
+    normals = np.zeros((len(cells), 3))
+    for n, (x, y, z) in enumerate(cells):
+        around = padded[x : x + 7, y : y + 7, z : z + 7]
+        moment = [(around.sum(axis=axes) * steps).sum() for axes in ((1, 2), (0, 2), (0, 1))]
+        length = np.linalg.norm(moment)
+        normals[n] = -np.array(moment) / length if length else 0
+    return normals
+
+
+def _agreement(first: Reals, second: Reals) -> float:
+    cosines = np.abs((first * second).sum(axis=1))
+    cosines[(first == 0).all(axis=1) & (second == 0).all(axis=1)] = 1
+    return float(cosines.mean())
+
+
+def _f_score(there: Reals, back: Reals, tolerance: float) -> float:
+    precision, recall = np.mean(there <= tolerance), np.mean(back <= tolerance)
+    return float(2 * precision * recall / (precision + recall)) if precision + recall else 0.0

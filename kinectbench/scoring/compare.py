@@ -1,0 +1,196 @@
+"""Is one method better than another? Paired differences per object, sign-flip tests, Holm, ranks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from kinectbench.errors import SettingsError
+from kinectbench.scoring.averages import AVERAGED, ObjectMeans, object_means
+from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.sign_flip import MAX_EXACT, holm, sign_flip_p, smallest_p
+from kinectbench.scoring.table import METRICS, SHARES, SURFACES, ScoreTable
+
+ALPHA = 0.05
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Two methods on the same objects.
+
+    Attributes:
+        first: name of a method.
+        second: name of another.
+        scope: a category, or "all": the mean over the categories.
+        mean: mean of first minus second.
+        by_object: first minus second of each object, by name.
+        p: of the sign-flip test, two-sided.
+        p_holm: corrected for all pairs of methods compared in this scope.
+        smallest_p: what this many objects could give at best, corrected alike.
+        verdict: one sentence.
+    """
+
+    first: str
+    second: str
+    scope: str
+    mean: float
+    by_object: Mapping[str, float]
+    p: float
+    p_holm: float
+    smallest_p: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Several methods compared by one metric under one protocol.
+
+    Attributes:
+        metric: such as "iou".
+        protocol: such as "known".
+        methods: their names.
+        means: {scope: {method: mean}}.
+        ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
+        differences: of every pair of methods in every scope.
+        notes: one line each: where the test set is too small to tell.
+    """
+
+    metric: str
+    protocol: str
+    methods: tuple[str, ...]
+    means: Mapping[str, Mapping[str, float]]
+    ranks: Mapping[str, Mapping[str, int]]
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]
+
+
+def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = PRIMARY) -> Comparison:
+    """Compare methods that were scored on the same truth.
+
+    Args:
+        tables: at least two, complete.
+        metric: one of those that are averaged.
+        protocol: "paper", "known" or "occluded".
+
+    Raises:
+        SettingsError: fewer than two tables, another truth, an incomplete table, pairs that differ, or the
+            metric or protocol was not scored.
+    """
+    if metric not in (*METRICS, *SURFACES):
+        raise SettingsError(f"no metric '{metric}': choose among {', '.join((*METRICS, *SURFACES))}")
+    names = _names(tables)
+    means = [_means(table, metric, protocol) for table in tables]
+    _same_pairs(tables, names, protocol)
+    scopes = [*means[0], *([ALL] if len(means[0]) > 1 else [])]
+    columns = [{scope: _values(of, metric, scope) for scope in scopes} for of in means]
+    found, notes = [], []
+    for scope in scopes:
+        here = [column[scope] for column in columns]
+        found += _differences(names, here, scope, metric)
+        count, pairs = len(here[0]), len(names) * (len(names) - 1) // 2
+        if pairs * smallest_p(count) > ALPHA:
+            notes.append(_too_small(scope, count, pairs))
+        if count > MAX_EXACT:
+            notes.append(f"{scope}: {count} objects; a million sign flips drawn, not all")
+    averages = {
+        scope: {name: _mean(column[scope]) for name, column in zip(names, columns, strict=True)}
+        for scope in scopes
+    }
+    ranks = {scope: _ranks(names, [d for d in found if d.scope == scope], metric) for scope in scopes}
+    return Comparison(metric, protocol, names, averages, ranks, tuple(found), tuple(notes))
+
+
+def _names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
+    """The methods' names, told apart."""
+    if len(tables) < 2:
+        raise SettingsError("compare: give the scores of at least two methods")
+    names: list[str] = []
+    for table in tables:
+        again = sum(name.partition(" #")[0] == table.method for name in names)
+        names.append(f"{table.method} #{again + 1}" if again else table.method)
+        if table.benchmark_sha256 != tables[0].benchmark_sha256:
+            raise SettingsError(
+                f"{table.method}: scored against benchmark {table.benchmark_sha256[:12]}, {names[0]} against "
+                f"{tables[0].benchmark_sha256[:12]}; score both against one"
+            )
+        if not table.complete:
+            raise SettingsError(f"{table.method}: some of its pairs are not scored; complete it first")
+    return tuple(names)
+
+
+def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMeans]:
+    """The object means of each category."""
+    means = object_means(table.rows).get(protocol)
+    if means is None:
+        raise SettingsError(f"{table.method}: not scored under '{protocol}'; score it again with it")
+    column = AVERAGED.index(metric)
+    if any(np.isnan(here.values[:, column]).any() for here in means.values()):
+        raise SettingsError(f"{table.method}: scored without '{metric}'; score it again with it")
+    return means
+
+
+def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: str) -> None:
+    pairs = [{(r.recording, r.view, r.object) for r in t.rows if r.protocol == protocol} for t in tables]
+    for name, here in zip(names, pairs, strict=True):
+        if here != pairs[0]:
+            raise SettingsError(f"{name}: other pairs than {names[0]}; score both against one benchmark")
+
+
+Weighted = Mapping[str, tuple[float, float]]
+
+
+def _mean(values: Weighted) -> float:
+    return sum(value * weight for value, weight in values.values())
+
+
+def _values(means: Mapping[str, ObjectMeans], metric: str, scope: str) -> dict[str, tuple[float, float]]:
+    """{object: its value, and its weight in the mean of the scope}; the weights' sum is 1."""
+    column = AVERAGED.index(metric)
+    categories = means if scope == ALL else {scope: means[scope]}
+    return {
+        name: (float(value), float(weight / here.weights.sum()) / len(categories))
+        for here in categories.values()
+        for name, value, weight in zip(here.names, here.values[:, column], here.weights, strict=True)
+    }
+
+
+def _differences(
+    names: Sequence[str], values: Sequence[Weighted], scope: str, metric: str
+) -> list[Difference]:
+    """Every pair of methods in one scope."""
+    pairs = list(combinations(range(len(names)), 2))
+    raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
+    weights = np.array([weight for _, weight in values[0].values()])
+    weighted = [np.array([*found.values()]) * weights for found in raw]
+    p_values = [sign_flip_p(found) for found in weighted]
+    count = len(values[0])
+    smallest = min(1.0, len(pairs) * smallest_p(count))
+    found = []
+    for n, ((a, b), p, corrected) in enumerate(zip(pairs, p_values, holm(p_values), strict=True)):
+        mean = float(weighted[n].sum())
+        better = names[a] if (mean > 0) == (metric in SHARES) else names[b]
+        verdict = f"{better} is better (p = {corrected:.2g})"
+        if corrected > ALPHA:
+            verdict = "no difference shown" if smallest <= ALPHA else "too few objects to tell"
+        found.append(Difference(names[a], names[b], scope, mean, raw[n], p, corrected, smallest, verdict))
+    return found
+
+
+def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str) -> dict[str, int]:
+    """1 + the number of methods that are significantly better."""
+    ranks = dict.fromkeys(names, 1)
+    for found in differences:
+        if found.p_holm <= ALPHA:
+            ranks[found.second if (found.mean > 0) == (metric in SHARES) else found.first] += 1
+    return ranks
+
+
+def _too_small(scope: str, count: int, pairs: int) -> str:
+    objects = "1 object" if count == 1 else f"{count} objects"
+    corrected = f", {min(1.0, pairs * smallest_p(count)):.2g} for {pairs} comparisons" if pairs > 1 else ""
+    return (
+        f"{scope}: the test set is too small to tell: with {objects} the smallest possible p is "
+        f"{smallest_p(count):.2g}{corrected}"
+    )

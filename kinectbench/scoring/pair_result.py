@@ -1,0 +1,143 @@
+"""Count one prediction against its truth: all that the table needs to know of a pair."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.errors import PredictionError
+from kinectbench.release.release import Target
+from kinectbench.scoring.ceiling import ceiling
+from kinectbench.scoring.counts import Prediction, Tally, protocol_counts, tally
+from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.occupancy import occupied
+from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.surface import SurfaceMetrics, surface_metrics
+from kinectbench.scoring.truth import Truth, read_truth
+from kinectbench.voxels.pair_file import FULL_CELLS
+from kinectbench.voxels.resample import HALF_PIXEL
+from kinectbench.workspace import canonical_json, sha256_file, sha256_text
+
+EMPTY_CELLS = 16
+
+
+@dataclass(frozen=True)
+class Counting:
+    """How pairs are counted; the same for all pairs of a run.
+
+    Attributes:
+        protocols: some of "paper", "known", "occluded".
+        upsampling: "half-pixel" or "corner-aligned".
+        surface: whether surface metrics are computed.
+    """
+
+    protocols: tuple[str, ...]
+    upsampling: str = HALF_PIXEL
+    surface: bool = True
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """What was counted of one pair.
+
+    Attributes:
+        tally: of the prediction.
+        cells: side of the prediction; 0 if there was none.
+        ceilings: {protocol: the IoU that this side can reach}.
+        surface: {protocol: surface metrics}; empty if they were not asked for.
+        sha256: of the prediction's file; None if there is no file.
+    """
+
+    tally: Tally
+    cells: int
+    ceilings: Mapping[str, float]
+    surface: Mapping[str, SurfaceMetrics]
+    sha256: str | None
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain JSON values; floats keep every bit."""
+        counted = {name: values.tolist() for name, values in vars(self.tally).items()}
+        surface = {protocol: asdict(values) for protocol, values in self.surface.items()}
+        return {**vars(self), "tally": counted, "surface": surface}
+
+    @staticmethod
+    def from_json(content: Mapping[str, Any]) -> "PairResult":
+        """The inverse of `to_json`."""
+        counted = content["tally"]
+        voxels, above = (np.array(counted[name], np.int64) for name in ("voxels", "above"))
+        surface = {name: SurfaceMetrics(**values) for name, values in content["surface"].items()}
+        return PairResult(
+            Tally(voxels, above, np.array(counted["ce_sum"], np.float64)),
+            content["cells"],
+            content["ceilings"],
+            surface,
+            content["sha256"],
+        )
+
+
+@dataclass(frozen=True)
+class Job:
+    """One pair to be counted.
+
+    Attributes:
+        target: the pair.
+        truth: its pair file.
+        file: the prediction's file, None for an empty grid.
+        threshold: for the surface metrics; None leaves them out.
+        counting: how.
+        earlier: what an interrupted run wrote of this pair, as {"key", "result"}, or None.
+    """
+
+    target: Target
+    truth: Path
+    file: Path | None
+    threshold: float | None
+    counting: Counting
+    earlier: Mapping[str, Any] | None = None
+
+    def key(self, sha256: str | None) -> str:
+        """What a result depends on; `sha256` is that of the prediction's file."""
+        settings = (asdict(self.counting), self.threshold)
+        return sha256_text(canonical_json([self.target.sha256, sha256, settings]))
+
+
+def count_job(job: Job) -> PairResult | str:
+    """Count one pair; the reason where its prediction cannot be scored."""
+    try:
+        sha256 = None
+        if job.file is None:
+            prediction: Prediction = np.zeros((EMPTY_CELLS,) * 3, np.bool_)
+        else:
+            prediction, sha256 = (
+                load_prediction(job.file, job.target.name + job.file.suffix),
+                _sha256(job.file),
+            )
+    except PredictionError as error:
+        return str(error)
+    if job.earlier is not None and job.earlier["key"] == job.key(sha256):
+        return PairResult.from_json(job.earlier["result"])
+    truth = read_truth(job.truth, job.target.sha256)
+    result = count(prediction, truth, job.counting, job.threshold)
+    return replace(result, sha256=sha256, cells=0 if job.file is None else result.cells)
+
+
+def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None) -> PairResult:
+    """Count a prediction in memory; `threshold` is for the surface metrics, None leaves them out."""
+    side, protocols = len(prediction), counting.protocols
+    ceilings = dict.fromkeys(protocols, 1.0)
+    if side < FULL_CELLS and threshold is not None:
+        best = ceiling(truth, side, counting.upsampling)
+        ceilings = {name: float(ious(protocol_counts(best, name)).max()) for name in protocols}
+    surface: Mapping[str, SurfaceMetrics] = {}
+    if counting.surface and threshold is not None:
+        surface = surface_metrics(occupied(prediction, threshold, counting.upsampling), truth, protocols)
+    return PairResult(tally(prediction, truth, counting.upsampling), side, ceilings, surface, None)
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return sha256_file(path)
+    except OSError as error:
+        raise PredictionError(f"{path}: cannot be read ({error.strerror or error})") from error

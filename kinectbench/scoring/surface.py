@@ -1,0 +1,139 @@
+"""Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
+
+A set's surface is its cells with an empty 6-neighbour (outside the grid is empty); of these the protocol's
+count. Distances are exact, between cell centres.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.scoring.truth import Truth
+from kinectbench.voxels.pair_file import FULL_CELLS, Packed
+
+Float64 = NDArray[np.float64]
+
+F_SCORE_MM = (10.0, 20.0)
+SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class SurfaceMetrics:
+    """One pair's surface metrics at one threshold.
+
+    Attributes:
+        chamfer_mm: mean of the mean distance from the prediction's surface to the truth's and of that back.
+        f_score_1pct: F-score at 1 % of the object's size, the diagonal of the full shape's box.
+        f_score_2pct: at 2 %.
+        f_score_10mm: at 10 mm.
+        f_score_20mm: at 20 mm.
+        surface_dice: share of both surfaces within 2 sigma of the truth's surface of each other.
+        normal_consistency: mean |cosine| between the normals of nearest cells, both ways, averaged.
+    """
+
+    chamfer_mm: float
+    f_score_1pct: float
+    f_score_2pct: float
+    f_score_10mm: float
+    f_score_20mm: float
+    surface_dice: float
+    normal_consistency: float
+
+
+SURFACE_METRICS = tuple(field.name for field in fields(SurfaceMetrics))
+SAME = SurfaceMetrics(0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Distances:
+    """How far two surfaces are from each other, neither of them empty.
+
+    Attributes:
+        to_truth_mm: (n,) from each cell of the prediction's surface.
+        to_prediction_mm: (m,) from each cell of the truth's surface.
+    """
+
+    to_truth_mm: Float64
+    to_prediction_mm: Float64
+
+    def chamfer_mm(self) -> float:
+        """Mean of the two mean distances."""
+        return float(self.to_truth_mm.mean() + self.to_prediction_mm.mean()) / 2
+
+    def f_score(self, tolerance_mm: float) -> float:
+        """Harmonic mean of the shares of both surfaces within a tolerance; 0 if nothing is."""
+        precision = float((self.to_truth_mm <= tolerance_mm).mean())
+        recall = float((self.to_prediction_mm <= tolerance_mm).mean())
+        return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+
+    def dice(self, tolerance_mm: float) -> float:
+        """Share of the cells of both surfaces together within a tolerance."""
+        near = (self.to_truth_mm <= tolerance_mm).sum() + (self.to_prediction_mm <= tolerance_mm).sum()
+        return float(near) / (len(self.to_truth_mm) + len(self.to_prediction_mm))
+
+
+def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -> dict[str, SurfaceMetrics]:
+    """The surface metrics under each protocol.
+
+    Args:
+        predicted: (256, 256, 32) uint8, packed: what is predicted occupied.
+        truth: the packed truth.
+        protocols: some of "paper", "known", "occluded".
+
+    Returns:
+        By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
+        is the grid's diagonal.
+    """
+    from kinectbench.voxels.packed_shell import packed_shell
+
+    ours, theirs = packed_shell(predicted), packed_shell(truth.full)
+    counted = {"paper": None, "known": truth.known, "occluded": truth.known & ~truth.seen}
+    return {name: _between(ours, theirs, counted[name], predicted, truth) for name in protocols}
+
+
+def _between(
+    predicted_surface: Packed, true_surface: Packed, counted: Packed | None, predicted: Packed, truth: Truth
+) -> SurfaceMetrics:
+    """The metrics between two surfaces, of `predicted` and of `truth`; of both, what is counted."""
+    from kinectbench.scoring.nearest import cells_of, nearest
+    from kinectbench.scoring.normals import agreement, normals
+
+    surfaces = predicted_surface, true_surface
+    ours, theirs = (cells_of(s if counted is None else s & counted) for s in surfaces)
+    if not len(ours) and not len(theirs):
+        return SAME
+    voxel_mm = truth.voxel_size_m * 1000
+    if not len(ours) or not len(theirs):
+        return SurfaceMetrics(math.sqrt(3) * FULL_CELLS * voxel_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    (squared, to_theirs), (squared_back, to_ours) = nearest(ours, theirs), nearest(theirs, ours)
+    between = Distances(np.sqrt(squared) * voxel_mm, np.sqrt(squared_back) * voxel_mm)
+    our_normals, their_normals = normals(predicted, ours.index), normals(truth.full, theirs.index)
+    agreements = (
+        agreement(our_normals, their_normals[to_theirs]),
+        agreement(their_normals, our_normals[to_ours]),
+    )
+    size_mm = size_cells(truth.full) * voxel_mm
+    one_percent, two_percent, near, wide = 0.01 * size_mm, 0.02 * size_mm, *F_SCORE_MM
+    return SurfaceMetrics(
+        chamfer_mm=between.chamfer_mm(),
+        f_score_1pct=between.f_score(one_percent),
+        f_score_2pct=between.f_score(two_percent),
+        f_score_10mm=between.f_score(near),
+        f_score_20mm=between.f_score(wide),
+        surface_dice=between.dice(SIGMAS * truth.surface_sigma_m * 1000),
+        normal_consistency=sum(agreements) / 2,
+    )
+
+
+def size_cells(full: Packed) -> float:
+    """The diagonal of the box of a packed shape, in cells; 0 if it is empty."""
+    bits = np.unpackbits(np.bitwise_or.reduce(full, axis=(0, 1)))
+    sides = [
+        np.flatnonzero(full.any(axis=(1, 2))),
+        np.flatnonzero(full.any(axis=(0, 2))),
+        np.flatnonzero(bits),
+    ]
+    return math.sqrt(sum(int(side[-1] - side[0] + 1) ** 2 for side in sides if len(side)))

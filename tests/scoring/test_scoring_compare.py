@@ -1,0 +1,209 @@
+"""Intervals, sign flips, Holm, ranks: against scipy, full enumeration and numbers by hand."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from kinectbench.errors import SettingsError
+from kinectbench.scoring.averages import AVERAGED, object_means
+from kinectbench.scoring.compare import compare
+from kinectbench.scoring.intervals import bootstrap_interval, student_interval
+from kinectbench.scoring.read import find_scores, read_scores
+from kinectbench.scoring.sign_flip import holm, sign_flip_p, smallest_p
+from kinectbench.scoring.table import ScoreRow, ScoreTable, write_scores
+
+RNG = np.random.default_rng(4)
+
+
+def row(category: str, thing: int, view: int, iou: float) -> ScoreRow:
+    name = f"{category}_{thing}"
+    return ScoreRow(
+        name, name, f"{view:03d}", category, "known", 0.5, iou, 1 - iou, iou, iou, iou, 0.3, 0.9, 0.9
+    )
+
+
+def table(method: str, rows: list[ScoreRow], benchmark: str = "a" * 64) -> ScoreTable:
+    return ScoreTable(
+        method,
+        benchmark,
+        "0",
+        {"protocols": ["known"]},
+        True,
+        {},
+        "fixed",
+        {},
+        tuple(rows),
+        {},
+        {},
+        {},
+        (),
+        (),
+    )
+
+
+def method(name: str, gain: float, objects: int, categories: tuple[str, ...] = ("chair",)) -> ScoreTable:
+    """Two views an object; `gain` above 0.5, a little different for every object."""
+    rows = [
+        row(category, thing, view, 0.5 + gain * (1 + thing / 10) + view / 100)
+        for category in categories
+        for thing in range(objects)
+        for view in range(2)
+    ]
+    return table(name, rows)
+
+
+def test_student_interval_is_that_of_scipy() -> None:
+    values = RNG.random((5, 2))
+    found = student_interval(values, np.ones(5))
+    assert found is not None
+    for column in range(2):
+        sample = values[:, column]
+        expected = stats.t.interval(0.95, 4, sample.mean(), stats.sem(sample))
+        np.testing.assert_allclose(found[column], expected, rtol=1e-10)
+    assert student_interval(values[:2], np.ones(2)) is None
+
+
+def test_weighted_student_interval_by_hand() -> None:
+    found = student_interval(np.array([[0.2], [0.4], [0.9]]), np.array([1.0, 2.0, 1.0]))
+    mean = (0.2 + 0.8 + 0.9) / 4
+    deviation = np.sqrt(3 / 2 * ((0.2 - mean) ** 2 + (2 * (0.4 - mean)) ** 2 + (0.9 - mean) ** 2)) / 4
+    half = stats.t.ppf(0.975, 2) * deviation
+    assert found is not None
+    np.testing.assert_allclose(found[0], [mean - half, mean + half])
+
+
+def test_bootstrap_covers_as_it_says_and_is_stratified() -> None:
+    far = [(np.full((4, 1), 0.2), np.ones(4)), (np.full((9, 1), 0.8), np.ones(9))]
+    found = bootstrap_interval(far)
+    assert found is not None
+    np.testing.assert_allclose(found, [[0.5, 0.5]])  # categories are never mixed
+    values = RNG.normal(0, 1, (40, 1))
+    normal = bootstrap_interval([(values, np.ones(40))])
+    assert normal is not None
+    deviation = values.std() / np.sqrt(40)
+    np.testing.assert_allclose(normal[0], values.mean() + np.array([-1.96, 1.96]) * deviation, atol=0.06)
+    again = bootstrap_interval([(values, np.ones(40))])
+    assert again is not None and again.tolist() == normal.tolist()
+    assert bootstrap_interval([far[0], (np.ones((2, 1)), np.ones(2))]) is None
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 9])
+def test_sign_flips_against_all_of_them(count: int) -> None:
+    differences = np.round(RNG.normal(0.3, 1, count), 1)  # rounded: with ties
+    sums = [abs(float(np.dot(signs, differences))) for signs in product((-1, 1), repeat=count)]
+    expected = np.mean(np.array(sums) >= abs(differences.sum()) - 1e-9)
+    assert sign_flip_p(differences) == pytest.approx(expected, abs=1e-15)
+
+
+def test_sign_flips_of_many_objects() -> None:
+    assert sign_flip_p(np.ones(5)) == smallest_p(5) == 0.0625
+    assert sign_flip_p(np.zeros(4)) == 1
+    assert sign_flip_p(np.ones(30)) == 2**-29
+    # 30 equal differences, 20 positive: a binomial test
+    assert sign_flip_p(np.array([1.0] * 20 + [-1.0] * 10)) == pytest.approx(
+        stats.binomtest(20, 30).pvalue, rel=1e-9
+    )
+    sampled = sign_flip_p(np.array([1.0] * 30 + [-1.0] * 20))
+    assert sampled == pytest.approx(stats.binomtest(30, 50).pvalue, abs=0.003)
+
+
+def test_holm_by_hand() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.6]) == [1.0, 1.0]
+
+
+def test_a_difference_and_its_ranks() -> None:
+    found = compare([method("good", 0.2, 8), method("bad", 0.1, 8), method("also bad", 0.1, 8)])
+    assert found.ranks == {"chair": {"good": 1, "bad": 2, "also bad": 2}}
+    first = found.differences[0]
+    assert (first.first, first.second, first.verdict) == ("good", "bad", "good is better (p = 0.023)")
+    assert first.p == 2**-7 and first.p_holm == 3 * 2**-7
+    assert first.by_object["chair_3"] == pytest.approx(0.13)
+    assert first.mean == pytest.approx(0.1 * 1.35)
+    assert found.differences[2].verdict == "no difference shown" and not found.notes
+    lower = compare([method("good", 0.2, 8), method("bad", 0.1, 8)], metric="ce")
+    assert lower.ranks == {"chair": {"good": 1, "bad": 2}}
+
+
+def test_too_small_to_tell() -> None:
+    found = compare([method("good", 0.2, 5), method("bad", 0.1, 5)])
+    assert found.ranks == {"chair": {"good": 1, "bad": 1}}
+    assert found.differences[0].verdict == "too few objects to tell"
+    assert found.notes == (
+        "chair: the test set is too small to tell: with 5 objects the smallest possible p is 0.062",
+    )
+
+
+def test_all_is_the_mean_over_categories() -> None:
+    two = ("chair", "table")
+    found = compare([method("good", 0.2, 4, two), method("bad", 0.1, 4, two)])
+    assert list(found.means) == ["chair", "table", "all"]
+    assert found.means["all"]["good"] == pytest.approx(found.means["chair"]["good"])
+    every = next(d for d in found.differences if d.scope == "all")
+    assert every.p == 2**-7 and len(every.by_object) == 8
+    assert len(found.notes) == 2  # four objects are too few, eight are not
+
+
+Spoil = Callable[[ScoreTable], ScoreTable]
+REFUSED: dict[str, tuple[Spoil, str]] = {
+    "another truth": (lambda t: replace(t, benchmark_sha256="b" * 64), "score both against one"),
+    "incomplete": (lambda t: replace(t, complete=False), "some of its pairs are not scored"),
+    "other pairs": (lambda t: replace(t, rows=t.rows[1:]), "other pairs than good"),
+}
+
+
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_refusals(name: str) -> None:
+    spoil, message = REFUSED[name]
+    with pytest.raises(SettingsError, match=message):
+        compare([method("good", 0.2, 3), spoil(method("bad", 0.1, 3))])
+
+
+def test_unknown_names_are_refused() -> None:
+    tables = [method("good", 0.2, 3), method("bad", 0.1, 3)]
+    with pytest.raises(SettingsError, match="no metric 'iuo'"):
+        compare(tables, metric="iuo")
+    with pytest.raises(SettingsError, match="not scored under 'paper'"):
+        compare(tables, protocol="paper")
+    with pytest.raises(SettingsError, match="scored without 'chamfer_mm'"):
+        compare(tables, metric="chamfer_mm")
+    with pytest.raises(SettingsError, match="at least two"):
+        compare(tables[:1])
+
+
+def test_scores_are_read_back(tmp_path: Path) -> None:
+    made = method("good", 0.2, 3)
+    write_scores(made, tmp_path / "good")
+    write_scores(replace(made, method="bad"), tmp_path / "bad")
+    assert find_scores([tmp_path]) == [tmp_path / name / "scores.json" for name in ("bad", "good")]
+    assert read_scores(tmp_path / "good" / "scores.json") == made
+    content = json.loads((tmp_path / "good" / "scores.json").read_text())
+    for key in ("notes", "extremes", "hashes"):
+        del content[key]
+    for one in content["rows"]:
+        for key in [
+            key for key in one if key.startswith(("f_score", "chamfer", "surface", "normal", "cell", "ceil"))
+        ]:
+            del one[key]
+    (tmp_path / "old.json").write_text(json.dumps(content))
+    assert read_scores(tmp_path / "old.json").rows == made.rows  # older files stay readable
+    for text in ("", "[]", "{}", '{"rows": 3}', json.dumps(content | {"rows": [{"iou": "1"}]})):
+        (tmp_path / "wrong.json").write_text(text)
+        with pytest.raises(SettingsError, match=r"wrong\.json"):
+            read_scores(tmp_path / "wrong.json")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SettingsError, match=r"no scores\.json there"):
+        find_scores([tmp_path / "empty"])
+
+
+def test_means_of_objects() -> None:
+    means = object_means([row("chair", 0, 0, 0.2), row("chair", 0, 1, 0.4), row("chair", 1, 0, 0.9)])
+    here = means["known"]["chair"]
+    np.testing.assert_allclose(here.values[:, AVERAGED.index("iou")], [0.3, 0.9])
+    assert np.isnan(here.values[:, AVERAGED.index("chamfer_mm")]).all()
