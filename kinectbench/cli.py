@@ -189,16 +189,18 @@ def baseline(
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Write the trivial methods' predictions: empty, base-rate, partial, hull."""
+    """Write predictions of simple methods: empty, base-rate, partial, hull, mirror, silhouette.
+
+    Where there are training pairs of every category, mean-shape and nearest too.
+    """
     from kinectbench import console
-    from kinectbench.baselines.registry import BASELINES
     from kinectbench.baselines.write import write_baselines
 
     release, rows = find_release(benchmark, config, overrides, jobs)
     folder = out or (Path("predictions") if benchmark else config.parent / "predictions")
     with console.bar("baseline") as progress:
-        write_baselines(release, folder, tuple(names or BASELINES), workers(jobs), progress)
-    tell_written([folder / name for name in names or BASELINES], as_json)
+        written = write_baselines(release, folder, names, workers(jobs), progress)
+    tell_written([folder / name for name in written], as_json)
     exit_for(rows)
 
 
@@ -209,6 +211,9 @@ def score(
     method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
     protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
+    save_thresholds: Annotated[
+        Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
+    ] = None,
     missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = "error",
     upsampling: Annotated[
         str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
@@ -235,6 +240,7 @@ def score(
             method=method,
             protocols=protocol,
             thresholds_file=thresholds,
+            save_thresholds=save_thresholds,
             missing=missing,
             upsampling=upsampling,
             surface=surface,

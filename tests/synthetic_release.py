@@ -87,7 +87,8 @@ def write_build(build: Path) -> None:
         listed = {"pairs": [{"view": view, "frame": 7, "containment": 1.0} for view in views], "refused": []}
         (build / name / "pairs" / "pairs.json").write_text(json.dumps(listed))
         (build / name / "views" / "views.json").write_text('{"views": [], "refused": []}')
-        for file in ("floor.json", "mesh.ply", "volume.npz"):
+        (build / name / "object" / "floor.json").write_text('{"plane_world": [0, 0, 1, 0]}')
+        for file in ("mesh.ply", "volume.npz"):
             (build / name / "object" / file).write_bytes(f"{name} {file}".encode())
         (build / name / "object" / "quality.json").write_text('{"repeatability_iou": 0.93}')
 

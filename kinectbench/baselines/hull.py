@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.voxels.pair_file import Pair, unpack
+from kinectbench.baselines.inputs import Inputs
 
 Bools = NDArray[np.bool_]
 
@@ -11,15 +11,15 @@ Bools = NDArray[np.bool_]
 TOLERANCE_CELLS = 1e-7
 
 
-def hull(pair: Pair, base_rate: float) -> Bools:
-    """The solid convex hull of `partial_256`: (256, 256, 256) bool. The base rate does not matter.
+def hull(inputs: Inputs) -> Bools:
+    """The solid convex hull of `partial_256`: (256, 256, 256) bool.
 
     A cell is set if its centre lies in the hull of the set cells' centres or on it. Where the partial is
     flat, or is fewer than four cells, it is its own hull.
 
     Source: own rule.
     """
-    return filled_hull(unpack(pair.partial_256))
+    return filled_hull(inputs.partial)
 
 
 def filled_hull(occupied: Bools) -> Bools:

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
-from kinectbench.baselines.registry import BASELINES
+from kinectbench.baselines.inputs import Inputs, read_training, up_in_grid
+from kinectbench.baselines.registry import BASELINES, LEARNED
 from kinectbench.errors import SettingsError
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.base_rate import base_rates
@@ -19,51 +21,73 @@ SPLITS = ("test", "validation")
 class _Task:
     """One pair to be predicted by some baselines."""
 
-    pair: Path
+    release: Release
     target: Target
     base_rate: float
     names: tuple[str, ...]
     out: Path
 
 
+def possible_baselines(release: Release) -> tuple[str, ...]:
+    """The baselines that can be made: those that learn only where every category has training pairs."""
+    trained = {target.category for target in release.split("train")}
+    wanted = {target.category for split in SPLITS for target in release.split(split)}
+    return tuple(name for name in BASELINES if name not in LEARNED or wanted <= trained)
+
+
 def write_baselines(
     release: Release,
     out: Path,
-    names: Sequence[str] = tuple(BASELINES),
+    names: Sequence[str] | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
-) -> None:
+) -> tuple[str, ...]:
     """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair; same input, same bytes.
 
     Args:
         release: what is predicted.
         out: a folder of methods.
-        names: some of `BASELINES`.
+        names: some of `BASELINES`; default: all that are possible.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
+    Returns:
+        The names written.
+
     Raises:
-        SettingsError: no such baseline.
+        SettingsError: no such baseline, or one that learns without training pairs.
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
-    unknown = [name for name in names if name not in BASELINES]
+    possible = possible_baselines(release)
+    chosen = tuple(names or possible)
+    unknown = [name for name in chosen if name not in BASELINES]
     if unknown:
         raise SettingsError(f"no baseline '{', '.join(unknown)}': choose among {', '.join(BASELINES)}")
+    blind = [name for name in chosen if name not in possible]
+    if blind:
+        raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
     rates = base_rates(release, jobs)
     tasks = [
-        _Task(release.pair_path(target), target, rates[target.category].value, tuple(names), out)
+        _Task(release, target, rates[target.category].value, chosen, out)
         for split in SPLITS
         for target in release.split(split)
     ]
     run_tasks(_write, tasks, jobs, progress)
+    return chosen
+
+
+_training = lru_cache(maxsize=1)(read_training)  # the tasks of a category follow each other
 
 
 def _write(task: _Task) -> None:
     """Write one pair's predictions."""
-    pair = read_pair(task.pair)
+    release, target = task.release, task.target
+    pair = read_pair(release.pair_path(target))
+    learns = any(name in LEARNED for name in task.names)
+    training = _training(release, target.category) if learns else None
+    inputs = Inputs(pair, task.base_rate, up_in_grid(release, target, pair), training)
     for name in task.names:
-        prediction = BASELINES[name](pair, task.base_rate)
-        path = task.out / name / task.target.recording / f"{task.target.view}.npz"
+        path = task.out / name / target.recording / f"{target.view}.npz"
         with replaced_file(path) as temporary:
-            temporary.write_bytes(npz_bytes({"prediction": prediction}))
+            temporary.write_bytes(npz_bytes({"prediction": BASELINES[name](inputs)}))

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from kinectbench.errors import PredictionError
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
-from kinectbench.scoring.predictions import find_predictions, missing_line
+from kinectbench.scoring.predictions import find_predictions, missing_line, stray_line
+from kinectbench.scoring.truth import read_voxel_size
 
 
 def check(release: Release, folder: Path, progress: Callable[[int, int], None] | None = None) -> list[str]:
@@ -31,18 +33,19 @@ def check(release: Release, folder: Path, progress: Callable[[int, int], None] |
     for done, target in enumerate(release.targets, start=1):
         line = found.problems.get(target) or missing.get(target)
         if target in found.files:
-            line = _file_problem(found.files[target], target.name)
+            line = _file_problem(release, target, found.files[target])
         if line:
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
-    return problems + [f"{name}: answers no target of the benchmark; remove it" for name in found.stray]
+    return problems + [stray_line(name, found.missing) for name in found.stray]
 
 
-def _file_problem(path: Path, name: str) -> str | None:
+def _file_problem(release: Release, target: Target, path: Path) -> str | None:
     """What is wrong with one file, or None."""
+    size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     try:
-        load_prediction(path, name + path.suffix)
+        load_prediction(path, target.name + path.suffix, size_m)
     except PredictionError as error:
         return str(error)
     return None

@@ -11,11 +11,12 @@ from kinectbench.errors import PredictionError
 from kinectbench.release.release import Target
 from kinectbench.scoring.ceiling import ceiling
 from kinectbench.scoring.counts import Prediction, Tally, protocol_counts, tally
+from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.occupancy import occupied
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.surface import SurfaceMetrics, surface_metrics
-from kinectbench.scoring.truth import Truth, read_truth
+from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
 from kinectbench.voxels.pair_file import FULL_CELLS
 from kinectbench.voxels.resample import HALF_PIXEL
 from kinectbench.workspace import canonical_json, sha256_file, sha256_text
@@ -110,10 +111,10 @@ def count_job(job: Job) -> PairResult | str:
         if job.file is None:
             prediction: Prediction = np.zeros((EMPTY_CELLS,) * 3, np.bool_)
         else:
-            prediction, sha256 = (
-                load_prediction(job.file, job.target.name + job.file.suffix),
-                _sha256(job.file),
-            )
+            mesh = job.file.suffix in MESHES
+            size_m = read_voxel_size(job.truth, job.target.sha256) if mesh else None
+            prediction = load_prediction(job.file, job.target.name + job.file.suffix, size_m)
+            sha256 = _sha256(job.file)
     except PredictionError as error:
         return str(error)
     if job.earlier is not None and job.earlier["key"] == job.key(sha256):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kinectbench.errors import PredictionError
 from kinectbench.scoring.counts import Prediction
+from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES, MESHES, voxelised
 from kinectbench.scoring.npy_header import NpyHeader, read_npy_header
 from kinectbench.voxels.resample import MAX_CELLS
 
@@ -22,21 +23,27 @@ HALF_MINUS_ZERO = 0x8000
 ACCEPTED = "save float16 or float32 in [0, 1], or bool"
 
 
-def load_prediction(path: Path, name: str | None = None) -> Prediction:
+def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | None = None) -> Prediction:
     """Load and check one prediction.
 
     Args:
-        path: an .npy file, or an .npz file of exactly one array.
+        path: an .npy file, an .npz file of exactly one array, or a .ply or .obj mesh.
         name: what error lines call it (default: the path).
+        voxel_size_m: of the pair; needed for a mesh only.
 
     Returns:
         (n, n, n) bool, float16 or float32, 1 <= n <= 512, C order, native bytes, every value in [0, 1].
-        uint8 of 0 and 1 is returned as bool.
+        uint8 of 0 and 1, packed bits and meshes are returned as bool.
 
     Raises:
         PredictionError: the file is unacceptable; one line.
     """
     try:
+        if path.suffix in MESHES:
+            _checked_size(path, MAX_MESH_BYTES)
+            if voxel_size_m is None:
+                raise PredictionError("a mesh; it needs the voxel size of its pair")
+            return voxelised(path, voxel_size_m)
         with _open(path) as (file, size):
             array = _read(file, size)
         return _checked(array)
@@ -48,17 +55,24 @@ def load_prediction(path: Path, name: str | None = None) -> Prediction:
         raise PredictionError(f"{name or path}: a damaged npz ({error}); write it again") from error
 
 
+def checked(array: NDArray[np.generic], name: str) -> Prediction:
+    """A prediction in memory, as `load_prediction` would give it; the array is not changed.
+
+    Raises:
+        PredictionError: it is unacceptable; one line that begins with `name`.
+    """
+    try:
+        _check_claims(NpyHeader(array.dtype, array.shape, False, 0))
+        order = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+        return _checked(order)
+    except PredictionError as error:
+        raise PredictionError(f"{name}: {error}") from None
+
+
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
     """Yield the npy stream of a file and the number of bytes in it."""
-    mode = path.stat().st_mode
-    if not stat.S_ISREG(mode):
-        raise PredictionError(f"a {'folder' if stat.S_ISDIR(mode) else 'special file'}, not a file")
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise PredictionError(f"{size} bytes; {MAX_BYTES} is the most accepted")
-    if size == 0:
-        raise PredictionError("the file is empty")
+    size = _checked_size(path, MAX_BYTES)
     if path.suffix == ".npy":
         with path.open("rb") as file:
             yield file, size
@@ -67,6 +81,18 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
         entry = _only_entry(archive)
         with archive.open(entry) as stream:
             yield stream, entry.file_size
+
+
+def _checked_size(path: Path, most: int) -> int:
+    """The size of a regular file that is neither empty nor too large."""
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode):
+        raise PredictionError(f"a {'folder' if stat.S_ISDIR(state.st_mode) else 'special file'}, not a file")
+    if state.st_size > most:
+        raise PredictionError(f"{state.st_size} bytes; {most} is the most accepted")
+    if state.st_size == 0:
+        raise PredictionError("the file is empty")
+    return state.st_size
 
 
 def _only_entry(archive: zipfile.ZipFile) -> zipfile.ZipInfo:
@@ -113,10 +139,20 @@ def _read(file: IO[bytes], size: int) -> NDArray[np.generic]:
 def _check_claims(header: NpyHeader) -> None:
     """Refuse shapes and dtypes before anything is allocated."""
     shape, dtype = header.shape, header.dtype
+    if _is_packed(shape, dtype):
+        return
     if len(shape) != 3 or len(set(shape)) != 1 or not 1 <= shape[0] <= MAX_CELLS:
-        raise PredictionError(f"shape {_short(shape)}: it must be (n, n, n) with n from 1 to {MAX_CELLS}")
+        raise PredictionError(
+            f"shape {_short(shape)}: it must be (n, n, n) with n from 1 to {MAX_CELLS}, or bits (n, n, n / 8)"
+        )
     if dtype.newbyteorder("=") not in (np.bool_, np.uint8, np.float16, np.float32):
         raise PredictionError(f"dtype {dtype.name} is not accepted: {ACCEPTED}")
+
+
+def _is_packed(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> bool:
+    """Whether an array is a cube of bits, packed along its last axis."""
+    bits = dtype == np.uint8 and len(shape) == 3 and 8 <= shape[0] <= MAX_CELLS
+    return bits and shape[0] == shape[1] == 8 * shape[2]
 
 
 def _short(shape: tuple[int, ...]) -> str:
@@ -126,7 +162,9 @@ def _short(shape: tuple[int, ...]) -> str:
 
 def _checked(array: NDArray[np.generic]) -> Prediction:
     """The array in native bytes and C order, once every value is known to be in [0, 1]."""
-    array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+    if _is_packed(array.shape, array.dtype):
+        return np.unpackbits(array.view(np.uint8), axis=-1).view(np.bool_)
+    array = _native(array)
     if array.dtype == np.float16:
         if array.view(np.uint16).max() > HALF_ONE:  # rare: negative zeros, or something wrong
             bits = array.view(np.uint16)
@@ -143,6 +181,17 @@ def _checked(array: NDArray[np.generic]) -> Prediction:
         kind = "uint8 is accepted" if array.dtype == np.uint8 else "a bool is"
         raise PredictionError(f"{raw[index]} at {index}: {kind} only as 0 and 1; {ACCEPTED}")
     return raw.view(np.bool_)
+
+
+def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    """A cube in native bytes and C order, in place: the largest that is accepted fills half a gigabyte."""
+    if not array.dtype.isnative:
+        array = array.byteswap(inplace=True).view(array.dtype.newbyteorder("="))
+    if not array.flags.c_contiguous:
+        array = array.T  # C order, x and z exchanged
+        for plane in np.moveaxis(array, 1, 0):
+            plane[...] = plane.T.copy()
+    return array
 
 
 def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from kinectbench.errors import PredictionError
 from kinectbench.release.release import Target
 
-SUFFIXES = (".npy", ".npz")
+SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class FoundPredictions:
 
 
 def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
-    """Match `<recording>/<view>.npy` or `.npz` to the targets.
+    """Match `<recording>/<view>` with one of the suffixes to the targets.
 
     Args:
         folder: one method's predictions.
@@ -51,7 +51,10 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
         if not present:
             missing.append(target)
         elif len(present) > 1:
-            problems[target] = f"{target.name}: both .npy and .npz are there; keep one"
+            suffixes = [path.suffix for path in present]
+            both = "both " if len(suffixes) == 2 else ""
+            listed = " and ".join([", ".join(suffixes[:-1]), suffixes[-1]])
+            problems[target] = f"{target.name}: {both}{listed} are there; keep one"
         elif not _inside(present[0], root):
             problems[target] = (
                 f"{target.name}{present[0].suffix}: a link out of the folder; put the file itself"
@@ -77,6 +80,15 @@ def _stray(folder: Path, expected: set[Path]) -> tuple[str, ...]:
         for path in found
         if path not in expected and not any(part.startswith(".") for part in path.relative_to(folder).parts)
     )
+
+
+def stray_line(name: str, targets: Iterable[Target]) -> str:
+    """One line about a file that answers no target, with the name it was perhaps meant to have."""
+    for target in targets:
+        for suffix in SUFFIXES:
+            if name.lower() == f"{target.name}{suffix}".lower():
+                return f"{name}: answers no target of the benchmark; rename it to {target.name}{suffix}"
+    return f"{name}: answers no target of the benchmark; remove it"
 
 
 def missing_line(target: Target) -> str:

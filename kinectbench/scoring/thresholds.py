@@ -11,7 +11,7 @@ from kinectbench.release.metadata import strict_json
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, Tally, protocol_counts
 from kinectbench.scoring.metrics import ious
-from kinectbench.workspace import sha256_file
+from kinectbench.workspace import pretty_json, sha256_file
 
 FIXED = 0.5
 
@@ -93,6 +93,19 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
         )
     of = {category: _step(given[category], f"{path}: threshold of {category}") for category in categories}
     return Thresholds(of, f"file:{sha256_file(path)}")
+
+
+def thresholds_text(
+    thresholds: Mapping[str, float], objects: Sequence[str], origin: Mapping[str, str]
+) -> str:
+    """A threshold file as text, the same for the same thresholds.
+
+    Args:
+        thresholds: by category.
+        objects: they were found on; a benchmark that tests on one of them will refuse the file.
+        origin: what to remember of them, such as the method's name; not read back.
+    """
+    return pretty_json({"thresholds": dict(thresholds), "objects": sorted(objects), **origin})
 
 
 def _objects(content: Mapping[str, object], path: Path) -> list[str]:

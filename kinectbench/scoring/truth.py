@@ -59,6 +59,15 @@ def read_truth(path: Path, sha256: str) -> Truth:
     return Truth(full, known, seen, voxel_size_m, surface_sigma_m)
 
 
+def read_voxel_size(path: Path, sha256: str) -> float:
+    """Edge of a cell of the 256-grid of a published pair, metres.
+
+    Raises:
+        ReleaseError: the file is missing, or not the published one.
+    """
+    return _arrays(path, _published(path, sha256), LENGTHS[:1], _length)[0]
+
+
 def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[Packed]:
     """Read some packed grids of a published pair file, in the order of `names`.
 

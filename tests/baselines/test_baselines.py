@@ -9,18 +9,29 @@ from scipy.spatial import ConvexHull
 from synthetic_release import ball, synthetic_pair
 
 from kinectbench.baselines.hull import filled_hull
+from kinectbench.baselines.inputs import Inputs, Training, read_training, up_in_grid
+from kinectbench.baselines.learned import mean_shape, nearest
+from kinectbench.baselines.mirror import best_plane, mirror, mirrored
 from kinectbench.baselines.registry import BASELINES
+from kinectbench.baselines.silhouette import extruded, silhouette
 from kinectbench.baselines.trivial import constant, empty, partial
-from kinectbench.baselines.write import write_baselines
-from kinectbench.errors import SettingsError
+from kinectbench.baselines.write import possible_baselines, write_baselines
+from kinectbench.errors import ReleaseError, SettingsError
 from kinectbench.release.release import Release
 from kinectbench.scoring.check import check
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.score import score
-from kinectbench.voxels.pair_file import pack, unpack
+from kinectbench.voxels.pair_file import Pair, pack, read_pair, unpack
+from kinectbench.voxels.resample import reduce_blocks
 
 PAIR = synthetic_pair(0, "chair")
+UP = np.array([0.0, -1.0, 0.0])
+LEFT_OUT = ("mean-shape", "nearest")  # the release has no training pairs
+
+
+def inputs(pair: Pair = PAIR, base_rate: float = 0.1) -> Inputs:
+    return Inputs(pair, base_rate, UP, None)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -57,27 +68,27 @@ def test_flat_partials_are_their_own_hull(cells: list[tuple[int, int, int]]) -> 
 def test_baselines_look_at_the_input_only() -> None:
     nothing = np.zeros_like(PAIR.full)
     blind = replace(PAIR, full=nothing, shell=nothing, known=nothing)
-    for name, baseline in BASELINES.items():
-        before = pack(unpack(PAIR.partial_256))
-        np.testing.assert_array_equal(baseline(blind, 0.1), baseline(PAIR, 0.1), err_msg=name)
+    for name in [name for name in BASELINES if name not in LEFT_OUT]:
+        before, baseline = pack(unpack(PAIR.partial_256)), BASELINES[name]
+        np.testing.assert_array_equal(baseline(inputs(blind)), baseline(inputs()), err_msg=name)
         np.testing.assert_array_equal(PAIR.partial_256, before)
 
 
 def test_trivial() -> None:
-    assert not empty(PAIR, 0.3).any()
-    assert constant(PAIR, 0.123)[0, 0, 0] == np.float16(0.123)
-    assert constant(PAIR, 0.0).min() > 0 and constant(PAIR, 1.0).max() < 1
-    np.testing.assert_array_equal(partial(PAIR, 0.3), unpack(PAIR.partial_256))
+    assert not empty(inputs()).any()
+    assert constant(inputs(PAIR, 0.123))[0, 0, 0] == np.float16(0.123)
+    assert constant(inputs(PAIR, 0.0)).min() > 0 and constant(inputs(PAIR, 1.0)).max() < 1
+    np.testing.assert_array_equal(partial(inputs()), unpack(PAIR.partial_256))
 
 
 def test_written_baselines_are_a_valid_submission(release: Release, tmp_path: Path) -> None:
-    write_baselines(release, tmp_path / "a")
+    assert write_baselines(release, tmp_path / "a") == possible_baselines(release)
     methods = split_methods(tmp_path / "a", release.targets)
-    assert list(methods) == sorted(BASELINES)
+    assert list(methods) == sorted(set(BASELINES) - set(LEFT_OUT))
     tables = {}
     for name, folder in methods.items():
         assert check(release, folder) == []
-        tables[name] = score(release, folder, method=name)
+        tables[name] = score(release, folder, method=name, protocols=["paper", "known"], surface=False)
     rows = {
         (name, row.protocol): row
         for name, table in tables.items()
@@ -103,6 +114,99 @@ def test_same_bytes_with_any_number_of_workers(release: Release, tmp_path: Path)
 
 def test_unknown_baseline(release: Release, tmp_path: Path) -> None:
     with pytest.raises(
-        SettingsError, match="no baseline 'hul': choose among empty, base-rate, partial, hull"
+        SettingsError, match="no baseline 'hul': choose among empty, base-rate, partial, hull, mirror"
     ):
         write_baselines(release, tmp_path, ["hul"])
+    with pytest.raises(SettingsError, match="nearest: needs training pairs"):
+        write_baselines(release, tmp_path, ["nearest"])
+
+
+def test_silhouette_of_a_plate_is_a_pyramid() -> None:
+    plate = np.zeros((64, 64, 64), bool)
+    plate[20:44, 24:40, 10] = True
+    camera = np.array([31.5, 31.5, -54.0])  # 64 cells before the plate
+    filled = extruded(plate, camera)
+    cells = np.argwhere(np.ones_like(plate)).astype(float)
+    behind = cells[:, 2] >= 10
+    scale = 64 / np.maximum(cells[:, 2] - camera[2], 1)
+    at = camera[:2] + (cells[:, :2] - camera[:2]) * scale[:, None]
+    exact = behind & (np.abs(at[:, 0] - 31.5) < 12) & (np.abs(at[:, 1] - 31.5) < 8)
+    wrong = filled.ravel() != exact
+    edge = np.minimum(np.abs(np.abs(at[:, 0] - 31.5) - 12), np.abs(np.abs(at[:, 1] - 31.5) - 8))
+    assert not (wrong & (edge > 0.5)).any()
+    assert filled[:, :, 63].sum() > 1.5 * plate.sum()  # it grows with the distance
+    ahead = extruded(plate, np.array([31.5, 31.5, 5.0]))  # the camera is in the grid: straight on
+    assert ahead[:, :, 63].sum() == plate.sum()
+
+
+def test_silhouette_holds_the_partial_and_the_shape_behind_it() -> None:
+    T_world_camera = PAIR.T_world_grid.copy()  # far before the grid: rays along z
+    T_world_camera[:3, 3] += PAIR.T_world_grid[:3, :3] @ np.array([128, 128, -1e5]) * PAIR.voxel_size_m
+    solid = silhouette(inputs(replace(PAIR, T_world_camera=T_world_camera)))
+    front, full = unpack(PAIR.partial_256), unpack(PAIR.full)
+    assert (solid & front).sum() == front.sum()
+    assert (solid & full).sum() > 0.9 * full.sum()
+
+
+def test_the_mirror_plane_of_a_box() -> None:
+    """Two sides of an upright box: the corner is seen, the planes of symmetry are known."""
+    shape = np.zeros((256, 256, 256), bool)
+    shape[60:181, 40:200, 80:141] = True
+    partial = np.zeros_like(shape)
+    partial[60:181, 40:200, 80:82] = True
+    partial[60:62, 40:200, 80:141] = True
+    reduce = partial.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5))
+    empty_seen = ~shape.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5))
+    points = np.argwhere(partial) + 0.5
+    normal, offset = best_plane(points, reduce, empty_seen, UP)
+    image = mirrored(points, normal, offset)
+    assert abs(normal[1]) < 1e-9
+    cells = np.clip(np.floor(image).astype(int), 0, 255)
+    assert shape[tuple(cells.T)].mean() > 0.9
+    np.testing.assert_allclose(mirrored(image, normal, offset), points)
+
+
+def test_mirror_adds_to_the_partial() -> None:
+    cut = np.arange(256)[:, None, None] < 140  # the rest is hidden: nothing was seen there
+    front = unpack(PAIR.partial_256) & cut
+    halved = replace(
+        PAIR,
+        partial_256=pack(front),
+        partial=pack(reduce_blocks(front, "any")),
+        seen=pack(unpack(PAIR.seen) & cut),
+    )
+    found = mirror(inputs(halved))
+    assert (found & front).sum() == front.sum() and found.sum() > 1.1 * front.sum()
+    assert (found & unpack(PAIR.partial_256) & ~cut).any()
+
+
+def test_up_is_away_from_the_floor(release: Release, tmp_path: Path) -> None:
+    target = release.targets[0]
+    pair = read_pair(release.pair_path(target))
+    folder = tmp_path / "objects" / target.recording
+    folder.mkdir(parents=True)
+    moved = Release(tmp_path, release.targets, release.metadata)
+    np.testing.assert_array_equal(up_in_grid(moved, target, pair), UP)
+    (folder / "floor.json").write_text('{"plane_world": [0, 0, 2, -1]}')
+    np.testing.assert_allclose(
+        pair.T_world_grid[:3, :3] @ up_in_grid(moved, target, pair), [0, 0, 1], atol=1e-12
+    )
+    for text in ("[", "{}", '{"plane_world": [0, 0, 0, 1]}', '{"plane_world": ["a", 0, 1, 1]}'):
+        (folder / "floor.json").write_text(text)
+        with pytest.raises(ReleaseError, match="floor"):
+            up_in_grid(moved, target, pair)
+
+
+def test_baselines_that_learn(release: Release) -> None:
+    """The validation split plays the training split."""
+    targets = tuple(
+        replace(target, split="train") for target in release.targets if target.split == "validation"
+    )
+    trained = Release(release.folder, targets, release.metadata)
+    training = read_training(trained, "chair")
+    assert isinstance(training, Training) and read_training(release, "chair") is None
+    pairs = [read_pair(trained.pair_path(target)) for target in targets if target.category == "chair"]
+    blocks = [unpack(pair.full).reshape(64, 4, 64, 4, 64, 4).mean(axis=(1, 3, 5)) for pair in pairs]
+    given = replace(inputs(pairs[1]), training=training)
+    np.testing.assert_allclose(mean_shape(given), np.mean(blocks, axis=0), atol=1e-3)
+    np.testing.assert_array_equal(nearest(given), unpack(pairs[1].full))

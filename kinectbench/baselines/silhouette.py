@@ -1,0 +1,46 @@
+"""The partial extruded away from the camera: all that the object could fill behind what was seen of it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.baselines.inputs import Inputs
+
+PIXELS = 512
+
+Bools = NDArray[np.bool_]
+
+
+def silhouette(inputs: Inputs) -> Bools:
+    """Every cell whose ray from the camera met the partial before: (256, 256, 256) bool.
+
+    Rays go from the camera's centre through cell centres, on to the grid's far side. They are looked up in an
+    image of 512 x 512 rays over the grid's far side. Own rule.
+    """
+    pair = inputs.pair
+    centre = np.linalg.inv(pair.T_world_grid) @ pair.T_world_camera[:, 3]
+    return extruded(inputs.partial, centre[:3] / pair.voxel_size_m - 0.5)
+
+
+def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
+    """Extrude along the rays from a camera at cell coordinates (3,); along z if it is not before the grid."""
+    count = len(partial)
+    far = np.linspace(-0.5, count - 0.5, PIXELS)
+    hit = np.zeros((PIXELS, PIXELS), bool)
+    filled = partial.copy()
+    for k in range(count):
+        # where the rays that end at `far` on the last plane cross this plane
+        share = 1.0 if camera_cells[2] >= 0 else (k - camera_cells[2]) / (count - 1 - camera_cells[2])
+        rows, columns = (camera_cells[axis] * (1 - share) + far * share for axis in (0, 1))
+        i, j = (np.clip(np.rint(values).astype(int), 0, count - 1) for values in (rows, columns))
+        inside = np.outer(np.abs(i - rows) <= 0.5, np.abs(j - columns) <= 0.5)
+        hit |= partial[:, :, k][np.ix_(i, j)] & inside
+        # and which of these rays passes next to each cell's centre
+        cells = np.arange(count)
+        at = [
+            np.rint((((cells - camera_cells[a] * (1 - share)) / share) + 0.5) / count * (PIXELS - 1))
+            for a in (0, 1)
+        ]
+        p, q = (np.clip(values, 0, PIXELS - 1).astype(int) for values in at)
+        within = np.outer(at[0] == p, at[1] == q)
+        filled[:, :, k] |= hit[np.ix_(p, q)] & within
+    return filled

@@ -1,0 +1,87 @@
+"""A submitted mesh as occupied voxels. The file is untrusted: what it costs is known before it is spent."""
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import PredictionError
+from kinectbench.geometry import Grid
+from kinectbench.voxels.pair_file import FULL_CELLS, unpack
+
+MESHES = (".ply", ".obj")
+MAX_MESH_BYTES = 64 << 20
+MAX_FAR = 16  # grid sides
+MAX_CROSSINGS = 1 << 24
+MAX_IN_A_COLUMN = 4096
+
+
+def voxelised(path: Path, voxel_size_m: float) -> NDArray[np.bool_]:
+    """The cells whose centre is inside a closed mesh.
+
+    Args:
+        path: .ply or .obj, in grid coordinates and metres: the grid's corner is the origin.
+        voxel_size_m: of the pair's 256-grid.
+
+    Returns:
+        (256, 256, 256) bool. What lies beyond the grid is cut off.
+
+    Raises:
+        PredictionError: not a readable, closed, evenly oriented mesh, or one that would cost too much;
+            without the file's name.
+    """
+    from kinectbench.voxels.solid import voxelize_solid
+
+    content = path.read_bytes()
+    mesh = _parsed(content, path.suffix[1:])
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
+    grid = Grid((FULL_CELLS,) * 3, voxel_size_m, np.eye(4))
+    _refuse_far(vertices, grid)
+    _refuse_costly(vertices[:, :2] / voxel_size_m, faces)
+    if not mesh.is_watertight or not mesh.is_winding_consistent:
+        raise PredictionError("the mesh is not closed, or not oriented alike; close it, or submit a grid")
+    return unpack(voxelize_solid(vertices, faces, grid))
+
+
+def _parsed(content: bytes, kind: str) -> Any:
+    """The mesh, by trimesh: no other file is opened."""
+    import trimesh
+
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            mesh = trimesh.load_mesh(
+                io.BytesIO(content), file_type=kind, process=False, skip_materials=True, resolver=None
+            )
+            faces = len(mesh.faces)
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    except Exception as error:  # whatever a parser says of a stranger's bytes
+        text = " ".join(str(error).split())[:80]
+        raise PredictionError(f"not a readable {kind} mesh ({type(error).__name__}: {text})") from None
+    if not faces:
+        raise PredictionError("a mesh without faces; an empty prediction is a grid of zeros")
+    return mesh
+
+
+def _refuse_far(vertices: NDArray[np.float64], grid: Grid) -> None:
+    far = MAX_FAR * float(grid.size_m[0])
+    if not np.isfinite(vertices).all() or np.abs(vertices).max() > far:
+        raise PredictionError(
+            f"vertices beyond {far:.3g} m; write the mesh in metres from the corner of the pair's grid"
+        )
+
+
+def _refuse_costly(vertices_cells: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+    """Bound the columns of cells that each face can cross, by its rectangle."""
+    corners = np.clip(vertices_cells, -1, FULL_CELLS)[faces]  # (m, 3, 2)
+    low = np.floor(corners.min(axis=1)).astype(np.int64) + 1
+    high = np.floor(corners.max(axis=1)).astype(np.int64) + 2
+    total = int(((high - low)[:, 0] * (high - low)[:, 1]).sum())
+    steps = np.zeros((FULL_CELLS + 3, FULL_CELLS + 3), np.int64)
+    for x, y, sign in ((low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)):
+        np.add.at(steps, (x[:, 0], y[:, 1]), sign)
+    if total > MAX_CROSSINGS or steps.cumsum(axis=0).cumsum(axis=1).max() > MAX_IN_A_COLUMN:
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh, or submit a grid")

@@ -1,0 +1,219 @@
+"""Meshes, packed bits, orders of bytes, hostile folders: each is scored, or refused in one line."""
+
+import io
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinectbench.errors import PredictionError
+from kinectbench.release.release import Release
+from kinectbench.scoring.check import check
+from kinectbench.scoring.pair_result import Counting, Job, count_job
+from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.score import score
+from kinectbench.scoring.truth import read_voxel_size
+from kinectbench.voxels.pair_file import pack, read_pair, unpack
+
+VOXEL_M = 0.004
+BOX = trimesh.creation.box(bounds=[[0.1, 0.2, 0.3], [0.5, 0.4, 0.9]])
+
+
+def exported(mesh: trimesh.Trimesh, kind: str) -> bytes:
+    content = mesh.export(file_type=kind)
+    return content.encode() if isinstance(content, str) else content
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj"])
+def test_a_mesh_is_voxelised(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"000.{kind}"
+    path.write_bytes(exported(BOX, kind))
+    expected = np.zeros((256, 256, 256), bool)
+    expected[25:125, 50:100, 75:225] = True  # centres between the sides
+    np.testing.assert_array_equal(load_prediction(path, "chair/000", VOXEL_M), expected)
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.3).apply_translation([0.5, 0.5, 0.5])
+    path.write_bytes(exported(sphere, kind))
+    volume_m3 = load_prediction(path, None, VOXEL_M).sum() * VOXEL_M**3
+    assert volume_m3 == pytest.approx(sphere.volume, rel=2e-3)
+
+
+OPEN = trimesh.Trimesh(BOX.vertices, BOX.faces[1:], process=False)
+TURNED = trimesh.Trimesh(BOX.vertices, [BOX.faces[0][::-1], *BOX.faces[1:]], process=False)
+FAN = "".join(f"v {x} {y} 0.5\n" for x in (0, 1) for y in np.linspace(0, 1, 400)) + "".join(
+    f"f {a} {a % 400 + 1} {401 + (7 * a) % 400}\n" for _ in range(40) for a in range(1, 401)
+)
+MESHES: dict[str, tuple[str, bytes, str]] = {
+    "open": ("ply", exported(OPEN, "ply"), "the mesh is not closed"),
+    "turned": ("obj", exported(TURNED, "obj"), "not oriented alike"),
+    "far": ("ply", exported(BOX.copy().apply_translation([500, 0, 0]), "ply"), "vertices beyond 16.4 m"),
+    "not finite": ("obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "vertices beyond|not a readable"),
+    "points only": ("ply", exported(trimesh.Trimesh(BOX.vertices), "ply"), "without faces|not a readable"),
+    "empty": ("ply", b"", "the file is empty"),
+    "garbage": ("obj", b"\x00\xff" * 99, "not a readable obj mesh|without faces"),
+    "cut off": ("ply", exported(BOX, "ply")[:-30], "not a readable ply mesh"),
+    "claims terabytes": (
+        "ply",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 99999999999\nproperty float x\n"
+        b"property float y\nproperty float z\nelement face 99999999999\n"
+        b"property list uchar int vertex_indices\nend_header\n",
+        "not a readable ply mesh",
+    ),
+    "faces of no vertex": ("obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 900\n", "not a readable obj mesh"),
+    "costly": ("obj", FAN.encode(), "faces across each other"),
+}
+
+
+@pytest.mark.parametrize("name", list(MESHES))
+def test_hostile_meshes(name: str, tmp_path: Path) -> None:
+    kind, content, message = MESHES[name]
+    path = tmp_path / f"000.{kind}"
+    path.write_bytes(content)
+    with pytest.raises(PredictionError, match=message) as caught:
+        load_prediction(path, "chair_01/000", VOXEL_M)
+    assert str(caught.value).startswith("chair_01/000: ") and "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 250
+
+
+def test_an_obj_opens_no_other_file(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd ../secret.png\n")
+    path = tmp_path / "in" / "000.obj"
+    path.write_bytes(b"mtllib ../secret.mtl\nusemtl a\n" + exported(BOX, "obj"))
+    assert load_prediction(path, None, VOXEL_M).any()
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["000.obj", "in", "secret.mtl"]
+
+
+def test_packed_bits(tmp_path: Path) -> None:
+    grid = np.random.default_rng(0).random((256,) * 3, dtype=np.float32) < 0.3
+    np.savez_compressed(tmp_path / "000.npz", pack(grid))
+    np.testing.assert_array_equal(load_prediction(tmp_path / "000.npz"), grid)
+    np.save(tmp_path / "001.npy", np.asfortranarray(pack(grid[:16, :16, :16])))
+    np.testing.assert_array_equal(load_prediction(tmp_path / "001.npy"), grid[:16, :16, :16])
+    np.save(tmp_path / "002.npy", np.full((16, 16, 3), 255, np.uint8))
+    with pytest.raises(PredictionError, match=r"or bits \(n, n, n / 8\)"):
+        load_prediction(tmp_path / "002.npy")
+
+
+@pytest.mark.parametrize("dtype", [">f4", "<f4", ">f2"])
+def test_orders_are_put_right_in_place(dtype: str, tmp_path: Path) -> None:
+    grid = np.random.default_rng(1).random((96, 96, 96)).astype(dtype)
+    np.save(tmp_path / "000.npy", np.asfortranarray(grid))
+    tracemalloc.start()
+    loaded = load_prediction(tmp_path / "000.npy")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_array_equal(loaded, grid)
+    assert loaded.flags.c_contiguous and loaded.dtype.isnative
+    assert peak < 1.5 * grid.nbytes + (2 << 20)
+
+
+def write_empty(release: Release, folder: Path) -> Path:
+    for target in release.split("test"):
+        (folder / target.recording).mkdir(parents=True, exist_ok=True)
+        np.save(folder / target.recording / f"{target.view}.npy", np.zeros((4, 4, 4), bool))
+    return folder
+
+
+def test_a_submitted_mesh_is_scored(release: Release, tmp_path: Path) -> None:
+    target = release.split("test")[0]
+    size_m = read_voxel_size(release.pair_path(target), target.sha256)
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=90 * size_m)
+    sphere.apply_translation(np.array([120, 128, 130]) * size_m)  # the first pair's ball
+    folder = write_empty(release, tmp_path / "mine")
+    (folder / target.recording / f"{target.view}.npy").unlink()
+    (folder / target.recording / f"{target.view}.ply").write_bytes(exported(sphere, "ply"))
+    assert check(release, folder) == []
+    table = score(release, folder, method="mine", protocols=["known"], surface=False)
+    assert table.complete
+    row = table.rows[0]
+    assert (row.recording, row.view, row.cells) == (target.recording, target.view, 256)
+    assert row.iou > 0.99
+
+
+def test_what_is_wrong_with_a_folder_is_told_at_once(release: Release, tmp_path: Path) -> None:
+    folder = write_empty(release, tmp_path / "mine")
+    (folder / "chair_01" / "000.npy").rename(folder / "chair_01" / "000.NPY")
+    (folder / "table_01" / "000.npy").unlink()
+    (folder / "table_01" / "000.npy").mkdir()
+    for suffix in ("npz", "ply", "obj"):
+        (folder / "chair_01" / f"001.{suffix}").write_bytes(b"x")
+    for n in range(10_000):
+        (folder / f"stray_{n:05d}").touch()
+    problems = check(release, folder)
+    assert problems[:4] == [
+        "chair_01/000: no prediction; expected chair_01/000.npy or .npz",
+        "chair_01/001: .npy, .npz, .ply and .obj are there; keep one",
+        "table_01/000.npy: a folder, not a file",
+        "chair_01/000.NPY: answers no target of the benchmark; rename it to chair_01/000.npy",
+    ]
+    assert len(problems) == 4 + 10_000
+
+
+def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) -> None:
+    target = release.split("test")[0]
+    path = tmp_path / "000.npy"
+    np.save(path, np.ones((4, 4, 4), bool))
+    job = Job(target, release.pair_path(target), path, 0.5, Counting(("known",)))
+    result = count_job(job)
+    assert not isinstance(result, str)
+    keys = {
+        job.key(result.sha256),
+        job.key("0" * 64),
+        Job(target, job.truth, path, 0.4, job.counting).key(result.sha256),
+        Job(target, job.truth, path, 0.5, Counting(("known",), surface=False)).key(result.sha256),
+    }
+    assert len(keys) == 4
+
+
+def good_files() -> list[tuple[str, bytes]]:
+    small = np.random.default_rng(0).random((5, 5, 5)).astype(np.float16)
+    buffers = [io.BytesIO(), io.BytesIO()]
+    np.save(buffers[0], small)
+    np.savez_compressed(buffers[1], small)
+    return [
+        ("npy", buffers[0].getvalue()),
+        ("npz", buffers[1].getvalue()),
+        ("ply", exported(BOX, "ply")),
+        ("obj", exported(BOX, "obj")),
+    ]
+
+
+GOOD = good_files()
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    which=st.integers(0, len(GOOD) - 1),
+    cuts=st.tuples(st.integers(0, 4000), st.integers(0, 4000)),
+    junk=st.binary(max_size=40),
+    keep_rest=st.booleans(),
+)
+def test_no_bytes_crash_the_reader(
+    which: int, cuts: tuple[int, int], junk: bytes, keep_rest: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    kind, content = GOOD[which]
+    first, second = sorted(cut % (len(content) + 1) for cut in cuts)
+    path = tmp_path_factory.getbasetemp() / f"fuzz.{kind}"
+    path.write_bytes(content[:first] + junk + (content[second:] if keep_rest else b""))
+    try:
+        loaded = load_prediction(path, "fuzz", VOXEL_M)
+    except PredictionError as error:
+        assert "\n" not in str(error)
+    else:
+        assert loaded.ndim == 3 and loaded.min() >= 0 and loaded.max() <= 1
+
+
+def test_truth_as_packed_bits_is_perfect(release: Release, tmp_path: Path) -> None:
+    for target in release.split("test"):
+        (tmp_path / target.recording).mkdir(parents=True, exist_ok=True)
+        full = read_pair(release.pair_path(target)).full
+        assert unpack(full).any()
+        np.savez_compressed(tmp_path / target.recording / f"{target.view}.npz", full)
+    table = score(release, tmp_path, method="truth", protocols=["paper"])
+    for row in table.rows:
+        assert (row.iou, row.chamfer_mm, row.surface_dice) == (1.0, 0.0, 1.0)
+        assert row.normal_consistency == pytest.approx(1.0)

@@ -1,0 +1,86 @@
+"""What people who train use: the same numbers from memory as from files, and an example that runs."""
+
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kinectbench
+from kinectbench.errors import PredictionError, SettingsError
+from kinectbench.release.release import Release
+from kinectbench.scoring.score import score
+from kinectbench.voxels.pair_file import read_pair, unpack
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "train.py"
+
+
+def test_dataset(release: Release) -> None:
+    dataset = kinectbench.load(release.folder)
+    assert len(dataset) == len(release.targets) == 7 and len(dataset.split("train")) == 0
+    item = dataset.split("test")[1]
+    pair = read_pair(release.folder / "pairs" / "chair_01" / "001.npz")
+    assert item["pair_id"] == "chair_01/001"
+    for name in ("partial", "full", "known"):
+        np.testing.assert_array_equal(item[name], unpack(getattr(pair, name)))
+    assert item["meta"]["category"] == "chair" and item["meta"]["voxel_size_m"] == pair.voxel_size_m
+    assert [one["pair_id"] for one in dataset.split("validation")] == [
+        t.name for t in release.split("validation")
+    ]
+    with pytest.raises(SettingsError, match="no split 'val'"):
+        dataset.split("val")
+
+
+def test_scorer_gives_what_files_give(release: Release, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    dataset = kinectbench.load(release.folder)
+    scorer = kinectbench.Scorer(dataset, method="mine", protocols=["known"], surface=True)
+    for split in ("validation", "test"):
+        for item in dataset.split(split):
+            y = (0.6 * item["full"][::8, ::8, ::8] + 0.4 * rng.random((32, 32, 32))).astype(np.float32)
+            scorer.update(item["pair_id"], np.asfortranarray(y))
+            recording, _, view = item["pair_id"].partition("/")
+            (tmp_path / recording).mkdir(exist_ok=True)
+            np.save(tmp_path / recording / f"{view}.npy", y)
+    expected = asdict(score(release, tmp_path, method="mine", protocols=["known"]))
+    found = asdict(scorer.result())
+    assert found.pop("hashes").keys() == expected.pop("hashes").keys()
+    assert found == expected
+
+
+def test_scorer_refuses(release: Release) -> None:
+    scorer = kinectbench.Scorer(release.folder)
+    grid = np.zeros((4, 4, 4), bool)
+    with pytest.raises(PredictionError, match="chair_01/7: no pair"):
+        scorer.update("chair_01/7", grid)
+    with pytest.raises(PredictionError, match="chair_01/000: dtype float64 is not accepted"):
+        scorer.update("chair_01/000", grid.astype(float))
+    with pytest.raises(PredictionError, match=r"chair_01/000: nan at \(0, 0, 0\)"):
+        scorer.update("chair_01/000", np.full((4, 4, 4), np.nan, np.float32))
+    scorer.update("chair_01/000", grid)
+    with pytest.raises(PredictionError, match="update validation pairs first"):
+        scorer.update("chair_03/000", grid)
+    table = scorer.result()
+    assert not table.complete and len(table.failures) == 3 and table.overall is None
+    with pytest.raises(SettingsError, match="no protocol 'all'"):
+        kinectbench.Scorer(release.folder, protocols=["all"])
+
+
+def test_importing_the_package_is_light() -> None:
+    code = "import sys, kinectbench; assert 'numpy' not in sys.modules; kinectbench.Scorer"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'lod'"):
+        _ = kinectbench.lod  # type: ignore[attr-defined]
+
+
+def test_the_example_runs_and_learns(release: Release) -> None:
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE), str(release.folder), "--epochs", "2"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    losses = [float(line.split("CE ")[1].split()[0]) for line in done.stdout.splitlines()]
+    assert len(losses) == 2 and losses[1] < losses[0] < 0.7
