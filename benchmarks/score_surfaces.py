@@ -14,19 +14,21 @@ RADIUS = 3
 
 
 def surface_reference(
-    predicted: Bools, full: Bools, counted: Bools, voxel_size_m: float, sigma_m: float
+    predicted: Bools, full: Bools, counted: Bools, trusted: Bools, voxel_size_m: float, sigma_m: float
 ) -> dict[str, float]:
-    """All surface metrics of one pair; neither surface is empty."""
-    surfaces = [np.argwhere(_surface(solid) & counted) for solid in (predicted, full)]
-    (there, nearest_true), (back, nearest_ours) = _nearest(*surfaces), _nearest(*surfaces[::-1])
+    """All surface metrics of one pair, from what is counted to what is trusted; no surface is empty."""
+    surfaces = [_surface(solid) for solid in (predicted, full)]
+    ours, theirs = (np.argwhere(surface & counted) for surface in surfaces)
+    our_targets, their_targets = (np.argwhere(surface & trusted) for surface in surfaces)
+    there, nearest_true = _nearest(ours, their_targets)
+    back, nearest_ours = _nearest(theirs, our_targets)
     mm = voxel_size_m * 1000
     there, back = there * mm, back * mm
     occupied = np.argwhere(full)
     size_mm = float(np.linalg.norm(np.ptp(occupied, axis=0) + 1)) * mm
-    normals = [_normals(solid, cells) for solid, cells in zip((predicted, full), surfaces, strict=True)]
     agreements = [
-        _agreement(normals[0], normals[1][nearest_true]),
-        _agreement(normals[1], normals[0][nearest_ours]),
+        _agreement(_normals(predicted, ours), _normals(full, their_targets)[nearest_true]),
+        _agreement(_normals(full, theirs), _normals(predicted, our_targets)[nearest_ours]),
     ]
     tolerance = 2 * sigma_m * 1000
     near = np.count_nonzero(there <= tolerance) + np.count_nonzero(back <= tolerance)

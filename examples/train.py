@@ -3,7 +3,7 @@
     python examples/train.py benchmark/ --epochs 3
 
 Each coarse cell is predicted from a few features of its column of sight and its place. It learns little, and
-needs nothing but numpy; put your network in the place of `Model`. Where torch is installed, `kinectbench.load`
+needs only numpy; put your network in the place of `Model`. Where torch is installed, `kinectbench.load`
 gives a torch Dataset, which `torch.utils.data.DataLoader(dataset, batch_size=None)` reads in parallel.
 """
 

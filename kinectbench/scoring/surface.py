@@ -1,7 +1,8 @@
 """Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
 
-A set's surface is its cells with an empty 6-neighbour (outside the grid is empty); of these the protocol's
-count. Distances are exact, between cell centres.
+A set's surface is its cells with an empty 6-neighbour (outside the grid is empty). Distances are exact, and
+between cell centres: from the cells that the protocol counts to the nearest of the other surface that is known
+(under `paper` of all). So under `occluded` a hidden cell may have its nearest where the view saw.
 """
 
 import math
@@ -90,31 +91,45 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
     from kinectbench.voxels.packed_shell import packed_shell
 
     ours, theirs = packed_shell(predicted), packed_shell(truth.full)
-    counted = {"paper": None, "known": truth.known, "occluded": truth.known & ~truth.seen}
-    return {name: _between(ours, theirs, counted[name], predicted, truth) for name in protocols}
+    everywhere = np.full_like(truth.known, 255)
+    masks = {
+        "paper": (everywhere, everywhere),
+        "known": (truth.known, truth.known),
+        "occluded": (truth.known & ~truth.seen, truth.known),
+    }
+    return {name: _between((predicted, ours), (truth.full, theirs), masks[name], truth) for name in protocols}
 
 
 def _between(
-    predicted_surface: Packed, true_surface: Packed, counted: Packed | None, predicted: Packed, truth: Truth
+    ours: tuple[Packed, Packed], theirs: tuple[Packed, Packed], masks: tuple[Packed, Packed], truth: Truth
 ) -> SurfaceMetrics:
-    """The metrics between two surfaces, of `predicted` and of `truth`; of both, what is counted."""
+    """The metrics between prediction and truth, each a solid and its surface.
+
+    Args:
+        ours: of the prediction.
+        theirs: of the truth.
+        masks: cells of a surface that are measured from, and that are measured to.
+        truth: for its lengths.
+    """
     from kinectbench.scoring.nearest import cells_of, nearest
     from kinectbench.scoring.normals import agreement, normals
 
-    surfaces = predicted_surface, true_surface
-    ours, theirs = (cells_of(s if counted is None else s & counted) for s in surfaces)
-    if not len(ours) and not len(theirs):
+    (our_solid, our_surface), (their_solid, their_surface) = ours, theirs
+    counted, trusted = masks
+    our_cells, their_cells = cells_of(our_surface & counted), cells_of(their_surface & counted)
+    if not len(our_cells) and not len(their_cells):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000
-    if not len(ours) or not len(theirs):
+    if not len(our_cells) or not len(their_cells):
         return SurfaceMetrics(math.sqrt(3) * FULL_CELLS * voxel_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    (squared, to_theirs), (squared_back, to_ours) = nearest(ours, theirs), nearest(theirs, ours)
+    our_targets, their_targets = cells_of(our_surface & trusted), cells_of(their_surface & trusted)
+    squared, to_theirs = nearest(our_cells, their_targets)
+    squared_back, to_ours = nearest(their_cells, our_targets)
     between = Distances(np.sqrt(squared) * voxel_mm, np.sqrt(squared_back) * voxel_mm)
-    our_normals, their_normals = normals(predicted, ours.index), normals(truth.full, theirs.index)
-    agreements = (
-        agreement(our_normals, their_normals[to_theirs]),
-        agreement(their_normals, our_normals[to_ours]),
+    there = agreement(
+        normals(our_solid, our_cells.index), normals(their_solid, their_targets.index)[to_theirs]
     )
+    back = agreement(normals(their_solid, their_cells.index), normals(our_solid, our_targets.index)[to_ours])
     size_mm = size_cells(truth.full) * voxel_mm
     one_percent, two_percent, near, wide = 0.01 * size_mm, 0.02 * size_mm, *F_SCORE_MM
     return SurfaceMetrics(
@@ -124,7 +139,7 @@ def _between(
         f_score_10mm=between.f_score(near),
         f_score_20mm=between.f_score(wide),
         surface_dice=between.dice(SIGMAS * truth.surface_sigma_m * 1000),
-        normal_consistency=sum(agreements) / 2,
+        normal_consistency=(there + back) / 2,
     )
 
 
