@@ -1,4 +1,4 @@
-"""Scores against plain numpy: IoU, CE, precision and recall of random predictions, computed a second time.
+"""Scores against plain numpy: every metric and protocol of random predictions, computed a second time.
 
 The second computation takes its formulas from the paper and uses nothing of `kinectbench.scoring`:
 the grids are unpacked, a prediction becomes float64, cubes of other sizes are upsampled by
@@ -16,6 +16,7 @@ from builds import build_root
 from figures import Figure, arguments, at_most, equals, run, told
 from numpy.typing import NDArray
 from scipy import ndimage
+from score_surfaces import surface_reference
 
 from kinectbench.release.release import Release, Target, open_release
 
@@ -23,7 +24,17 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from synthetic_release import publish_synthetic
 
 MAX_DIFFERENCE = 1e-6
-METRICS = ("iou", "ce", "precision", "recall")
+METRICS = ("iou", "ce", "precision", "recall", "f1")
+SURFACES = (
+    "chamfer_mm",
+    "f_score_1pct",
+    "f_score_2pct",
+    "f_score_10mm",
+    "f_score_20mm",
+    "surface_dice",
+    "normal_consistency",
+)
+PROTOCOLS = ("paper", "known", "occluded")
 Reals = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -62,21 +73,30 @@ class Case:
     y: Reals
     full: Bools
     known: Bools
+    seen: Bools
+    voxel_size_m: float = 1.0
+    surface_sigma_m: float = 0.0
+
+    def counted(self, protocol: str) -> Bools:
+        """The voxels that a protocol counts."""
+        masks = {"paper": np.ones_like(self.known), "known": self.known, "occluded": self.known & ~self.seen}
+        return masks[protocol]
 
 
 def read_case(pair_file: Path, prediction: Path) -> Case:
     """Read both with plain numpy."""
     with np.load(pair_file) as pair:
-        full, known = (np.unpackbits(pair[name], axis=-1).astype(bool) for name in ("full", "known"))
+        grids = [np.unpackbits(pair[name], axis=-1).astype(bool) for name in ("full", "known", "seen")]
+        lengths = [float(pair[name]) for name in ("voxel_size_m", "surface_sigma_m")]
     y = np.load(prediction).astype(np.float64)
     if len(y) != 256:
         y = ndimage.zoom(y, 256 / len(y), order=1, grid_mode=True, mode="nearest")
-    return Case(np.asarray(y), full, known)
+    return Case(np.asarray(y), *grids, *lengths)
 
 
 def reference(case: Case, threshold: float, protocol: str) -> dict[str, float]:
-    """The paper's four metrics; the voxels are all (`paper`) or those of the trusted truth (`known`)."""
-    counted = np.ones_like(case.full) if protocol == "paper" else case.known
+    """The paper's four metrics and F1, over the voxels that the protocol counts."""
+    counted = case.counted(protocol)
     y, full = case.y[counted], case.full[counted]
     above = y > threshold
     hit, union = np.count_nonzero(above & full), np.count_nonzero(above | full)
@@ -86,7 +106,15 @@ def reference(case: Case, threshold: float, protocol: str) -> dict[str, float]:
         "ce": float(-np.mean(np.where(full, np.log(clipped), np.log(1 - clipped)))),
         "precision": hit / np.count_nonzero(above),
         "recall": hit / np.count_nonzero(full),
+        "f1": 2 * hit / (np.count_nonzero(above) + np.count_nonzero(full)),
     }
+
+
+def surface_again(case: Case, threshold: float, protocol: str) -> dict[str, float]:
+    """The surface metrics, from what the protocol counts to what is known."""
+    trusted = case.counted("paper" if protocol == "paper" else "known")
+    lengths = case.voxel_size_m, case.surface_sigma_m
+    return surface_reference(case.y > threshold, case.full, case.counted(protocol), trusted, *lengths)
 
 
 def searched_threshold(cases: list[Case]) -> float:
@@ -120,11 +148,11 @@ def prediction_file(folder: Path, target: Target) -> Path:
     return path
 
 
-def differences(release: Release, folder: Path) -> tuple[dict[str, float], list[str]]:
+def differences(release: Release, folder: Path, surface: bool = False) -> tuple[dict[str, float], list[str]]:
     """Score a folder and compute it again: the largest difference by metric, and thresholds that differ."""
     from kinectbench.scoring.score import score
 
-    table = score(release, folder, method="random", protocols=("paper", "known"))
+    table = score(release, folder, method="random", protocols=PROTOCOLS, surface=surface)
     cases = {t.name: read_case(release.pair_path(t), prediction_file(folder, t)) for t in release.targets}
     validation = {
         category: [cases[t.name] for t in release.split("validation") if t.category == category]
@@ -136,12 +164,13 @@ def differences(release: Release, folder: Path) -> tuple[dict[str, float], list[
         for category in expected
         if table.thresholds[category] != expected[category]
     ]
-    largest = dict.fromkeys(METRICS, 0.0)
+    largest = dict.fromkeys((*METRICS, *(SURFACES if surface else ())), 0.0)
     for row in table.rows:
-        again = reference(cases[f"{row.recording}/{row.view}"], expected[row.category], row.protocol)
-        for name in METRICS:
+        counted = cases[f"{row.recording}/{row.view}"], expected[row.category], row.protocol
+        again = reference(*counted) | (surface_again(*counted) if surface else {})
+        for name in largest:
             largest[name] = max(largest[name], abs(getattr(row, name) - again[name]))
-    if table.failures or len(table.rows) != 2 * len(release.split("test")):
+    if table.failures or len(table.rows) != len(PROTOCOLS) * len(release.split("test")):
         wrong.append(f"{len(table.rows)} rows, failures: {table.failures}")
     return largest, wrong
 
@@ -149,19 +178,19 @@ def differences(release: Release, folder: Path) -> tuple[dict[str, float], list[
 def measure(root: Path, turns: int) -> list[Figure]:
     """Publish a small release of simple shapes, and score random predictions for it."""
     release = open_release(publish_synthetic(root).folder)
-    largest, wrong = dict.fromkeys(METRICS, 0.0), []
+    largest, wrong = dict.fromkeys((*METRICS, *SURFACES), 0.0), []
     for turn in range(turns):
         folder = root / "predictions" / str(turn)
         write_predictions(release, folder, turn)
-        found, different = differences(release, folder)
-        largest = {name: max(largest[name], found[name]) for name in METRICS}
+        found, different = differences(release, folder, surface=True)
+        largest = {name: max(largest[name], found[name]) for name in largest}
         wrong += different
     return [
         told(
-            "predictions scored (test split; as many protocols each: 2)", turns * len(release.split("test"))
+            "predictions scored (test split; as many protocols each: 3)", turns * len(release.split("test"))
         ),
         told("kinds of prediction", list(KINDS)),
-        *(at_most(f"largest difference of {name}", largest[name], MAX_DIFFERENCE) for name in METRICS),
+        *(at_most(f"largest difference of {name}", largest[name], MAX_DIFFERENCE) for name in largest),
         equals("thresholds found otherwise", wrong, []),
     ]
 

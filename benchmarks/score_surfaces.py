@@ -62,15 +62,20 @@ def _nearest(queries: NDArray[Any], targets: NDArray[Any]) -> tuple[Reals, NDArr
 
 def _normals(solid: Bools, cells: NDArray[Any]) -> Reals:
     """Away from the centre of mass of the 7^3 cells around; zero where there is none."""
-    padded = np.pad(solid, RADIUS)
-    steps = np.arange(-RADIUS, RADIUS + 1)
-    normals = np.zeros((len(cells), 3))
-    for n, (x, y, z) in enumerate(cells):
-        around = padded[x : x + 7, y : y + 7, z : z + 7]
-        moment = [(around.sum(axis=axes) * steps).sum() for axes in ((1, 2), (0, 2), (0, 1))]
-        length = np.linalg.norm(moment)
-        normals[n] = -np.array(moment) / length if length else 0
-    return normals
+    box = [
+        slice(max(low - 4, 0), high + 5)
+        for low, high in zip(cells.min(axis=0), cells.max(axis=0), strict=True)
+    ]
+    around, at = solid[tuple(box)].astype(np.int32), cells - [part.start for part in box]
+    steps, ones = np.arange(-RADIUS, RADIUS + 1), np.ones(2 * RADIUS + 1, int)
+    moments = np.zeros((len(cells), 3))
+    for along in range(3):
+        field = around
+        for axis in range(3):
+            field = ndimage.correlate1d(field, steps if axis == along else ones, axis, mode="constant")
+        moments[:, along] = field[tuple(at.T)]
+    lengths = np.linalg.norm(moments, axis=1)
+    return -moments / np.where(lengths > 0, lengths, 1)[:, None]
 
 
 def _agreement(first: Reals, second: Reals) -> float:

@@ -1,8 +1,8 @@
 """Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
 
 A set's surface is its cells with an empty 6-neighbour (outside the grid is empty). Distances are exact, and
-between cell centres: from the cells that the protocol counts to the nearest of the other surface that is known
-(under `paper` of all). So under `occluded` a hidden cell may have its nearest where the view saw.
+between cell centres: from the cells that the protocol counts to the nearest known cell of the other surface
+(under `paper` to any). So under `occluded` a hidden cell may have its nearest where the view saw.
 """
 
 import math

@@ -54,7 +54,7 @@ def upsampled_planes(
     Raises:
         PredictionError, SettingsError: as `upsample`.
     """
-    from kinectbench.voxels.resample_kernels import blend, expand
+    from kinectbench.voxels.resample_kernels import expand_rows, plane_between
 
     if values.ndim != 3 or len(set(values.shape)) != 1 or not 1 <= len(values) <= MAX_CELLS:
         raise PredictionError(f"a grid of {values.shape} cells: it must be a cube of 1 to {MAX_CELLS} a side")
@@ -68,8 +68,10 @@ def upsampled_planes(
         expanded = {k: plane_k for k, plane_k in expanded.items() if k in wanted}
         for k in wanted:
             if k not in expanded:
-                expanded[k] = expand(np.ascontiguousarray(values[k], dtype=np.float64), lower, upper, weight)
-        blend(expanded[wanted[0]], expanded[wanted[1]], weight[i], plane)
+                values_k = np.ascontiguousarray(values[k], dtype=np.float64)
+                expanded[k] = expand_rows(values_k, lower, upper, weight)
+        first, second = (expanded[k] for k in wanted)
+        plane_between(first, second, weight[i], lower, upper, weight, plane)
         yield plane
 
 

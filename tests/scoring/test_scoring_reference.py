@@ -13,7 +13,7 @@ from score_reference import KINDS, Case, differences, reference, searched_thresh
 
 
 def case(y: list[float], full: list[int], known: list[int]) -> Case:
-    return Case(np.array(y), np.array(full, bool), np.array(known, bool))
+    return Case(np.array(y), np.array(full, bool), np.array(known, bool), np.zeros(len(full), bool))
 
 
 def test_the_reference_by_hand() -> None:
@@ -24,6 +24,7 @@ def test_the_reference_by_hand() -> None:
             "ce": -(np.log(0.9) + np.log(0.4) + np.log(0.2) + np.log(0.8)) / 4,
             "precision": 2 / 3,
             "recall": 2 / 3,
+            "f1": 2 / 3,
         }
     )
     assert reference(values, 0.5, "known") == pytest.approx(
@@ -32,6 +33,7 @@ def test_the_reference_by_hand() -> None:
             "ce": -(np.log(0.9) + np.log(0.4) + np.log(0.2)) / 3,
             "precision": 1 / 2,
             "recall": 1 / 2,
+            "f1": 1 / 2,
         }
     )
     assert searched_threshold([case([0.7, 0.31, 0.3], [1, 1, 0], [1, 1, 1])]) == 0.3
