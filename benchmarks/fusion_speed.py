@@ -11,12 +11,12 @@ from fusion_scans import SETTINGS, VOXEL_M, at_object_scale, object_figures
 from numpy.typing import NDArray
 from tracking_recordings import true_poses
 
-from kinectbench.fusion.blocks import BLOCK_VOXELS, empty_volume, unique_blocks
+from kinectbench.fusion.blocks import CUBE_VOXELS, blocks_of_cubes, empty_volume, unique_blocks
 from kinectbench.fusion.color import color_vertices
 from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.reconstruction import usable_depth_m
-from kinectbench.fusion.visible_blocks import blocks_near_surface
+from kinectbench.fusion.visible_blocks import cubes_near_surface
 from kinectbench.geometry import TriangleMesh, invert_rigid
 from kinectbench.sequence import Sequence
 from kinectbench.simulate.truth import Truth
@@ -43,7 +43,7 @@ class VoxelBlockGrid:
         names = ("tsdf", "weight", "color") if with_color else ("tsdf", "weight")
         sizes = ((1), (1), (3)) if with_color else ((1), (1))
         self._grid: Any = o3d.t.geometry.VoxelBlockGrid(
-            names, (o3d.core.float32,) * len(names), sizes, VOXEL_M, BLOCK_VOXELS, 8000
+            names, (o3d.core.float32,) * len(names), sizes, VOXEL_M, CUBE_VOXELS, 8000
         )
 
     def integrate(
@@ -97,10 +97,11 @@ def speed_figures(sequence: Sequence, truth: Truth) -> list[Figure]:
     depths_m = [usable_depth_m(cube, index, SETTINGS) for index in frames]
     truncation_m = TRUNCATION_VOXELS * VOXEL_M
     found = [
-        blocks_near_surface(depth_m, sequence.camera, T_world_camera[index], truncation_m, VOXEL_M)
+        cubes_near_surface(depth_m, sequence.camera, T_world_camera[index], truncation_m, VOXEL_M)
         for depth_m, index in zip(depths_m, frames, strict=True)
     ]
-    volume = empty_volume(unique_blocks(np.concatenate(found).astype(np.int64)), VOXEL_M, np.eye(4))
+    cubes = unique_blocks(np.concatenate(found).astype(np.int64))
+    volume = empty_volume(blocks_of_cubes(cubes), VOXEL_M, np.eye(4))
     plain, colored = (VoxelBlockGrid(sequence, with_color=with_color) for with_color in (False, True))
     warm_up = replace(volume, **{k: getattr(volume, k).copy() for k in ("tsdf", "weight", "votes")})
     clock = Clock()
@@ -115,7 +116,7 @@ def speed_figures(sequence: Sequence, truth: Truth) -> list[Figure]:
                 rival.integrate(depth_m, color if rival._with_color else None, T)
 
         def ours(depth_m: NDArray[np.float32] = depth_m, T: Float64 = T) -> None:
-            blocks_near_surface(depth_m, sequence.camera, T, truncation_m, VOXEL_M)
+            cubes_near_surface(depth_m, sequence.camera, T, truncation_m, VOXEL_M)
             integrate(volume, depth_m, sequence.camera, T, truncation_m)
 
         clock.run("ours", ours)

@@ -1,4 +1,4 @@
-"""A block-sparse voxel volume: 16x16x16 blocks where something is to be measured."""
+"""A block-sparse voxel volume: blocks of 8x8x8 voxels where something is to be measured."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -8,23 +8,26 @@ from numpy.typing import NDArray
 
 from kinectbench.geometry import Grid
 
-BLOCK_VOXELS = 16
+BLOCK_VOXELS = 8
+# Space is allotted, and stored, in cubes of 2 x 2 x 2 blocks.
+CUBE_VOXELS = 16
+CUBE_BLOCKS = CUBE_VOXELS // BLOCK_VOXELS
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True)
 class BlockVolume:
-    """TSDF and visibility votes in blocks. Block b covers voxels `16 b ... 16 b + 15` of frame `grid`.
+    """TSDF and visibility votes in blocks. Block b covers voxels `8 b ... 8 b + 7` of frame `grid`.
 
     Attributes:
-        blocks: (n, 3) int32, block coordinates, sorted, unique.
+        blocks: (n, 3) int32, block coordinates, unique.
         voxel_size_m: edge of a voxel; the centre of voxel i is `(i + 0.5) * voxel_size_m`.
         T_world_grid: (4, 4), maps the volume's own frame to the world.
-        tsdf: (n, 16, 16, 16) float32, signed distance in metres along the viewing ray's z, weighted
+        tsdf: (n, 8, 8, 8) float32, signed distance in metres along the viewing ray's z, weighted
             mean, positive in front of the surface, clipped to the truncation; 0 where weight is 0.
-        weight: (n, 16, 16, 16) float32, sum of 1 / sigma(z)^2 in 1/mm^2; 0 = never observed.
-        votes: (n, 16, 16, 16) uint32, `free` in the lower 16 bits and `surface` in the upper ones.
+        weight: (n, 8, 8, 8) float32, sum of 1 / sigma(z)^2 in 1/mm^2; 0 = never observed.
+        votes: (n, 8, 8, 8) uint32, `free` in the lower 16 bits and `surface` in the upper ones.
     """
 
     blocks: NDArray[np.int32]
@@ -36,12 +39,12 @@ class BlockVolume:
 
     @property
     def free(self) -> NDArray[np.uint16]:
-        """(n, 16, 16, 16) uint16, frames that saw through the voxel."""
+        """(n, 8, 8, 8) uint16, frames that saw through the voxel."""
         return (self.votes & 0xFFFF).astype(np.uint16)
 
     @property
     def surface(self) -> NDArray[np.uint16]:
-        """(n, 16, 16, 16) uint16, frames that measured a surface in the voxel."""
+        """(n, 8, 8, 8) uint16, frames that measured a surface in the voxel."""
         return (self.votes >> 16).astype(np.uint16)
 
     def dense(self, values: NDArray[Scalar], first_block: NDArray[np.int32], blocks: int) -> NDArray[Scalar]:
@@ -52,9 +55,9 @@ class BlockVolume:
         side = blocks * BLOCK_VOXELS
         cube = np.zeros((side, side, side), dtype=values.dtype)
         local = self.blocks - first_block
-        for b in np.flatnonzero(np.all((local >= 0) & (local < blocks), axis=1)):
-            x, y, z = local[b] * BLOCK_VOXELS
-            cube[x : x + BLOCK_VOXELS, y : y + BLOCK_VOXELS, z : z + BLOCK_VOXELS] = values[b]
+        inside = np.all((local >= 0) & (local < blocks), axis=1)
+        x, y, z = local[inside].T
+        cube.reshape((blocks, BLOCK_VOXELS) * 3)[x, :, y, :, z, :] = values[inside]
         return cube
 
 
@@ -73,8 +76,27 @@ def empty_volume(
     )
 
 
+def blocks_of_cubes(cubes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The eight blocks of each cube (n, 3): (8 n, 3), cube by cube."""
+    corners = np.array(list(np.ndindex((CUBE_BLOCKS,) * 3)), np.int32)
+    return (cubes[:, None] * CUBE_BLOCKS + corners).reshape(-1, 3)
+
+
+def in_cubes(blocks: NDArray[np.int32], values: NDArray[Scalar]) -> tuple[NDArray[np.int32], NDArray[Scalar]]:
+    """Per-block values (n, 8, 8, 8) cube by cube.
+
+    Returns:
+        Coordinates (m, 3) of the cubes, sorted, and their values (m, 16, 16, 16); 0 in blocks there are not.
+    """
+    cubes, row = np.unique(blocks // CUBE_BLOCKS, axis=0, return_inverse=True)
+    x, y, z = (blocks % CUBE_BLOCKS).T
+    grouped = np.zeros((len(cubes), *(CUBE_BLOCKS, BLOCK_VOXELS) * 3), values.dtype)
+    grouped[row.reshape(-1), x, :, y, :, z, :] = values
+    return cubes, grouped.reshape(len(cubes), CUBE_VOXELS, CUBE_VOXELS, CUBE_VOXELS)
+
+
 def blocks_of_grid(grid: Grid) -> NDArray[np.int32]:
-    """All blocks that cover a dense grid whose sides are multiples of 16: (n, 3), sorted."""
+    """All blocks that cover a dense grid whose sides are multiples of 8: (n, 3), sorted."""
     counts = [n // BLOCK_VOXELS for n in grid.shape]
     return np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
 

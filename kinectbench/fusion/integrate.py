@@ -14,7 +14,9 @@ SURFACE_SIGMAS = 2.0
 HALF_DIAGONAL = 0.87
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
-SLAB_VOXELS = BLOCK_VOXELS * BLOCK_VOXELS
+SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
+# A pixel's depth and weight are fetched at once: the two halves of 64 bits.
+LOWER_HALF, HALF_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
 NEAREST_M = np.float32(1e-3)
 BEHIND_CAMERA_M = np.float32(1e6)
 SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
@@ -48,17 +50,18 @@ def integrate(
     T_camera_grid = invert_rigid(T_world_camera) @ volume.T_world_grid
     seen = visible_blocks(volume, depth_m, camera, T_camera_grid, truncation_m)
     pixels = pixel_weights(depth_m, camera, pose_sigma_m)
-    # Half a pixel more, and cutting off the fraction rounds to the nearest pixel.
-    offset_px = BORDER_PX + 0.5
-    lens = np.array([camera.fx, camera.fy, camera.cx + offset_px, camera.cy + offset_px], np.float32)
+    # Pixel coordinates times z, but for the principal point; its half a pixel more, and cutting off the
+    # fraction, round to the nearest pixel.
+    to_pixels = np.diag([camera.fx, camera.fy, 1.0]) @ T_camera_grid[:3]
+    middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
     tsdf, weight, votes = (
-        values.reshape(-1, BLOCK_VOXELS, SLAB_VOXELS)
+        values.reshape(-1, BLOCK_CELLS)
         for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
     )
     noise_m = _noise_m(volume.voxel_size_m, pose_sigma_m)
     _integrate(
-        seen, volume.blocks, tsdf, weight, votes, pixels, T_camera_grid, lens,
-        np.float32(volume.voxel_size_m), np.float32(truncation_m), noise_m,
+        seen, volume.blocks, tsdf, weight, votes, pixels.view(np.uint64)[..., 0], to_pixels, middle_px,
+        volume.voxel_size_m, np.float32(truncation_m), noise_m,
     )  # fmt: skip
 
 
@@ -70,65 +73,75 @@ def _noise_m(voxel_size_m: float, pose_sigma_m: float) -> NDArray[np.float32]:
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def _integrate(  # type: ignore[no-untyped-def]
-    seen, blocks, tsdf, weight, votes, pixels, T, lens, voxel, truncation, noise
+    seen, blocks, tsdf, weight, votes, pixels, to_pixels, middle, voxel, truncation, noise
 ):
-    """Slab by slab of 16 x 16 voxels, in three steps: project, fetch, update.
+    """Block by block in three steps: project, fetch, update.
 
-    Apart, the compiler can vectorise the first and the last; and a slab at a time, because a vector that is
-    read right after its parts were written stalls the processor.
+    Apart, the compiler can vectorise the first and the last.
     """
-    pixel = np.empty(SLAB_VOXELS, np.uint32)
-    z = np.empty(SLAB_VOXELS, np.float32)
-    depth, added = np.empty(SLAB_VOXELS, np.float32), np.empty(SLAB_VOXELS, np.float32)
-    height, width = pixels.shape[:2]
-    of_pixel = pixels.reshape(-1, 2)
+    index = np.empty(BLOCK_CELLS, np.uint32)
+    fetched = np.empty(BLOCK_CELLS, np.uint64)
+    z = np.empty(BLOCK_CELLS, np.float32)
+    depth, added = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.float32)
+    inside = _inside_block(to_pixels, voxel)
+    corner = np.empty(3, np.float32)
+    height, width = pixels.shape
+    of_pixel = pixels.reshape(-1)
     for b in seen:
-        for i in range(BLOCK_VOXELS):
-            _project(pixel, z, blocks[b], i, T, lens, voxel, width, height)
-            for n in range(SLAB_VOXELS):
-                depth[n] = of_pixel[pixel[n], 0]
-                added[n] = of_pixel[pixel[n], 1]
-            _update(tsdf[b, i], weight[b, i], votes[b, i], depth, added, z, truncation, noise)
+        gx, gy, gz = blocks[b]
+        for axis in range(3):
+            row = to_pixels[axis]
+            corner[axis] = (row[0] * gx + row[1] * gy + row[2] * gz) * (BLOCK_VOXELS * voxel) + row[3]
+        _project(index, z, corner, inside, middle, width, height)
+        for n in range(BLOCK_CELLS):
+            fetched[n] = of_pixel[index[n]]
+        _update(tsdf[b], weight[b], votes[b], fetched, depth, added, z, truncation, noise)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _inside_block(to_pixels, voxel):  # type: ignore[no-untyped-def]
+    """What lies between a block's corner and the centre of each voxel, projected: (3, 512) float32."""
+    inside = np.empty((3, BLOCK_CELLS), np.float32)
+    for axis in range(3):
+        for n in range(BLOCK_CELLS):
+            i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
+            row = to_pixels[axis]
+            inside[axis, n] = voxel * (row[0] * (i + 0.5) + row[1] * (j + 0.5) + row[2] * (k + 0.5))
+    return inside
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-def _project(pixel, z, block, i, T, lens, voxel, width, height):  # type: ignore[no-untyped-def]
-    """Depth and pixel of each voxel of a slab; outside of the image a pixel of its border, which is empty."""
+def _project(index, z, corner, inside, middle, width, height):  # type: ignore[no-untyped-def]
+    """Depth and pixel of each voxel of a block; beside the image, a pixel of its border, which is empty."""
     f32 = np.float32
     right, bottom, row_length = f32(width - 1), f32(height - 1), np.int32(width)
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    across, down, along = f32(T[0, 2]) * voxel, f32(T[1, 2]) * voxel, f32(T[2, 2]) * voxel
-    gx = (block[0] * BLOCK_VOXELS + i + 0.5) * voxel
-    gz = (block[2] * BLOCK_VOXELS + 0.5) * voxel
-    for j in range(BLOCK_VOXELS):
-        gy = (block[1] * BLOCK_VOXELS + j + 0.5) * voxel
-        x0 = f32(T[0, 0] * gx + T[0, 1] * gy + T[0, 2] * gz + T[0, 3])
-        y0 = f32(T[1, 0] * gx + T[1, 1] * gy + T[1, 2] * gz + T[1, 3])
-        z0 = f32(T[2, 0] * gx + T[2, 1] * gy + T[2, 2] * gz + T[2, 3])
-        for k in range(BLOCK_VOXELS):
-            ahead = z0 + along * f32(k)
-            inverse = f32(1) / max(ahead, NEAREST_M)
-            u = fx * (x0 + across * f32(k)) * inverse + cx
-            v = fy * (y0 + down * f32(k)) * inverse + cy
-            column = np.int32(min(max(u, f32(0)), right))
-            row = np.int32(min(max(v, f32(0)), bottom))
-            pixel[j * BLOCK_VOXELS + k] = np.uint32(row * row_length + column)
-            z[j * BLOCK_VOXELS + k] = ahead if ahead > NEAREST_M else BEHIND_CAMERA_M
+    across, down, along = inside[0], inside[1], inside[2]
+    for n in range(BLOCK_CELLS):
+        ahead = corner[2] + along[n]
+        inverse = f32(1) / max(ahead, NEAREST_M)
+        u = (corner[0] + across[n]) * inverse + middle[0]
+        v = (corner[1] + down[n]) * inverse + middle[1]
+        column = np.int32(min(max(u, f32(0)), right))
+        row = np.int32(min(max(v, f32(0)), bottom))
+        index[n] = np.uint32(row * row_length + column)
+        z[n] = ahead if ahead > NEAREST_M else BEHIND_CAMERA_M
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-def _update(tsdf, weight, votes, depth, added, z, truncation, noise):  # type: ignore[no-untyped-def]
-    """Average the distances of a slab into it and count the votes; overwrites `added` and `z`."""
+def _update(tsdf, weight, votes, fetched, depth, added, z, truncation, noise):  # type: ignore[no-untyped-def]
+    """Average the distances of a block into it and count the votes; overwrites `depth`, `added` and `z`."""
     near, growth, near_depth, pose, half_diagonal = noise[0], noise[1], noise[2], noise[3], noise[4]
     distance = z
     any_added = np.float32(0)
-    for n in range(SLAB_VOXELS):
+    for n in range(BLOCK_CELLS):
+        depth[n] = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
         distance[n] = depth[n] - z[n]
-        added[n] = added[n] if distance[n] >= -truncation else np.float32(0)
+        added_here = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
+        added[n] = added_here if distance[n] >= -truncation else np.float32(0)
         any_added += added[n]
     if any_added == 0:
         return
-    for n in range(SLAB_VOXELS):
+    for n in range(BLOCK_CELLS):
         total = weight[n] + added[n]
         share = added[n] / max(total, np.float32(1e-20))
         tsdf[n] += (min(distance[n], truncation) - tsdf[n]) * share

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
 from kinectbench.geometry import TriangleMesh, transform_points
 
-BRICK_BLOCKS = 8
+BRICK_BLOCKS = 16
 
 
 def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = None) -> TriangleMesh:

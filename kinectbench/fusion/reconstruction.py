@@ -10,6 +10,7 @@ from kinectbench.config import FusionSettings
 from kinectbench.errors import TrackingError
 from kinectbench.fusion.blocks import (
     BlockVolume,
+    blocks_of_cubes,
     blocks_of_grid,
     dense_grid,
     empty_volume,
@@ -18,7 +19,7 @@ from kinectbench.fusion.blocks import (
 from kinectbench.fusion.color import color_vertices
 from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
-from kinectbench.fusion.visible_blocks import blocks_near_surface
+from kinectbench.fusion.visible_blocks import cubes_near_surface
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
@@ -79,11 +80,9 @@ def fuse(
     for index in frames:
         depth_m = usable_depth_m(sequence, int(index), settings)
         T_world_camera = trajectory.T_world_camera[index]
-        found.append(
-            blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
-        )
-    blocks = unique_blocks(np.concatenate(found).astype(np.int64))
-    volume = empty_volume(blocks, voxel_size_m, np.eye(4))
+        found.append(cubes_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m))
+    cubes = unique_blocks(np.concatenate(found).astype(np.int64))
+    volume = empty_volume(blocks_of_cubes(cubes), voxel_size_m, np.eye(4))
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
     near = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
     least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[near])) if near.any() else 0.0
@@ -105,7 +104,7 @@ def observe(
         sequence: the recording.
         trajectory: poses.
         frames: which frames.
-        grid: sides must be multiples of 16 cells.
+        grid: sides must be multiples of 8 cells.
         settings: depth range, truncation (in voxels of this grid).
         progress: called with (done, total).
     """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.config import FusionSettings, SegmentationSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.fusion.blocks import BLOCK_VOXELS
+from kinectbench.fusion.blocks import CUBE_VOXELS
 from kinectbench.fusion.reconstruction import Observation, merge, observe
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
@@ -110,13 +110,13 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float) -> Grid:
     """
     size_m = np.array(box.size_m) + 2 * MARGIN_M
     size_m[2] = box.center_m[2] + box.size_m[2] / 2 + MARGIN_M + FLOOR_LAYERS * voxel_size_m
-    blocks = np.ceil(size_m / (voxel_size_m * BLOCK_VOXELS)).astype(int)
-    if blocks.prod() > (1 << 28) // BLOCK_VOXELS**3:
+    blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS)).astype(int)
+    if blocks.prod() > (1 << 28) // CUBE_VOXELS**3:
         raise SegmentationError(
             f"the object is {size_m[0]:.1f} x {size_m[1]:.1f} x {size_m[2]:.1f} m: too large for voxels of "
             f"{voxel_size_m * 1000:.0f} mm; give a box around the object in benchmark.yaml, or larger voxels"
         )
-    nx, ny, nz = (int(n) * BLOCK_VOXELS for n in blocks)
+    nx, ny, nz = (int(n) * CUBE_VOXELS for n in blocks)
     turn = yaw_rotation(box.yaw_rad)
     corner = turn @ np.array([-nx / 2, -ny / 2, 0.0]) * voxel_size_m
     corner += [box.center_m[0], box.center_m[1], -FLOOR_LAYERS * voxel_size_m]
@@ -128,7 +128,7 @@ def surround_grid(grid: Grid, chosen: Segmentation) -> Grid:
     radius_m = 0.5 * float(np.linalg.norm(grid.size_m))
     half_m = 1.1 * np.sqrt(3.0) * radius_m
     voxel_m = SURROUND_FACTOR * grid.voxel_size_m
-    side = int(np.ceil(2 * half_m / (voxel_m * BLOCK_VOXELS))) * BLOCK_VOXELS
+    side = int(np.ceil(2 * half_m / (voxel_m * CUBE_VOXELS))) * CUBE_VOXELS
     middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
     rotation = chosen.floor.T_world_floor[:3, :3]
     corner = middle_world - rotation @ np.full(3, side * voxel_m / 2)

@@ -7,13 +7,15 @@ from analytic_scenes import CAMERA, box, depth_of, look_at, plane, sphere
 from kinectbench.fusion.blocks import (
     BLOCK_VOXELS,
     BlockVolume,
+    blocks_of_cubes,
     blocks_of_grid,
     dense_grid,
     empty_volume,
+    in_cubes,
     unique_blocks,
 )
 from kinectbench.fusion.integrate import HALF_DIAGONAL, SURFACE_SIGMAS, integrate
-from kinectbench.fusion.visible_blocks import blocks_near_surface, visible_blocks
+from kinectbench.fusion.visible_blocks import cubes_near_surface, visible_blocks
 from kinectbench.geometry import (
     Camera,
     Grid,
@@ -195,12 +197,26 @@ def test_blocks_of_grid_and_dense_grid_are_inverse():
     grid = Grid((48, 16, 32), 0.01, np.eye(4))
     blocks = blocks_of_grid(grid)
     dense = np.arange(48 * 16 * 32).reshape(grid.shape)
-    cut = np.stack([dense[x : x + 16, y : y + 16, z : z + 16] for x, y, z in blocks * 16])
+    cut = np.stack([dense[x : x + 8, y : y + 8, z : z + 8] for x, y, z in blocks * 8])
     np.testing.assert_array_equal(dense_grid(cut, grid.shape), dense)
     volume = empty_volume(blocks, 0.01, np.eye(4))
-    cube = volume.dense(cut, np.array([1, -1, 0], np.int32), 2)
+    cube = volume.dense(cut, np.array([2, -2, 0], np.int32), 4)
     np.testing.assert_array_equal(cube[:, 16:, :], dense[16:48, :16, :])
     assert not cube[:, :16].any()
+
+
+def test_blocks_of_cubes_and_in_cubes_are_inverse():
+    cubes = np.array([[-2, 0, 1], [3, -1, 0]], np.int32)
+    blocks = blocks_of_cubes(cubes)
+    assert len(np.unique(blocks, axis=0)) == 16
+    voxels = np.stack(np.meshgrid(*[np.arange(BLOCK_VOXELS)] * 3, indexing="ij"), -1)
+    keys = ((blocks[:, None, None, None] * BLOCK_VOXELS + voxels) @ [10**6, 10**3, 1]).astype(np.int64)
+    shuffled = np.random.default_rng(0).permutation(16)[:15]
+    back, values = in_cubes(blocks[shuffled], keys[shuffled])
+    np.testing.assert_array_equal(back, cubes)
+    whole = np.stack(np.meshgrid(*[np.arange(16)] * 3, indexing="ij"), -1)
+    expected = (cubes[:, None, None, None] * 16 + whole) @ [10**6, 10**3, 1]
+    assert (values == expected).mean() == 15 / 16 and not values[values != expected].any()
 
 
 def test_unique_blocks_sorts_and_keeps_signs():
@@ -208,12 +224,12 @@ def test_unique_blocks_sorts_and_keeps_signs():
     np.testing.assert_array_equal(unique_blocks(rows), np.unique(rows, axis=0))
 
 
-def test_blocks_near_a_surface_hold_the_truncation_band():
-    """Of all points within the margin of a pixel's depth, at most 1 % lie in a block that was missed."""
+def test_cubes_near_a_surface_hold_the_truncation_band():
+    """Of all points within the margin of a pixel's depth, at most 1 % lie in a cube that was missed."""
     T_world_camera = look_at(np.array([0.9, 0.6, 0.8]), np.zeros(3))
     depth_m = depth_of([sphere((0, 0, 0), 0.25), plane((0, 0, 1), -0.3)], CAMERA, T_world_camera)
     depth_m[depth_m > 3] = 0
-    blocks = blocks_near_surface(depth_m, CAMERA, T_world_camera, 0.02, 0.005)
+    blocks = cubes_near_surface(depth_m, CAMERA, T_world_camera, 0.02, 0.005)
     found = {tuple(block) for block in blocks.tolist()}
     rays = CAMERA.rays()[depth_m > 0]
     missed, total = 0, 0

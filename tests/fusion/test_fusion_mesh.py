@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from kinectbench.errors import StorageError
-from kinectbench.fusion.blocks import blocks_of_grid, empty_volume
+from kinectbench.fusion.blocks import BLOCK_VOXELS, blocks_of_grid, empty_volume
 from kinectbench.fusion.mesh import BRICK_BLOCKS, extract_mesh, isosurface
 from kinectbench.geometry import Grid, TriangleMesh, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.mesh_file import read_ply, write_ply
@@ -54,12 +54,12 @@ def test_no_faces_where_a_corner_was_unobserved():
 
 
 def ball_volume(radius_voxels, center_voxels, blocks_side, T_world_grid, voxel_m=0.01):
-    side = blocks_side * 16
+    side = blocks_side * BLOCK_VOXELS
     grid = Grid((side,) * 3, voxel_m, T_world_grid)
     volume = empty_volume(blocks_of_grid(grid), voxel_m, T_world_grid)
     field = distance_field((side,) * 3, np.array(center_voxels) - 0.5, radius_voxels) * np.float32(voxel_m)
-    for n, (x, y, z) in enumerate(volume.blocks * 16):
-        volume.tsdf[n] = field[x : x + 16, y : y + 16, z : z + 16]
+    for n, (x, y, z) in enumerate(volume.blocks * BLOCK_VOXELS):
+        volume.tsdf[n] = field[x : x + BLOCK_VOXELS, y : y + BLOCK_VOXELS, z : z + BLOCK_VOXELS]
     volume.weight[:] = 1.0
     return volume
 
@@ -68,9 +68,9 @@ def ball_volume(radius_voxels, center_voxels, blocks_side, T_world_grid, voxel_m
 def test_bricks_join_without_seams(offset):
     """A ball across eight bricks; offsets put its surface on voxel centres and brick borders, too."""
     T = rigid(rotation_from_quaternion_xyzw([0.1, -0.3, 0.2, 0.9]), [1.0, -2.0, 0.5])
-    middle = BRICK_BLOCKS * 16 + offset
-    volume = ball_volume(14.0 + offset, (middle,) * 3, BRICK_BLOCKS + 2, T)
-    keep = np.all((volume.blocks >= BRICK_BLOCKS - 2) & (volume.blocks < BRICK_BLOCKS + 2), axis=1)
+    middle = BRICK_BLOCKS * BLOCK_VOXELS + offset
+    volume = ball_volume(14.0 + offset, (middle,) * 3, BRICK_BLOCKS + 4, T)
+    keep = np.all((volume.blocks >= BRICK_BLOCKS - 4) & (volume.blocks < BRICK_BLOCKS + 4), axis=1)
     part = empty_volume(volume.blocks[keep], volume.voxel_size_m, T)
     part.tsdf[:], part.weight[:] = volume.tsdf[keep], volume.weight[keep]
     mesh = extract_mesh(part, min_weight=0.5)
@@ -83,8 +83,8 @@ def test_bricks_join_without_seams(offset):
 
 
 def test_voxels_of_less_weight_count_as_unobserved():
-    volume = ball_volume(10.0, (24.2, 24.3, 24.1), 3, np.eye(4))
-    volume.weight[volume.blocks[:, 2] == 0] = 0.1
+    volume = ball_volume(10.0, (24.2, 24.3, 24.1), 6, np.eye(4))
+    volume.weight[volume.blocks[:, 2] < 2] = 0.1
     mesh = extract_mesh(volume, min_weight=0.5)
     assert mesh.vertices[:, 2].min() >= 0.16
     assert mesh.vertices[:, 2].min() < 0.18
