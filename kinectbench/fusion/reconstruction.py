@@ -19,6 +19,7 @@ from kinectbench.fusion.blocks import (
 from kinectbench.fusion.color import color_vertices
 from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
+from kinectbench.fusion.pixel_weights import MAX_SLANT
 from kinectbench.fusion.visible_blocks import cubes_near_surface
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
@@ -27,8 +28,9 @@ from kinectbench.tracking.trajectory import Trajectory
 Progress = Callable[[int, int], None]
 
 POSE_SIGMAS = 3.0
-# Surface of less than this share of the median weight was seen too badly to show.
-LEAST_WEIGHT_SHARE = 0.05
+# Surface of less than this share of the median weight was seen too badly to show. A surface that all frames
+# see at the steepest slant that still counts has about as much.
+LEAST_WEIGHT_SHARE = 1 / MAX_SLANT**2
 
 
 @dataclass(frozen=True)
