@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from kinectbench.geometry import Grid
 
 # Vertices are snapped to 2^-16 of a cell, so that the tests on shared edges are exact integers.
-SUBCELL = 1 << 16
+SUBCELL_BITS = 16
+SUBCELL = 1 << SUBCELL_BITS
 
 
 def snapped_cells(vertices_world: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
@@ -74,7 +75,8 @@ def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
     """The first and the last of `count` lines that may cross a triangle, along one axis."""
     low = min(fixed[a, u], fixed[b, u], fixed[c, u]) - start
     high = max(fixed[a, u], fixed[b, u], fixed[c, u]) - start
-    return max(0, -((-low) // SUBCELL)), min(count - 1, high // SUBCELL)
+    # Shifts, because a signed division is ten times as slow; both round down.
+    return max(0, -((-low) >> SUBCELL_BITS)), min(count - 1, high >> SUBCELL_BITS)
 
 
 @numba.njit(cache=True, inline="always")
@@ -90,7 +92,8 @@ def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
     return ax, ay, az, bx, by, bz, cx, cy, cz, area, -1
 
 
-@numba.njit(cache=True, error_model="numpy")
+# Inlined, because a call counts references to its arrays, which takes longer than the work.
+@numba.njit(cache=True, error_model="numpy", inline="always")
 def _cross(corners, i0, i1, j0, j1, nv, touching, count, lines, heights, signs):  # type: ignore[no-untyped-def]
     """Add one triangle's crossings with the lines [i0, i1] x [j0, j1]; returns the new count."""
     ax, ay, az, bx, by, bz, cx, cy, cz, area, sign = corners

@@ -54,12 +54,13 @@ def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
 
 
 def _deflated(array: NDArray[Any]) -> tuple[bytes, bytes]:
-    payload = io.BytesIO()
-    np.lib.format.write_array(payload, array, allow_pickle=False)
-    raw = payload.getbuffer()
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(array))
+    head, body = header.getvalue(), array.reshape(-1).view(np.uint8).data
     squeezer = _zlib().compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, zlib.Z_RLE)
-    data = squeezer.compress(raw) + squeezer.flush()
-    return struct.pack("<3I", _zlib().crc32(raw), len(data), len(raw)), data
+    data = squeezer.compress(head) + squeezer.compress(body) + squeezer.flush()
+    checksum = _zlib().crc32(body, _zlib().crc32(head))
+    return struct.pack("<3I", checksum, len(data), len(head) + len(body)), data
 
 
 @cache

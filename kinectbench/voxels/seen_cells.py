@@ -42,7 +42,6 @@ def seen_cells(
         (nx, ny, nz / 8) uint8, packed along z.
     """
     sigma_m = depth_sigma_m(depth_m) if noisy else np.zeros_like(depth_m)
-    reach_m = _reach(depth_m, sigma_m, grid.voxel_size_m)
     x, y, z = (
         start + (np.arange(count) + 0.5) * grid.voxel_size_m
         for start, count in zip(corner_in_camera(grid, T_world_camera), grid.shape, strict=True)
@@ -50,7 +49,8 @@ def seen_cells(
     ahead_m = np.where(z > 0, z, np.nan)
     columns = _pixels(camera.fx * x[:, None] / ahead_m + camera.cx, camera.width)
     rows = _pixels(camera.fy * y[:, None] / ahead_m + camera.cy, camera.height)
-    return np.asarray(_seen(reach_m, _tiles(reach_m), columns, rows, z))
+    reach = _reach(depth_m, sigma_m, grid.voxel_size_m, z)
+    return np.asarray(_seen(reach, _tiles(reach), columns, rows, grid.shape[2]))
 
 
 def _pixels(exact: NDArray[np.float64], count: int) -> NDArray[np.uint32]:
@@ -59,36 +59,43 @@ def _pixels(exact: NDArray[np.float64], count: int) -> NDArray[np.uint32]:
     return np.where((nearest >= 0) & (nearest < count), nearest, count).astype(np.uint32)
 
 
-@numba.njit(cache=True)
-def _reach(depth, sigma, voxel):  # type: ignore[no-untyped-def]
-    """How deep each pixel sees; one row and one column more, where cells outside the image fall."""
-    reach = np.full((depth.shape[0] + 1, depth.shape[1] + 1), -np.inf)
+@numba.njit(cache=True, error_model="numpy")
+def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
+    """How many layers of cells each pixel sees; one row and one column more, for cells outside the image."""
+    reach = np.zeros((depth.shape[0] + 1, depth.shape[1] + 1), np.uint16)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             d = np.float64(depth[v, u])
             if d > 0:
-                reach[v, u] = d + 2 * np.float64(sigma[v, u]) + voxel
+                farthest = d + 2 * np.float64(sigma[v, u]) + voxel
+                layers = int(min(max((farthest - z[0]) / voxel + 1, 0.0), float(len(z))))
+                # The layers themselves decide, not the rounding of a division.
+                while layers < len(z) and z[layers] <= farthest:
+                    layers += 1
+                while layers > 0 and z[layers - 1] > farthest:
+                    layers -= 1
+                reach[v, u] = layers
     return reach
 
 
 @numba.njit(cache=True)
 def _tiles(reach):  # type: ignore[no-untyped-def]
-    """The nearest and the farthest reach in each tile of pixels."""
+    """The least and the greatest reach in each tile of pixels."""
     height, width = reach.shape
-    nearest = np.full(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), np.inf)
-    farthest = np.full_like(nearest, -np.inf)
+    least = np.full(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), 65535, np.uint16)
+    greatest = np.zeros_like(least)
     for v in range(height):
         for u in range(width):
             tile = v // TILE_PX, u // TILE_PX
-            nearest[tile] = min(nearest[tile], reach[v, u])
-            farthest[tile] = max(farthest[tile], reach[v, u])
-    return nearest, farthest
+            least[tile] = min(least[tile], reach[v, u])
+            greatest[tile] = max(greatest[tile], reach[v, u])
+    return least, greatest
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _seen(reach, tiles, columns, rows, z):  # type: ignore[no-untyped-def]
+def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
     """Block by block: mostly the pixels that a block of cells falls on decide all of them alike."""
-    nx, ny, nz = len(columns), len(rows), len(z)
+    nx, ny = len(columns), len(rows)
     packed = np.zeros((nx, ny, nz // BLOCK), np.uint8)
     lefts, rights = _ranges(columns)
     tops, bottoms = _ranges(rows)
@@ -97,14 +104,14 @@ def _seen(reach, tiles, columns, rows, z):  # type: ignore[no-untyped-def]
             for byte in range(nz // BLOCK):
                 block = packed[i * BLOCK : (i + 1) * BLOCK, j * BLOCK : (j + 1) * BLOCK, byte]
                 span = lefts[i, byte], rights[i, byte], tops[j, byte], bottoms[j, byte]
-                state = _state(tiles, span, reach.shape, z[byte * BLOCK], z[byte * BLOCK + BLOCK - 1])
+                state = _state(tiles, span, reach.shape, byte * BLOCK)
                 if state == ALL:
                     block[:] = 255
                 elif state == SOME:
                     along = slice(byte * BLOCK, (byte + 1) * BLOCK)
                     u = columns[i * BLOCK : (i + 1) * BLOCK, along]
                     v = rows[j * BLOCK : (j + 1) * BLOCK, along]
-                    _set_cells(block, reach, u, v, z[along])
+                    _set_cells(block, reach, u, v, byte * BLOCK)
     return packed
 
 
@@ -121,29 +128,29 @@ def _ranges(pixels):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _state(tiles, span, shape, near_m, far_m):  # type: ignore[no-untyped-def]
-    """Whether all or none of a block's cells, from near_m to far_m, are seen; SOME: look closer."""
+def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
+    """Whether all or none of a block's cells, in eight layers from the first, are seen; SOME: look closer."""
     left, right, top, bottom = span
     if left == shape[1] - 1 or top == shape[0] - 1:
         return NONE
     if right == shape[1] - 1 or bottom == shape[0] - 1:
         return SOME
-    nearest, farthest = np.inf, -np.inf
+    least, greatest = first + BLOCK, 0
     for v in range(top // TILE_PX, bottom // TILE_PX + 1):
         for u in range(left // TILE_PX, right // TILE_PX + 1):
-            nearest = min(nearest, tiles[0][v, u])
-            farthest = max(farthest, tiles[1][v, u])
-        if nearest < far_m and near_m <= farthest:
+            least = min(least, np.int64(tiles[0][v, u]))
+            greatest = max(greatest, np.int64(tiles[1][v, u]))
+        if least < first + BLOCK and first < greatest:
             return SOME
-    return NONE if near_m > farthest else ALL
+    return ALL if least == first + BLOCK else NONE
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _set_cells(block, reach, columns, rows, z):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _set_cells(block, reach, columns, rows, first):  # type: ignore[no-untyped-def]
     """The bytes (8, 8) of a block, cell by cell along z."""
     for a in range(BLOCK):
         for b in range(BLOCK):
             bits = 0
             for k in range(BLOCK):
-                bits = (bits << 1) | (1 if z[k] <= reach[rows[b, k], columns[a, k]] else 0)
+                bits = (bits << 1) | (1 if first + k < reach[rows[b, k], columns[a, k]] else 0)
             block[a, b] = bits
