@@ -14,7 +14,7 @@ from figures import Figure, arguments, at_most, run
 from fusion_scans import SETTINGS, at_object_scale, scan_figures
 from fusion_shapes import shape_figures
 from fusion_speed import speed_figures
-from tracking_measure import _peak_mb as peak_mb
+from memory import peak_mb
 from tracking_recordings import OBJECTS, ingested, object_spec, sequence_in, simulated, true_poses
 
 from kinectbench.config import FusionSettings

@@ -1,7 +1,6 @@
 """One tracker on one recording, in a process of its own: poses, CPU time and peak memory are this run's."""
 
 import resource
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
@@ -9,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from memory import peak_mb
 from numpy.typing import NDArray
 from tracking_distant import all_planes, distant_pairs, measure_distant
 from tracking_recordings import part, sequence_in, true_poses
@@ -109,9 +109,9 @@ def measure(task: Task) -> Outcome:
     _guarded(task.method, part(sequence, ends))
     started_s = _cpu_s()
     T_world_camera, problem, unnamed = _guarded(task.method, sequence)
-    cpu_s, peak_mb = _cpu_s() - started_s, _peak_mb()
+    cpu_s, used_mb = _cpu_s() - started_s, peak_mb()
     more = _distant_figures(sequence, true, T_world_camera) if task.method == "ours, refine" else {}
-    return Outcome(T_world_camera, true, cpu_s, peak_mb, problem, unnamed, more)
+    return Outcome(T_world_camera, true, cpu_s, used_mb, problem, unnamed, more)
 
 
 def _distant_figures(sequence: Sequence, T_given: Float64, T_refined: Float64) -> dict[str, float]:
@@ -144,15 +144,3 @@ def _cpu_s() -> float:
     """CPU time of this process and of those it started and waited for."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
-
-
-def _peak_mb() -> float:
-    """Peak resident memory of this process.
-
-    Linux counts its parent's memory in `ru_maxrss`, so that it is asked for this process's own.
-    """
-    status = Path("/proc/self/status")
-    if status.is_file():
-        lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
-        return int(lines["VmHWM"].split()[0]) / 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
