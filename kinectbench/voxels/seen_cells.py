@@ -138,8 +138,8 @@ def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
     least, greatest = first + BLOCK, 0
     for v in range(top // TILE_PX, bottom // TILE_PX + 1):
         for u in range(left // TILE_PX, right // TILE_PX + 1):
-            least = min(least, np.int64(tiles[0][v, u]))
-            greatest = max(greatest, np.int64(tiles[1][v, u]))
+            least = min(least, int(tiles[0][v, u]))
+            greatest = max(greatest, int(tiles[1][v, u]))
         if least < first + BLOCK and first < greatest:
             return SOME
     return ALL if least == first + BLOCK else NONE

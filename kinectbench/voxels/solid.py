@@ -61,7 +61,7 @@ def _fill(fixed, faces, nx, ny, nz):  # type: ignore[no-untyped-def]
     return packed
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _set(row, begin, end):  # type: ignore[no-untyped-def]
     """Set the bits [begin, end) of a packed row."""
     while begin < end and begin & 7:
