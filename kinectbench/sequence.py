@@ -1,13 +1,14 @@
 """The normalised recording: frames by index, one pinhole camera, an optional given trajectory."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera
+from kinectbench.geometry.depth_calibration import DepthCalibration, corrected_depth_m
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Sequence:
         color_registered: colour pixels lie on depth pixels.
         given_trajectory: the trajectory that came with the recording, or None.
         frames: where depth and colour lie.
+        depth_correction_per_m: (height, width) float32, added to 1 / depth; None: depth as recorded.
     """
 
     camera: Camera
@@ -55,14 +57,24 @@ class Sequence:
     color_registered: bool
     given_trajectory: GivenTrajectory | None
     frames: FrameStore
+    depth_correction_per_m: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def depth_m(self, index: int) -> NDArray[np.float32]:
         """Depth of one frame in metres along z: (height, width) float32, 0 = no measurement."""
-        native = self.frames.depth_native(index)
-        return native.astype(np.float32) / np.float32(self.depth_scale)
+        depth_m = self.frames.depth_native(index).astype(np.float32) / np.float32(self.depth_scale)
+        if self.depth_correction_per_m is None:
+            return depth_m
+        return corrected_depth_m(depth_m, self.depth_correction_per_m)
+
+    def calibrated(self, calibration: DepthCalibration) -> "Sequence":
+        """The same recording, its depth in metres with a calibration."""
+        if calibration.is_none:
+            return replace(self, depth_correction_per_m=None)
+        correction = calibration.correction_per_m(self.camera.width, self.camera.height)
+        return replace(self, depth_correction_per_m=correction)
 
     def color_rgb(self, index: int) -> NDArray[np.uint8] | None:
         """Colour of one frame: (height, width, 3) uint8 RGB, or None if there is none."""

@@ -142,13 +142,13 @@ def _sample_views(job: Job, folder: Path, progress: Progress) -> None:
 
 
 def _pairs(job: Job, folder: Path, progress: Progress) -> None:
-    from kinectbench.ingest.sequence_folder import read_sequence
     from kinectbench.pairs import full_shape, make_pair, pair_row
     from kinectbench.shape.object_folder import read_object
+    from kinectbench.stored import read_tracked
     from kinectbench.views_folder import read_views, write_pairs_table
     from kinectbench.voxels.pair_file import pair_bytes
 
-    sequence = read_sequence(job.build / "sequence")
+    sequence, _ = read_tracked(job.build)
     shape = full_shape(read_object(job.build / "object"))
     views = read_views(job.build / "views")
     made, refused = [], []
@@ -230,7 +230,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         "pairs",
         "pairs",
-        ("ingest", "segment", "sample-views"),
+        ("ingest", "track", "segment", "sample-views"),
         lambda job: {"pairs": _section(job, "pairs", "framing", "partial_rule", "min_containment")},
         _pairs,
     ),

@@ -9,6 +9,7 @@ from kinectbench.tracking.trajectory_folder import read_trajectory
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
-    """The sequence and the trajectory of `build/<recording>/`."""
+    """The sequence, its depth as the tracker calibrated it, and the trajectory of `build/<recording>/`."""
     sequence = read_sequence(build / "sequence")
-    return sequence, read_trajectory(build / "trajectory", sequence.stamps_ns)
+    trajectory = read_trajectory(build / "trajectory", sequence.stamps_ns)
+    return sequence.calibrated(trajectory.depth_calibration), trajectory

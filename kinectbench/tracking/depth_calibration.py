@@ -14,6 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera, transform_points
+from kinectbench.geometry.depth_calibration import (
+    NO_CALIBRATION,
+    TERMS,
+    DepthCalibration,
+    legendre_terms,
+)
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.tracking.frame_maps import Level
 from kinectbench.tracking.linearise import add_products, mirrored
@@ -21,35 +27,12 @@ from kinectbench.tracking.registration import CORRELATED_POINTS
 
 Float64 = NDArray[np.float64]
 
-DEGREE = 6
 # A point of each tie in so many is enough.
 POINTS_PER_TIE = 1500
 # How large the correction may be expected: 1 % of depth at 4 m; higher degrees less.
 PRIOR_PER_M = 0.0025
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
 MIN_TIES = 6
-# Degrees of the terms: Legendre polynomials of column and row. A constant would be a matter of scale.
-TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j > 0]
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """The correction of depth over the image.
-
-    Attributes:
-        coefficients: (number of terms,) of the polynomials, 1/m.
-    """
-
-    coefficients: Float64
-
-    def correction_per_m(self, width: int, height: int) -> NDArray[np.float32]:
-        """(height, width) float32: what is added to 1 / depth at each pixel, 1/m."""
-        u, v = np.meshgrid(np.arange(width), np.arange(height))
-        terms = _terms(u.ravel().astype(float), v.ravel().astype(float), width, height)
-        return np.asarray((terms @ self.coefficients).reshape(height, width), np.float32)
-
-
-NO_CALIBRATION = Calibration(np.zeros(len(TERMS)))
 
 
 @dataclass(frozen=True)
@@ -61,7 +44,7 @@ class View:
     T_target_source: Float64
 
 
-def calibrate(views: Iterable[View]) -> Calibration:
+def calibrate(views: Iterable[View]) -> DepthCalibration:
     """The correction that agrees best with many ties; each tie's motion is free besides.
 
     Args:
@@ -87,7 +70,7 @@ def calibrate(views: Iterable[View]) -> Calibration:
         right += b[6:] - A[6:, :6] @ motion[:, -1]
     if ties < MIN_TIES:
         return NO_CALIBRATION
-    return Calibration(np.asarray(-np.linalg.solve(normal_matrix, right), np.float64))
+    return DepthCalibration(np.asarray(-np.linalg.solve(normal_matrix, right), np.float64))
 
 
 def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
@@ -112,9 +95,11 @@ def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
     q = _rays(target.camera, u, v) * d[:, None]
     residuals = (n * (q - at)).sum(axis=1)
     own = source.camera.project(p)
-    by_target = _terms(u.astype(float), v.astype(float), width, height) * (-d * (n * q).sum(axis=1))[:, None]
+    by_target = (
+        legendre_terms(u.astype(float), v.astype(float), width, height) * (-d * (n * q).sum(axis=1))[:, None]
+    )
     along = (n * (at - view.T_target_source[:3, 3])).sum(axis=1)
-    by_source = _terms(own[:, 0], own[:, 1], width, height) * (p[:, 2] * along)[:, None]
+    by_source = legendre_terms(own[:, 0], own[:, 1], width, height) * (p[:, 2] * along)[:, None]
     n_source = n @ view.T_target_source[:3, :3]
     rows = np.column_stack([-np.cross(p, n_source), -n_source, by_target + by_source])
     sigma = np.sqrt(depth_sigma_m(d) ** 2 + depth_sigma_m(p[:, 2]) ** 2)
@@ -124,10 +109,3 @@ def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
 
 def _rays(camera: Camera, u: NDArray[np.int64], v: NDArray[np.int64]) -> Float64:
     return np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
-
-
-def _terms(u: NDArray[np.floating], v: NDArray[np.floating], width: int, height: int) -> Float64:
-    """(m, number of terms): products of Legendre polynomials, pixels mapped to -1 ... 1."""
-    columns = np.polynomial.legendre.legvander(2 * (u + 0.5) / width - 1, DEGREE)
-    rows = np.polynomial.legendre.legvander(2 * (v + 0.5) / height - 1, DEGREE)
-    return np.stack([columns[:, i] * rows[:, j] for i, j in TERMS], axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera
+from kinectbench.geometry.depth_calibration import corrected_depth_m
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.map_kernels import (
     chosen_points,
@@ -202,7 +203,7 @@ def maps_of(camera: Camera, frame: ReducedFrame, correction_per_m: Float32 | Non
 
     depth_m = frame.depth.astype(np.float32) / np.float32(STORED_PER_M)
     if correction_per_m is not None:
-        depth_m = depth_m / (1 + depth_m * correction_per_m)
+        depth_m = corrected_depth_m(depth_m, correction_per_m)
     intensity = np.zeros((0, 0), np.float32)
     if frame.gray.size:
         intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import invert_rigid, rotation_angle_rad
+from kinectbench.geometry.depth_calibration import NO_CALIBRATION, DepthCalibration
 from kinectbench.tracking.appearance import likeness
 from kinectbench.tracking.covisibility import Glimpse, covisible, glimpse
 from kinectbench.tracking.depth_calibration import View, calibrate
@@ -56,6 +57,7 @@ class KeyframeGraph:
         refused: tried and not believed, or switched off.
         joined: segments that are part of the world.
         glimpses: (k,) of the keyframes.
+        calibration: of the depth, as the ties have it.
     """
 
     keyframes: tuple[int, ...]
@@ -64,6 +66,7 @@ class KeyframeGraph:
     refused: tuple[Tie, ...]
     joined: frozenset[int]
     glimpses: tuple[Glimpse, ...]
+    calibration: DepthCalibration = NO_CALIBRATION
 
 
 def build_graph(
@@ -98,6 +101,7 @@ class _Builder:
         self, maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None
     ) -> None:
         self.maps, self.features = maps, features
+        self.calibration = NO_CALIBRATION
         self.keyframes = odometry.keyframes
         self.row = {frame: row for row, frame in enumerate(self.keyframes)}
         self.glimpses: list[Glimpse] = [glimpse(maps[frame]) for frame in self.keyframes]
@@ -241,9 +245,9 @@ class _Builder:
             np.linspace(0, len(believed) - 1, min(len(believed), CALIBRATION_TIES)).astype(int)
         )
         self.maps.correct(None)
-        calibration = calibrate(self._view(believed[i]) for i in chosen)
+        self.calibration = calibrate(self._view(believed[i]) for i in chosen)
         level = self.maps[self.keyframes[0]].levels[0]
-        self.maps.correct(calibration.correction_per_m(level.camera.width, level.camera.height))
+        self.maps.correct(self.calibration.correction_per_m(level.camera.width, level.camera.height))
         along = sorted(range(len(self.ties)), key=lambda t: (self.ties[t].a, self.ties[t].b))
         for t in along:
             self.ties[t] = self._again(self.ties[t])
@@ -357,7 +361,13 @@ class _Builder:
             (kept if within and weight >= MIN_TIE_WEIGHT else refused).append(weighed)
         joined = frozenset(int(s) for s in np.unique(self.segments[inside]))
         return KeyframeGraph(
-            self.keyframes, T_world, tuple(kept), tuple(refused), joined, tuple(self.glimpses)
+            self.keyframes,
+            T_world,
+            tuple(kept),
+            tuple(refused),
+            joined,
+            tuple(self.glimpses),
+            self.calibration,
         )
 
 

@@ -73,7 +73,7 @@ def _finished(
             f"{': ' if reasons else ''}{'; '.join(reasons)}; record more slowly, or give a trajectory"
         )
     figures = health(sequence, source, tracked, warnings, check)
-    return Trajectory(sequence.stamps_ns, tracked.T_world_camera, source, figures)
+    return Trajectory(sequence.stamps_ns, tracked.T_world_camera, source, figures, tracked.calibration)
 
 
 def _too_few_poses(sequence: Sequence, posed: int) -> str:

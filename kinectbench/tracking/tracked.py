@@ -7,6 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.geometry.depth_calibration import NO_CALIBRATION, DepthCalibration
+
 Float64 = NDArray[np.float64]
 
 State = Literal["tracked", "relocalised", "lost"]
@@ -56,6 +58,7 @@ class Tracked:
         inlier_share: (n,) share of its points that agree with them; NaN where unknown.
         degenerate: (n,) bool, its depth alone leaves a motion open (as one plane in view does).
         sharpness: of the colour, by frame, where it was read (`image_sharpness`).
+        calibration: of the depth, as the poses were found with it.
     """
 
     T_world_camera: Float64
@@ -69,3 +72,4 @@ class Tracked:
     inlier_share: Float64
     degenerate: NDArray[np.bool_]
     sharpness: Mapping[int, float] = field(default_factory=dict)
+    calibration: DepthCalibration = NO_CALIBRATION

@@ -101,6 +101,7 @@ def _place(
         inlier_share,
         degenerate,
         maps.sharpness,
+        graph.calibration,
     )
 
 

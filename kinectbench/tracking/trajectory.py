@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.geometry.depth_calibration import NO_CALIBRATION, DepthCalibration
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -18,12 +20,14 @@ class Trajectory:
         T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
         source: "trust", "refine" or "tracked": where the poses come from.
         health: figures about it, plain JSON values, as stored in health.json.
+        depth_calibration: of the recording's depth, as the poses were found with it; none for given poses.
     """
 
     stamps_ns: NDArray[np.int64]
     T_world_camera: NDArray[np.float64]
     source: str
     health: Mapping[str, Any] = field(default_factory=dict)
+    depth_calibration: DepthCalibration = NO_CALIBRATION
 
     @property
     def good_frames(self) -> NDArray[np.int64]:

@@ -7,7 +7,8 @@ import pytest
 from tracking_scenes import couch
 
 from kinectbench.geometry import invert_rigid
-from kinectbench.tracking.depth_calibration import NO_CALIBRATION, TERMS, Calibration, View, calibrate
+from kinectbench.geometry.depth_calibration import NO_CALIBRATION, TERMS, DepthCalibration
+from kinectbench.tracking.depth_calibration import View, calibrate
 from kinectbench.tracking.frame_maps import STORED_PER_M, FrameMaps, maps_of, reduced_frame
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -22,7 +23,7 @@ def distorted(coefficients: np.ndarray) -> list[FrameMaps]:
     for index in range(24):
         frame = reduced_frame(sequence, index)
         exact = frame.depth / STORED_PER_M
-        error_per_m = Calibration(coefficients).correction_per_m(exact.shape[1], exact.shape[0])
+        error_per_m = DepthCalibration(coefficients).correction_per_m(exact.shape[1], exact.shape[0])
         recorded = np.rint(STORED_PER_M * exact / (1 - exact * error_per_m)).astype(np.uint16)
         frames.append(maps_of(sequence.camera, replace(frame, depth=recorded)))
     return frames
@@ -36,7 +37,7 @@ def views(frames: list[FrameMaps], pairs: list[tuple[int, int]]) -> list[View]:
 def test_a_known_distortion_is_found():
     coefficients = np.zeros(len(TERMS))
     coefficients[[TERMS.index((2, 0)), TERMS.index((1, 1)), TERMS.index((0, 2))]] = 0.004, -0.003, 0.003
-    true = Calibration(coefficients).correction_per_m(64, 48)
+    true = DepthCalibration(coefficients).correction_per_m(64, 48)
     found = calibrate(views(distorted(coefficients), PAIRS)).correction_per_m(64, 48)
     assert np.corrcoef(found.ravel(), true.ravel())[0, 1] > 0.8
     # Its prior keeps it small where few ties speak: it takes off a part. No constant is told.
