@@ -1,5 +1,7 @@
 """How enclosed is a voxel that no camera saw? Votes along 26 directions, and steps of the outline."""
 
+from dataclasses import dataclass
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +40,20 @@ def enclosure(state: NDArray[np.uint8]) -> NDArray[np.float32]:
     return share
 
 
-def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
+@dataclass(frozen=True)
+class Hollows:
+    """What may be empty under a top; bool, of the grid's shape.
+
+    Attributes:
+        sure: behind an apron.
+        doubtful: enclosed by flush sides but open below: a thick slab, or a hollow no camera looked into.
+    """
+
+    sure: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
+
+
+def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     """Unseen voxels behind an apron: under a top, open from below.
 
     From no camera above the seat can the space between the aprons of a chair be told from a thick slab:
@@ -47,14 +62,12 @@ def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
     of its own layer by 5 mm in all of the four directions along the grid and by 10 mm in all but one, and
     most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
     are enough if the hollows found so far leave the voxel hardly enclosed. What is less than 35 mm high is
-    no hollow: cushions are rounded below. Own rule.
+    no hollow: cushions are rounded below. What would be a hollow but for its flush sides is doubtful. Own
+    rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
         voxel_size_m: edge of a voxel, metres.
-
-    Returns:
-        (nx, ny, nz) bool.
     """
     from scipy import ndimage
 
@@ -62,14 +75,16 @@ def hollow(state: NDArray[np.uint8], voxel_size_m: float) -> NDArray[np.bool_]:
     _, outside = _votes(bordered, -1, -1)
     least, second = _overhang(bordered)
     below_m = _under_inside(bordered) * voxel_size_m
-    possible = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M) & (second * voxel_size_m > LEAST_OVERHANG_M)
+    under = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M)
+    possible = under & (second * voxel_size_m > LEAST_OVERHANG_M)
     all_around = (least * voxel_size_m > LEAST_OVERHANG_M) & (second * voxel_size_m > OVERHANG_M)
     sure = possible & all_around & (outside >= OPEN_BELOW)
     opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
     found = sure | (possible & (opened < ENCLOSED))
-    high = max(1, round(MIN_HOLLOW_M / voxel_size_m))
-    kept: NDArray[np.bool_] = ndimage.binary_opening(found, np.ones((3, 3, high)))
-    return kept
+    high = np.ones((3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m))))
+    hollow = ndimage.binary_opening(found, high)
+    flush = under & (outside >= OPEN_BELOW) & (opened >= ENCLOSED) & ~hollow
+    return Hollows(hollow, ndimage.binary_opening(flush, high))
 
 
 def under_top(state: NDArray[np.uint8]) -> NDArray[np.bool_]:

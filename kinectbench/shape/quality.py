@@ -15,6 +15,7 @@ from kinectbench.shape.witness import Witness
 
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
+MAX_DOUBTFUL_SHARE = 0.1
 # Least squares over 21 simulated objects of 4 families (seeds 101 to 105, and chair 1): what is missing from
 # an IoU of 1 to the truth, against what the probabilities expect to be missing and what halves disagree by.
 MISSING_PER_EXPECTED, MISSING_PER_DISAGREEMENT = 0.51, 0.33
@@ -95,6 +96,11 @@ def measure_quality(
         )
     if unknown > MAX_UNKNOWN_SHARE:
         warnings.append(f"{unknown:.0%} of the solid was never measured nor enclosed: walk around the object")
+    if together.doubtful_share > MAX_DOUBTFUL_SHARE:
+        warnings.append(
+            f"{together.doubtful_share:.0%} of the solid is a thick slab, or a hollow that no frame looked "
+            "into: it lies under a top, behind flush sides, and open below; record from low down, too"
+        )
     figures = {
         "format_version": 1,
         "verdict": "good" if not warnings else "look at the warnings",
@@ -103,6 +109,7 @@ def measure_quality(
         "estimated_iou": round(estimated, 4),
         "surface_sigma_m": sigma_m,
         "unknown_share": round(unknown, 4),
+        "doubtful_share": round(together.doubtful_share, 4),
         "volume_m3": round(int(together.solid.sum()) * together.grid.voxel_size_m**3, 6),
         "labels": {label.name.lower(): int((together.labels == label).sum()) for label in Label},
         "box": box_json(box),

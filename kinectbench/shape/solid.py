@@ -20,7 +20,7 @@ from kinectbench.shape.enclosure import (
     OVERHANG_M,
     UNSEEN,
     enclosure,
-    hollow,
+    hollows,
     under_top,
 )
 from kinectbench.shape.labels import Label
@@ -73,6 +73,7 @@ class SolidShape:
         labels: uint8, see `Label`.
         probability: float32 in [0, 1], that the voxel is occupied.
         mesh: closed surface of `solid`, smooth where it was measured, world frame, metres.
+        doubtful_share: share of the solid that may be a hollow under a top (`enclosure.hollows`).
     """
 
     grid: Grid
@@ -80,6 +81,7 @@ class SolidShape:
     labels: NDArray[np.uint8]
     probability: NDArray[np.float32]
     mesh: TriangleMesh
+    doubtful_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,8 @@ class _Evidence:
     """What the frames say of each voxel, in the grid's shape.
 
     `signed_m` is the signed distance of the surface, corrected by the frames that saw through; `shadow` is
-    unseen and under a top, but hardly enclosed; `contact` is the zone above the floor.
+    unseen and under a top, but hardly enclosed; `doubtful` may be a hollow; `contact` is the zone above the
+    floor.
     """
 
     signed_m: NDArray[np.float32]
@@ -95,6 +98,7 @@ class _Evidence:
     carved: Bools
     behind: Bools
     hollow: Bools
+    doubtful: Bools
     enclosed: NDArray[np.float32]
     unseen: Bools
     shadow: Bools
@@ -136,7 +140,8 @@ def solidify(
     probability = _probability(observation, evidence, solid)
     probability[:, :, :floor_layers] = 0
     mesh = _closed_mesh(np.where(solid, field, np.abs(field)), observation.grid)
-    return SolidShape(observation.grid, solid, labels, probability, mesh)
+    doubtful = int((evidence.doubtful & solid).sum()) / int(solid.sum())
+    return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
 
 
 def _weigh(
@@ -161,11 +166,14 @@ def _weigh(
     measured = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
     floor_seen = measured[:, :, : contact.stop].any(axis=2)
     state[:, :, :floor_layers] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
-    open_below = hollow(state, voxel_m)
-    open_below[:, :, : contact.stop] = False
-    enclosed, unseen = enclosure(state), (state == UNSEEN) & ~open_below
+    found = hollows(state, voxel_m)
+    hollow = found.sure
+    hollow[:, :, : contact.stop] = False
+    enclosed, unseen = enclosure(state), (state == UNSEEN) & ~hollow
     shadow = unseen & (enclosed < EMPTY_SHARE) & under_top(state)
-    return _Evidence(signed_m, observed, carved, behind, open_below, enclosed, unseen, shadow, contact)
+    return _Evidence(
+        signed_m, observed, carved, behind, hollow, found.doubtful, enclosed, unseen, shadow, contact
+    )
 
 
 def _corrected(observation: Observation, pixel_m: float) -> NDArray[np.float32]:
