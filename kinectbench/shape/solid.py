@@ -41,10 +41,10 @@ LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
 # Logistic fit, over voxels near the true surface, of being inside against the signed distance (in voxels, no
 # more than three) and the share of frames that saw through the voxel. Wide pixels see through a surface's
-# own voxels: the share counts in full up to the first width (in voxels), and from the second on not at all.
+# own voxels: the share counts in full up to the first width (in voxels), and by this part from the second on.
 CLIPPED_VOXELS = 3.0
 LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 6.1, 0.1
-NARROW_PIXEL, WIDE_PIXEL = 0.7, 1.1
+NARROW_PIXEL, WIDE_PIXEL, PART_WHERE_WIDE = 0.9, 1.1, 0.45
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
@@ -59,6 +59,7 @@ METHOD = {
     "clipped_voxels": CLIPPED_VOXELS,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
     "logit_pixel_widths": [NARROW_PIXEL, WIDE_PIXEL],
+    "logit_part_where_wide": PART_WHERE_WIDE,
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
 
@@ -187,7 +188,7 @@ def _corrected(observation: Observation, pixel_m: float) -> NDArray[np.float32]:
     votes = observation.free.astype(np.float32) + observation.surface
     seen_through = observation.free / np.maximum(votes, np.float32(1))
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
-    told = np.clip((WIDE_PIXEL - pixel_m / voxel_m) / (WIDE_PIXEL - NARROW_PIXEL), 0, 1)
+    told = np.interp(pixel_m / voxel_m, [NARROW_PIXEL, WIDE_PIXEL], [1, PART_WHERE_WIDE])
     shift = (told * LOGIT_PER_FREE * seen_through - LOGIT) / LOGIT_PER_VOXEL
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
 
