@@ -15,6 +15,8 @@ LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
 # A hollow is at least so high and lies no deeper than this under the top, and so many of nine ways down from
 # it lead outside.
 MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
+# The least overhang over the uppermost layer of a hollow, as a share of that over the next one.
+FULL_OVERHANG = 0.6
 NOT_UNDER = 30_000
 
 
@@ -61,9 +63,9 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     rests on. So a voxel is hollow if the outline of some layer above it, within 12 cm, juts out over that
     of its own layer by 5 mm in all of the four directions along the grid and by 10 mm in all but one, and
     most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
-    are enough if the hollows found so far leave the voxel hardly enclosed. What is less than 35 mm high is
-    no hollow: cushions are rounded below. What would be a hollow but for its flush sides is doubtful. Own
-    rule.
+    are enough if the hollows found so far leave the voxel hardly enclosed. The uppermost layer of a hollow
+    must be overhung nearly as far as the one below it. What is less than 35 mm high is no hollow: cushions
+    are rounded below. What would be a hollow but for its flush sides is doubtful. Own rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
@@ -83,6 +85,10 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     found = sure | (possible & (opened < ENCLOSED))
     high = np.ones((3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m))))
     hollow = ndimage.binary_opening(found, high)
+    # Where the outline steps in over two layers, the upper one is still the top's, frayed at its edge.
+    frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
+    frayed[:, :, :-1] &= ~hollow[:, :, 2:]
+    hollow[:, :, 1:] &= ~frayed
     flush = under & (outside >= OPEN_BELOW) & (opened >= ENCLOSED) & ~hollow
     return Hollows(hollow, ndimage.binary_opening(flush, high))
 

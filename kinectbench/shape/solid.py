@@ -11,6 +11,7 @@ from kinectbench.fusion.reconstruction import Observation
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import (
     ENCLOSED,
+    FULL_OVERHANG,
     INSIDE,
     LEAST_OVERHANG_M,
     MAX_HOLLOW_M,
@@ -53,6 +54,7 @@ METHOD = {
     "interior_share": round(INTERIOR_SHARE, 4),
     "empty_share": round(EMPTY_SHARE, 4),
     "hollow_overhang_m": [LEAST_OVERHANG_M, OVERHANG_M],
+    "hollow_full_overhang": FULL_OVERHANG,
     "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,

@@ -82,6 +82,16 @@ def test_behind_an_apron_is_hollow(inset):
     assert found[26:34, 26:34, 18:30].all() and found[inner].mean() > 0.8 and not found[~inner].any()
 
 
+def test_a_frayed_edge_of_the_top_is_no_hollow():
+    """Noise took two voxels off the lower edge of the top: its lowest layer is solid all the same."""
+    state = seat(apron_inset=6, thick=6)
+    state[10:50, 10:50, 30] = OUTSIDE
+    state[12:48, 12:48, 30] = INSIDE
+    state[14:46, 14:46, 30] = UNSEEN
+    found = hollows(state, 0.005).sure
+    assert not found[:, :, 30:].any() and found[26:34, 26:34, 18:30].all()
+
+
 def test_a_flush_block_is_not_hollow():
     found = hollows(seat(apron_inset=None), 0.005)
     assert not found.sure.any()
