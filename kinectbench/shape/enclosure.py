@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 UNSEEN, OUTSIDE, INSIDE, NEUTRAL = 0, 1, 2, 3
 # From so many directions of 26 on an unseen voxel is inside more often than not.
 ENCLOSED = 14.5 / 26
+# Under a top with a leg beside it, and anywhere, a voxel with fewer enclosing directions is empty.
+EMPTY_UNDER, EMPTY_BESIDE = 10.5 / 26, 4.5 / 26
 # A top juts out over its apron by more than this on all sides, and on all but one by more than that; voxels
 # of 5 mm count it in steps.
 LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
@@ -93,10 +95,29 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     return Hollows(hollow, ndimage.binary_opening(flush, high))
 
 
-def under_top(state: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Unseen voxels from which the way straight up leads inside: bool of the grid's shape."""
-    under: NDArray[np.bool_] = _under_inside(_bordered(state)) < NOT_UNDER
-    return under
+def shadow(state: NDArray[np.uint8], enclosed: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Unseen voxels in a shadow of the object: hidden, and all but never inside.
+
+    Straight under a top: what nothing encloses at its own height, or a single leg does, is under the object,
+    not in it. Elsewhere fewer than 5 of 26 directions must enclose it. All others must end where it was seen
+    to be empty: what lies beyond the frames' reach stays open. Own rule: of simulated furniture, recorded all
+    around or over 120 degrees, at most 6 % of what any of its parts takes is inside.
+
+    Args:
+        state: as for `enclosure`; the grid is upright.
+        enclosed: `enclosure` of it.
+
+    Returns:
+        (nx, ny, nz) bool.
+    """
+    seen_around = np.pad(state, 1, constant_values=NEUTRAL)
+    level, level_empty = _votes(seen_around, 0, 0)
+    inside, empty = _votes(seen_around, -1, 1)
+    under = _under_inside(seen_around) < NOT_UNDER
+    below = under & ((level == 0) | ((level == 1) & (enclosed < EMPTY_UNDER))) & (level + level_empty == 8)
+    beside = (inside + empty == 26) & (enclosed < EMPTY_BESIDE)
+    found: NDArray[np.bool_] = (state == UNSEEN) & (below | beside)
+    return found
 
 
 def _bordered(state: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -10,6 +10,8 @@ from kinectbench.fusion.mesh import isosurface
 from kinectbench.fusion.reconstruction import Observation
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import (
+    EMPTY_BESIDE,
+    EMPTY_UNDER,
     ENCLOSED,
     FULL_OVERHANG,
     INSIDE,
@@ -22,7 +24,7 @@ from kinectbench.shape.enclosure import (
     UNSEEN,
     enclosure,
     hollows,
-    under_top,
+    shadow,
 )
 from kinectbench.shape.labels import Label
 
@@ -30,13 +32,13 @@ Bools = NDArray[np.bool_]
 
 # Chosen on simulated furniture (20 objects of 4 families, seeds 101 to 105, true poses): how many of the
 # unseen voxels are inside, by the number of enclosing directions of 26. From 15 on more often than not; from
-# 16 on they nearly always are, and below 8 they hardly ever are.
-INTERIOR_SHARE, EMPTY_SHARE = 15.5 / 26, 7.5 / 26
+# 16 on they nearly always are.
+INTERIOR_SHARE = 15.5 / 26
 ENCLOSING = np.array([0, 2, 5, 8, 10, 12, 14, 15, 16, 17, 20, 22, 26], np.float32) / 26
 INSIDE_SHARE = np.array(
     [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
 )
-HOLLOW_INSIDE_SHARE = np.float32(0.02)
+HOLLOW_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32(0.02), np.float32(0.01)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
@@ -52,7 +54,7 @@ METHOD = {
     "name": "carving + hollows behind aprons + 26-direction enclosure + floor contact + smoothing",
     "occupied_share": round(ENCLOSED, 4),
     "interior_share": round(INTERIOR_SHARE, 4),
-    "empty_share": round(EMPTY_SHARE, 4),
+    "empty_share": [round(EMPTY_UNDER, 4), round(EMPTY_BESIDE, 4)],
     "hollow_overhang_m": [LEAST_OVERHANG_M, OVERHANG_M],
     "hollow_full_overhang": FULL_OVERHANG,
     "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
@@ -92,7 +94,7 @@ class _Evidence:
     """What the frames say of each voxel, in the grid's shape.
 
     `signed_m` is the signed distance of the surface, corrected by the frames that saw through; `shadow` is
-    unseen and under a top, but hardly enclosed; `doubtful` may be a hollow; `contact` is the zone above the
+    unseen, but hardly enclosed; `doubtful` may be a hollow; `contact` is the zone above the
     floor.
     """
 
@@ -130,7 +132,9 @@ def solidify(
         ShapeError: nothing is left.
     """
     evidence = _weigh(observation, excluded, floor_layers, cut_layers, pixel_m)
-    solid = (evidence.behind & ~excluded) | (evidence.unseen & (evidence.enclosed >= ENCLOSED))
+    solid = (evidence.behind & ~excluded) | (
+        evidence.unseen & ~evidence.shadow & (evidence.enclosed >= ENCLOSED)
+    )
     contact = evidence.contact
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
@@ -173,9 +177,9 @@ def _weigh(
     hollow = found.sure
     hollow[:, :, : contact.stop] = False
     enclosed, unseen = enclosure(state), (state == UNSEEN) & ~hollow
-    shadow = unseen & (enclosed < EMPTY_SHARE) & under_top(state)
+    in_shadow = unseen & shadow(state, enclosed)
     return _Evidence(
-        signed_m, observed, carved, behind, hollow, found.doubtful, enclosed, unseen, shadow, contact
+        signed_m, observed, carved, behind, hollow, found.doubtful, enclosed, unseen, in_shadow, contact
     )
 
 
@@ -230,6 +234,7 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
     from scipy.special import expit
 
     inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
+    inferred[evidence.shadow] = np.minimum(inferred[evidence.shadow], SHADOW_INSIDE_SHARE)
     inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
     measured = expit(-evidence.signed_m * np.float32(LOGIT_PER_VOXEL / observation.grid.voxel_size_m))
     probability = np.where(evidence.unseen | evidence.hollow, inferred, measured)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure, hollows, under_top
+from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure, hollows, shadow
 
 
 def walked(state: np.ndarray) -> np.ndarray:
@@ -111,9 +111,52 @@ def test_closed_below_is_not_hollow():
     assert not found.sure.any() and not found.doubtful.any()
 
 
-def test_under_top():
-    state = np.full((3, 3, 5), UNSEEN, np.uint8)
-    state[1, 1, 3] = INSIDE
-    expected = np.zeros(state.shape, bool)
-    expected[1, 1, :3] = True
-    np.testing.assert_array_equal(under_top(state), expected)
+def under_a_top(*level: tuple[int, int]) -> np.ndarray:
+    """A top over unseen voxels in a seen room, and INSIDE columns beside the middle one at (4, 4)."""
+    state = np.full((9, 9, 6), OUTSIDE, np.uint8)
+    state[1:8, 1:8, 1:] = UNSEEN
+    state[1:8, 1:8, 4:] = INSIDE
+    for i, j in level:
+        state[i, j, 1:4] = INSIDE
+    return state
+
+
+@pytest.mark.parametrize(
+    ("level", "expected"),
+    [
+        ((), True),
+        (
+            ((4, 6),),
+            True,
+        ),  # one leg: 9 directions up and 1 beside, and 9 + 1 + 1 = 11 with the one down to it
+        (((4, 6), (6, 4)), False),
+        (((4, 6), (4, 2), (6, 4), (2, 4)), False),
+    ],
+)
+def test_what_is_only_under_a_top_is_in_its_shadow(level, expected):
+    state = under_a_top(*level)
+    assert shadow(state, enclosure(state))[4, 4, 1] == expected
+    assert not shadow(state, enclosure(state))[:, :, 4:].any()
+
+
+def test_what_little_encloses_is_in_a_shadow():
+    state = np.full((9, 9, 9), OUTSIDE, np.uint8)
+    state[1:8, 1:8, 1:8] = UNSEEN
+    state[6, 2:7, 4] = INSIDE  # 3 of 26 directions from two voxels beside it
+    found = shadow(state, enclosure(state))
+    assert found[4, 4, 4] and not found[0].any() and not found[6, 4, 4]
+    thicker = state.copy()
+    thicker[6, 2:7, 2:7] = INSIDE  # 9 of 26
+    assert not shadow(thicker, enclosure(thicker))[4, 4, 4]
+
+
+def test_what_lies_beyond_the_frames_is_in_no_shadow():
+    """The same, but on one side nothing was ever seen: the object may go on there."""
+    state = np.full((9, 9, 9), OUTSIDE, np.uint8)
+    state[1:8, 1:8, :8] = UNSEEN
+    state[6, 2:7, 4] = INSIDE
+    assert not shadow(state, enclosure(state))[4, 4, 4]
+    table = under_a_top()
+    assert shadow(table, enclosure(table))[4, 4, 1]
+    table[4, 0] = UNSEEN
+    assert not shadow(table, enclosure(table))[4, 4, 1]
