@@ -17,11 +17,11 @@ from kinectbench.evaluate.registration import Registration, register
 from kinectbench.evaluate.solid import canonical_cube, compare_on
 from kinectbench.fusion.reconstruction import observe
 from kinectbench.geometry import TriangleMesh
-from kinectbench.ingest.sequence_folder import read_sequence
 from kinectbench.mesh_file import read_ply
 from kinectbench.shape.labels import Label
 from kinectbench.shape.object_model import FLOOR_LAYERS, ObjectModel
 from kinectbench.simulate.truth import Truth, mesh_occupancy, read_truth, truth_occupancy
+from kinectbench.stored import read_tracked
 
 Bools = NDArray[np.bool_]
 
@@ -97,7 +97,7 @@ def _recipes(build: Path, model: ObjectModel, truth: Truth, registration: Regist
     """IoU of every recipe above the cut at the floor, where none of the simple ones means anything."""
     built = read_build(build)
     assert built.trajectory is not None
-    sequence, grid = read_sequence(build / "sequence"), model.shape.grid
+    sequence, grid = read_tracked(build)[0], model.shape.grid
     seen = observe(sequence, built.trajectory, built.trajectory.good_frames, grid, FusionSettings())
     above = FLOOR_LAYERS + max(1, round(SegmentationSettings().floor_cut_m / grid.voxel_size_m))
     true = _true(model, truth, registration)[:, :, above:]

@@ -15,12 +15,12 @@ from kinectbench.config import PairSettings
 from kinectbench.errors import StorageError
 from kinectbench.geometry import Grid, transform_points
 from kinectbench.geometry.depth_noise import depth_sigma_m
-from kinectbench.ingest.sequence_folder import read_sequence
 from kinectbench.pairs import FullShape, full_shape, make_pair
 from kinectbench.sequence import Sequence
 from kinectbench.shape.labels import Label
 from kinectbench.shape.object_folder import read_object
 from kinectbench.shape.object_model import ObjectModel
+from kinectbench.stored import read_tracked
 from kinectbench.views import View
 from kinectbench.views_folder import read_views
 from kinectbench.voxels.morphology import shell_of
@@ -100,7 +100,7 @@ def plain_partial(pair: Pair, view: View, depth_m: NDArray[np.float32]) -> NDArr
 def measure(build: Path) -> list[Figure]:
     """Time 50 pairs, and check some of them."""
     sequence, model, views = (
-        read_sequence(build / "sequence"),
+        read_tracked(build)[0],
         read_object(build / "object"),
         read_views(build / "views"),
     )

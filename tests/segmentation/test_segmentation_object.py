@@ -15,7 +15,7 @@ from kinectbench.fusion import fuse
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
 from kinectbench.geometry.depth_noise import depth_sigma_m
-from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, override_mask
+from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, object_mask, override_mask
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.segmentation.segment import segment
 from kinectbench.segmentation.select import fit_box, select_object, surface_points
@@ -192,6 +192,26 @@ def test_agreement_tolerance_is_the_larger_of_five_sigma_and_the_setting():
     measured = np.array([[1.029, 1.031, 0.971, 0.0, 1.0, 2.5 + 4.9 * sigma, 2.5 - 5.1 * sigma]], np.float32)
     expected = [[True, False, True, False, False, True, False]]
     np.testing.assert_array_equal(agreement_mask(measured, rendered, 0.03), expected)
+
+
+def test_the_fringe_of_a_mask():
+    """A pixel beside the silhouette is the object's if its depth agrees and it is clear of the floor."""
+    rendered = np.zeros((5, 7), np.float32)
+    rendered[1:4, 1:3] = 1.0
+    measured = np.full((5, 7), 1.0, np.float32)
+    measured[1, 3] = 1.2  # what lies behind
+    measured[2, 1] = 1.2  # inside the silhouette, but not of the object
+    measured[3, 3] = 0.0
+    heights = np.full((5, 7), 0.5, np.float32)
+    heights[4] = 0.01  # the floor at its foot
+    expected = np.zeros((5, 7), bool)
+    expected[0:4, 0:4] = True
+    expected[1, 3] = expected[2, 1] = expected[3, 3] = False
+    np.testing.assert_array_equal(object_mask(measured, rendered, heights, 0.03), expected)
+    # Farther off the floor's own noise is larger: 25 mm are clear of it at 1 m, not at 3 m.
+    heights[:] = 0.025
+    far, near = (object_mask(z * measured, z * rendered, heights, 0.03) for z in (3, 1))
+    assert near[0, 0] and not far[0, 0] and far[1, 1]
 
 
 def test_inner_silhouette_is_two_pixels_smaller():
