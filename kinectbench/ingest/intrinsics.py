@@ -37,7 +37,7 @@ class Intrinsics:
         the intrinsics that are replaced.
         """
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        given = settings.model_dump(exclude_none=True) if settings else {}
+        given = settings.model_dump(exclude_none=True, include=set(values)) if settings else {}
         if all(name in given for name in NEEDED):
             values |= {"width": None, "height": None}
         return Intrinsics(**{**values, **given})

@@ -3,15 +3,19 @@
 import importlib
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.recording import Recording
+from kinectbench.ingest.stamps import NS_PER_S
+from kinectbench.sequence import GivenTrajectory
 
 # name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
 FORMATS = {
     "rosbag1": "kinectbench.ingest.rosbag1:Rosbag1Recording",
+    "rosbag2": "kinectbench.ingest.rosbag2:Rosbag2Recording",
     "tum": "kinectbench.ingest.tum:TumRecording",
     "7scenes": "kinectbench.ingest.seven_scenes:SevenScenesRecording",
     "folder": "kinectbench.ingest.folder:FolderRecording",
@@ -49,7 +53,8 @@ def open_recording(path: Path, camera: CameraSettings | None = None) -> Recordin
         name = format_of(path)
         if name is None:
             raise RecordingError(_unknown(path))
-        return reader_of(name).open(path, camera)
+        recording = reader_of(name).open(path, camera)
+        return _with_delay(recording, 0 if camera is None else round(camera.trajectory_delay_s * NS_PER_S))
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
 
@@ -76,6 +81,15 @@ def find_recordings(folder: Path) -> list[tuple[Path, str]]:
         return []
     found = [find_recordings(child) for child in children if not child.name.startswith(".")]
     return [recording for recordings in found for recording in recordings]
+
+
+def _with_delay(recording: Recording, delay_ns: int) -> Recording:
+    """The recording with the stamps of its given poses moved back by a delay."""
+    given = recording.given_trajectory
+    if given is None or not delay_ns:
+        return recording
+    moved = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
+    return replace(recording, given_trajectory=moved)  # type: ignore[type-var]
 
 
 def _walk(folder: Path) -> Iterator[Path]:

@@ -24,6 +24,7 @@ class TumRecording(FileRecording):
 
     format: ClassVar[str] = "tum"
     looks_for: ClassVar[str] = "a folder with depth.txt (and rgb.txt, groundtruth.txt, camera.json)"
+    verified: ClassVar[str] = "fr3/cabinet and fr1/xyz"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:

@@ -20,7 +20,7 @@ from kinectbench.simulate.simulate import simulate
 from kinectbench.simulate.simulation import prepare, record
 from kinectbench.simulate.spec import SimulationSpec
 from kinectbench.simulate.truth import read_truth, truth_folder, truth_occupancy
-from kinectbench.simulate.writers import BAGS, WRITERS
+from kinectbench.simulate.writers import SUFFIXES, WRITERS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,7 +48,7 @@ def ideal(tmp_path_factory):
 def test_same_spec_same_bytes(tmp_path, form):
     full = {"exposure_s": 0.02, "exposure_drift": 0.2, "color_registered": False, "color_delay_s": 0.01}
     spec = spec_of(object="table:seed=2", format=form, world="first_camera", sensor=full)
-    name = "r.bag" if form in BAGS else "r"
+    name = f"r{SUFFIXES.get(form, '')}"
     told = []
     for place in ("a", "b"):
         simulate(spec, tmp_path / place / name, lambda done, total: told.append((done, total)))
