@@ -58,6 +58,14 @@ class ColorCalibration:
     distortion: tuple[float, ...]
     T_color_depth: NDArray[np.float64]
 
+    def lies_on(self, depth: Camera) -> bool:
+        """Whether colour has the depth camera's pixels: it is registered as it stands."""
+        return (
+            self.camera == depth
+            and not self.distortion
+            and np.allclose(self.T_color_depth, np.eye(4), atol=1e-7)
+        )
+
 
 class Recording(ABC):
     """A recording that was opened: its camera is known, its frames are read when asked for.

@@ -14,8 +14,11 @@ from kinectbench.sequence import GivenTrajectory
 
 # name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
 FORMATS = {
+    "realsense": "kinectbench.ingest.realsense:RealsenseRecording",
     "rosbag1": "kinectbench.ingest.rosbag1:Rosbag1Recording",
     "rosbag2": "kinectbench.ingest.rosbag2:Rosbag2Recording",
+    "klg": "kinectbench.ingest.klg:KlgRecording",
+    "sens": "kinectbench.ingest.sens:SensRecording",
     "tum": "kinectbench.ingest.tum:TumRecording",
     "7scenes": "kinectbench.ingest.seven_scenes:SevenScenesRecording",
     "folder": "kinectbench.ingest.folder:FolderRecording",
@@ -105,9 +108,9 @@ def _walk(folder: Path) -> Iterator[Path]:
 
 
 def _unknown(path: Path) -> str:
-    layouts = "; ".join(f"{name}: {reader_of(name).looks_for}" for name in FORMATS)
+    known = f"the formats that are read are {', '.join(FORMATS)}; `kinectbench formats` says what each needs"
     if path.is_dir() and not any(path.iterdir()):
-        return f"{path}: the folder is empty; a recording is one of {layouts}"
+        return f"{path}: the folder is empty; {known}"
     inside = find_recordings(path) if path.is_dir() else []
-    hint = f" Did you mean {inside[0][0]}?" if inside else ""
-    return f"{path}: not a recording of a known format, which are {layouts}.{hint}"
+    hint = f". Did you mean {inside[0][0]}?" if inside else ""
+    return f"{path}: not a recording of a known format; {known}{hint}"

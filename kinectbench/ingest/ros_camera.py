@@ -9,8 +9,7 @@ from typing import Any
 from kinectbench.errors import RecordingError
 from kinectbench.geometry import Camera
 from kinectbench.ingest.intrinsics import Intrinsics
-from kinectbench.ingest.ros_messages import BagMessages, BagTopic
-from kinectbench.ingest.ros_topics import CAMERA_INFO, ImageTopic
+from kinectbench.ingest.ros_topics import ImageTopic
 from kinectbench.ingest.undistortion import Undistortion
 
 # realsense's names of Brown's model, and of none, stand beside those of ROS.
@@ -51,11 +50,7 @@ def camera_info(message: Any) -> CameraInfo:
 
 
 def choose_camera_info(
-    image: ImageTopic,
-    kind: Sequence[str],
-    size_px: tuple[int, int],
-    topics: tuple[BagTopic, ...],
-    messages: BagMessages,
+    image: ImageTopic, kind: Sequence[str], size_px: tuple[int, int], infos: Sequence[tuple[str, CameraInfo]]
 ) -> CameraInfo | None:
     """The CameraInfo of images: of their frame, or of a folder that is named for their kind.
 
@@ -65,18 +60,13 @@ def choose_camera_info(
         image: the topic of the images.
         kind: words that such a folder's name holds, such as "depth".
         size_px: width and height of the images.
-        topics: of the bag.
-        messages: of the bag.
+        infos: every CameraInfo of the bag with its topic's name.
     """
     ranked = []
-    for topic in topics:
-        message = messages.first(topic) if topic.type == CAMERA_INFO else None
-        if message is None:
-            continue
-        info = camera_info(message)
+    for name, info in infos:
         if not info.K[0] > 0:  # 0: the driver has no calibration
             continue
-        shared = _shared_folders(topic.name, image.name)
+        shared = _shared_folders(name, image.name)
         same_frame = bool(image.frame_id) and info.frame_id == image.frame_id
         if same_frame or any(word in folder.lower() for folder in shared for word in kind):
             rank = ((info.width, info.height) == size_px, same_frame, len(shared))

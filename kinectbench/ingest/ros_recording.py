@@ -1,7 +1,7 @@
 """What all ROS bags have in common: topics are chosen, depth is paired with colour, frames are decoded."""
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -14,11 +14,25 @@ from kinectbench.geometry import Camera
 from kinectbench.ingest.association import associate
 from kinectbench.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
 from kinectbench.ingest.recording import ColorCalibration, RawFrame, Recording
-from kinectbench.ingest.ros_camera import choose_camera_info, distortion_of, intrinsics_of, undistortion_of
+from kinectbench.ingest.ros_camera import (
+    CameraInfo,
+    camera_info,
+    choose_camera_info,
+    distortion_of,
+    intrinsics_of,
+    undistortion_of,
+)
 from kinectbench.ingest.ros_images import FLOAT_DEPTH, FLOAT_SCALE, INTEGER_SCALE, color_of, depth_of
-from kinectbench.ingest.ros_messages import BagMessages, BagTopic, MessagePlace, RosBag
+from kinectbench.ingest.ros_messages import BagMessages, MessagePlace, RosBag
 from kinectbench.ingest.ros_poses import read_poses
-from kinectbench.ingest.ros_topics import WANTED, ImageTopic, choose_color, choose_depth, is_named_registered
+from kinectbench.ingest.ros_topics import (
+    CAMERA_INFO,
+    WANTED,
+    ImageTopic,
+    choose_color,
+    choose_depth,
+    is_named_registered,
+)
 from kinectbench.ingest.ros_transforms import TransformTree, read_transforms
 from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp
 from kinectbench.ingest.undistortion import Undistortion
@@ -44,6 +58,8 @@ class RosRecording(Recording):
     wanted: ClassVar[frozenset[str]] = WANTED
     # Types whose definition is taken from the bag.
     own_types: ClassVar[frozenset[str]] = frozenset()
+    # Images of one frame_id share their pixels.
+    frame_ids_tell: ClassVar[bool] = True
 
     path: Path
     depth: ImageTopic
@@ -81,9 +97,10 @@ class RosRecording(Recording):
         return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
 
     @classmethod
-    def info_topics(cls, bag: RosBag, messages: BagMessages) -> tuple[BagTopic, ...]:
-        """The topics among which the CameraInfo is."""
-        return bag.topics
+    def camera_infos(cls, bag: RosBag, messages: BagMessages) -> list[tuple[str, CameraInfo]]:
+        """Every CameraInfo with its topic's name."""
+        infos = ((t.name, messages.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
+        return [(name, camera_info(message)) for name, message in infos if message is not None]
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings | None) -> Self:
@@ -93,8 +110,11 @@ class RosRecording(Recording):
         messages = BagMessages(bag)
         depth, depth_warnings = choose_depth(path, bag.topics, messages, named.depth_topic)
         color, color_warnings = choose_color(path, bag.topics, messages, depth, named.color_topic)
+        if not cls.frame_ids_tell:
+            depth, color = replace(depth, frame_id=""), color and replace(color, frame_id="")
         size_px = _first_depth_size(path, depth, messages)
-        info = choose_camera_info(depth, ("depth",), size_px, cls.info_topics(bag, messages), messages)
+        infos = cls.camera_infos(bag, messages)
+        info = choose_camera_info(depth, ("depth",), size_px, infos)
         intrinsics = intrinsics_of(info, depth).overridden_by(settings)
         camera = intrinsics.camera(size_px, path)
         tree = read_transforms(bag.topics, messages)
@@ -106,9 +126,10 @@ class RosRecording(Recording):
         calibration = None
         if color is not None and not registered:
             T_color_depth = cls.color_place(bag, messages, tree, depth, color)
-            calibration = _calibration(path, color, T_color_depth, cls.info_topics(bag, messages), messages)
+            calibration = _calibration(path, color, T_color_depth, infos, messages)
         if calibration is not None:
             size_warnings = []
+            registered = calibration.lies_on(camera)
         return cls(
             path=path,
             depth=depth,
@@ -120,7 +141,7 @@ class RosRecording(Recording):
             camera=camera,
             depth_scale=FLOAT_SCALE if is_float else scale or cls.integer_scale(bag, messages, depth),
             color_registered=registered,
-            color_calibration=calibration,
+            color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
             warnings=(
                 *([bag.trouble] if bag.trouble else []),
@@ -257,12 +278,12 @@ def _calibration(
     path: Path,
     color: ImageTopic,
     T_color_depth: NDArray[np.float64] | None,
-    topics: tuple[BagTopic, ...],
+    infos: list[tuple[str, CameraInfo]],
     messages: BagMessages,
 ) -> ColorCalibration | None:
     """Camera and place of colour; None if either is not known or does not fit the images."""
     size_px = _first_color_size(color, messages)
-    info = choose_camera_info(color, COLOR_WORDS, size_px, topics, messages)
+    info = choose_camera_info(color, COLOR_WORDS, size_px, infos)
     if T_color_depth is None or info is None:
         return None
     try:

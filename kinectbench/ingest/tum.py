@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.association import associate
-from kinectbench.ingest.intrinsics import Intrinsics, read_intrinsics_json
+from kinectbench.ingest.intrinsics import Intrinsics, read_color_calibration, read_intrinsics_json
 from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size
-from kinectbench.ingest.stamps import first_by_stamp, parse_stamp_ns
+from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp, parse_stamp_ns
 from kinectbench.ingest.text_rows import text_rows
 from kinectbench.ingest.trajectory_file import read_trajectory
 from kinectbench.sequence import GivenTrajectory
@@ -38,7 +38,8 @@ class TumRecording(FileRecording):
         if not depth:
             raise RecordingError(f"{path / 'depth.txt'}: lists no images")
         color, color_warnings = _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [])
-        partners = associate([stamp for stamp, _ in depth], [stamp for stamp, _ in color])
+        delay_ns = 0 if settings is None else round(settings.color_delay_s * NS_PER_S)
+        partners = associate([stamp for stamp, _ in depth], [stamp - delay_ns for stamp, _ in color])
         alone = sum(partner is None for partner in partners)
         if color and alone:
             warnings.append(f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms")
@@ -56,6 +57,7 @@ class TumRecording(FileRecording):
             camera=intrinsics.camera(first_depth_size(files), path),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=True if said.color_registered is None else said.color_registered,
+            color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
             given_trajectory=trajectory,
             warnings=(*warnings, *color_warnings, *trajectory_warnings),
         )

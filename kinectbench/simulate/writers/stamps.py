@@ -8,8 +8,8 @@ NS_PER_S = 10**9
 def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """The stamp in nanoseconds under which a reader finds a frame (own rule).
 
-    Bags keep stamps, TUM folders keep microseconds. 7-Scenes and plain folders have none: there a frame's
-    number counts seconds.
+    Bags keep stamps, TUM folders, .klg and .sens keep microseconds, Redwood's names twelve digits of them.
+    7-Scenes and plain folders have none: there a frame's number counts seconds.
 
     Args:
         file_format: of the recording.
@@ -18,4 +18,6 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """
     if file_format in ("7scenes", "folder"):
         return index * NS_PER_S
-    return stamp_ns // 1000 * 1000 if file_format == "tum" else stamp_ns
+    if file_format == "redwood":
+        return stamp_ns // 1000 % 10**12 * 1000
+    return stamp_ns // 1000 * 1000 if file_format in ("tum", "klg", "sens") else stamp_ns
