@@ -47,6 +47,8 @@ class CameraSettings(Settings):
     trajectory_delay_s: float = Field(
         0.0, ge=-1e10, le=1e10, description="stamps of given poses are late by this"
     )
+    min_confidence: int = Field(2, ge=0, le=2, description="of an iPhone: depth below is no measurement")
+    mask_object: int | None = Field(None, description="of a BOP scene: the object whose masks are read")
     swap_red_blue: bool = Field(False, description="colour is stored with red and blue exchanged")
 
 

@@ -21,6 +21,9 @@ Format = Literal[
     "realsense_old",
     "klg",
     "sens",
+    "stray",
+    "scanner_app",
+    "bop",
 ]
 WorldFrame = Literal["upright", "first_camera", "random"]
 

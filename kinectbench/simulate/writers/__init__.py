@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from kinectbench.simulate.spec import Format
+from kinectbench.simulate.writers.bop import write_bop
 from kinectbench.simulate.writers.cut import cut
 from kinectbench.simulate.writers.folder import write_folder
 from kinectbench.simulate.writers.frame import RecordedFrame, Rig
 from kinectbench.simulate.writers.klg import write_klg
+from kinectbench.simulate.writers.phones import write_scanner_app, write_stray
 from kinectbench.simulate.writers.realsense import write_realsense, write_realsense_old
 from kinectbench.simulate.writers.redwood import write_redwood
 from kinectbench.simulate.writers.rosbag1 import write_rosbag1, write_rosbag1_compressed
@@ -36,6 +38,9 @@ WRITERS: dict[Format, Writer] = {
     "realsense_old": write_realsense_old,
     "klg": write_klg,
     "sens": write_sens,
+    "stray": write_stray,
+    "scanner_app": write_scanner_app,
+    "bop": write_bop,
 }
 # The formats that are one file, and what its name ends in.
 SUFFIXES: dict[Format, str] = {
