@@ -36,6 +36,7 @@ from kinectbench.commands import (
     write_page,
 )
 from kinectbench.commands_exchange import export, import_
+from kinectbench.commands_formats import formats
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
@@ -294,7 +295,7 @@ def init(
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
-for _command in (simulate, synthesize, evaluate, export):
+for _command in (simulate, synthesize, evaluate, export, formats):
     app.command()(_command)
 app.command("import")(import_)
 

@@ -47,6 +47,8 @@ class Sequence:
         color_registered: colour pixels lie on depth pixels.
         given_trajectory: the trajectory that came with the recording, or None.
         frames: where depth and colour lie.
+        masks: the masks that came with the recording, or None: index -> (height, width) bool, the object, or
+            None for a frame without one.
     """
 
     camera: Camera
@@ -55,6 +57,7 @@ class Sequence:
     color_registered: bool
     given_trajectory: GivenTrajectory | None
     frames: FrameStore
+    masks: Callable[[int], NDArray[np.bool_] | None] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

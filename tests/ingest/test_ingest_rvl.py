@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -46,12 +46,14 @@ images = st.tuples(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 
 )
 
 
+@settings(deadline=None)
 @given(images)
 def test_it_is_what_the_paper_describes(depth: NDArray[np.uint16]) -> None:
     assert encode_rvl(depth) == plain_rvl(depth)
     np.testing.assert_array_equal(decode_rvl(plain_rvl(depth), "r"), depth)
 
 
+@settings(deadline=None)
 @given(images, st.data())
 def test_what_is_damaged_is_said_or_has_the_right_size(
     depth: NDArray[np.uint16], data: st.DataObject
