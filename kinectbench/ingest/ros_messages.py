@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -81,20 +82,11 @@ class BagMessages:
     def __init__(self, bag: RosBag) -> None:
         """Decode messages of this bag."""
         from rosbags.serde import SerdeError
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        self._errors = (SerdeError, ValueError, struct.error, IndexError, OverflowError)
+        self._errors = (SerdeError, ValueError, struct.error, LookupError, OverflowError)
         self._read = bag.read
-        ros1, ros2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
-        for name in (TF_MESSAGE, OLD_TF_MESSAGE):
-            ros1.register(get_types_from_msg(TF_DEFINITION, long_type(name)))
-        for topic in bag.topics:
-            if topic.definition:
-                ros1.register(_own_types(get_types_from_msg(topic.definition, long_type(topic.type)), ros1))
-        self._decode: dict[str, Callable[[bytes, str], Any]] = {
-            "ros1": ros1.deserialize_ros1,
-            "cdr": ros2.deserialize_cdr,
-        }
+        own = tuple(sorted({(t.type, t.definition) for t in bag.topics if t.definition}))
+        self._decode = {"ros1": _ros1_decoder(own), "cdr": _ros2_decoder()}
 
     def decode(self, topic: BagTopic, index: int) -> Any:
         """The index-th message of a topic.
@@ -118,9 +110,29 @@ class BagMessages:
         return None
 
 
-def _own_types(types: dict[str, Any], store: Any) -> dict[str, Any]:
-    """Those that the store does not know by itself."""
-    return {name: definition for name, definition in types.items() if name not in store.fielddefs}
+@cache
+def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Any]:
+    """Decodes ROS 1's types, those of tf, and (type, definition) pairs of a bag's own."""
+    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, definition in ((TF_MESSAGE, TF_DEFINITION), (OLD_TF_MESSAGE, TF_DEFINITION), *own):
+        try:
+            types = get_types_from_msg(definition, long_type(name))
+            store.register({key: value for key, value in types.items() if key not in store.fielddefs})
+        except TypesysError:  # messages of a type whose definition is damaged do not decode
+            continue
+    decode: Callable[[bytes, str], Any] = store.deserialize_ros1
+    return decode
+
+
+@cache
+def _ros2_decoder() -> Callable[[bytes, str], Any]:
+    """Decodes ROS 2's types."""
+    from rosbags.typesys import Stores, get_typestore
+
+    decode: Callable[[bytes, str], Any] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+    return decode
 
 
 def long_type(name: str) -> str:
