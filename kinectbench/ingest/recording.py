@@ -173,6 +173,8 @@ class FileRecording(Recording):
     given_trajectory: GivenTrajectory | None
     warnings: tuple[str, ...]
     color_calibration: ColorCalibration | None = None
+    # Stamps of depth and of colour in the order of their lists, where the format has lists.
+    recorded: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 
     def __len__(self) -> int:
         return len(self.files)
@@ -181,6 +183,13 @@ class FileRecording(Recording):
     def stamps_ns(self) -> NDArray[np.int64]:
         """Stamp of each frame listed, nanoseconds."""
         return np.array([files.stamp_ns for files in self.files], np.int64)
+
+    @property
+    def recorded_stamps_ns(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Stamps of depth and of colour in the order of recording."""
+        if self.recorded is None:
+            return super().recorded_stamps_ns
+        return np.array(self.recorded[0], np.int64), np.array(self.recorded[1], np.int64)
 
     def frame(self, index: int) -> RawFrame:
         """Read the files of a frame."""

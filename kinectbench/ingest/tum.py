@@ -34,10 +34,12 @@ class TumRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings | None) -> Self:
         """Read the lists, pair colour with depth, and read the trajectory."""
-        depth, warnings = _read_list(path / "depth.txt")
+        depth, depth_ns, warnings = _read_list(path / "depth.txt")
         if not depth:
             raise RecordingError(f"{path / 'depth.txt'}: lists no images")
-        color, color_warnings = _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [])
+        color, color_ns, color_warnings = (
+            _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [], [])
+        )
         delay_ns = 0 if settings is None else round(settings.color_delay_s * NS_PER_S)
         partners = associate([stamp for stamp, _ in depth], [stamp - delay_ns for stamp, _ in color])
         alone = sum(partner is None for partner in partners)
@@ -58,22 +60,24 @@ class TumRecording(FileRecording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=True if said.color_registered is None else said.color_registered,
             color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
+            recorded=(tuple(depth_ns), tuple(color_ns)),
             given_trajectory=trajectory,
             warnings=(*warnings, *color_warnings, *trajectory_warnings),
         )
 
 
-def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[str]]:
-    """Rows `stamp file` as (ns, path), ordered by stamp, each stamp once; and warnings."""
+def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
+    """Rows `stamp file` as (ns, path), ordered by stamp, each stamp once; stamps as listed; and warnings."""
     rows = []
     for where, row in text_rows(path):
         words = row.split(maxsplit=1)
         if len(words) != 2:
             raise RecordingError(f"{where}: '{row}' is not 'stamp file'")
         rows.append((parse_stamp_ns(words[0], where), path.parent / words[1]))
-    order, repeated = first_by_stamp([stamp for stamp, _ in rows])
+    stamps_ns = [stamp for stamp, _ in rows]
+    order, repeated = first_by_stamp(stamps_ns)
     warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
-    return [rows[i] for i in order], warnings
+    return [rows[i] for i in order], stamps_ns, warnings
 
 
 def _read_groundtruth(path: Path) -> tuple[GivenTrajectory | None, list[str]]:

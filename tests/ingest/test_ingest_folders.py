@@ -329,3 +329,26 @@ def test_a_wrong_colour_calibration_is_refused(
     (folder / "camera.json").write_text(json.dumps({**CAMERA, **right, **values}))
     with pytest.raises(RecordingError, match=message):
         open_recording(folder)
+
+
+def test_stamps_of_tum_lists_in_their_order(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r")
+    header, *rows = (folder / "depth.txt").read_text().splitlines()
+    (folder / "depth.txt").write_text("\n".join([header, rows[1], rows[0], rows[0], *rows[2:]]) + "\n")
+    recording = open_recording(folder)
+    depth_ns, color_ns = recording.recorded_stamps_ns
+    assert ((depth_ns - START_NS) // STEP_NS).tolist() == [1, 0, 0, 2, 3, 4]
+    assert len(color_ns) == 5
+    assert ((recording.stamps_ns - START_NS) // STEP_NS).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("delay_ms", [0, 200])
+def test_a_delay_of_colour_and_of_poses_can_be_given(tmp_path: Path, delay_ms: int) -> None:
+    folder = write_tum(tmp_path / "r", frames=20, color_shift_ns=200_000_000)
+    settings = CameraSettings(color_delay_s=delay_ms / 1000, trajectory_delay_s=delay_ms / 1000)
+    recording = open_recording(folder, settings)
+    color = recording.frame(10).color
+    # Late by six frames: without the delay frame 10 gets what frame 4 should have.
+    assert color == (".jpg", jpeg(color_image(10 if delay_ms else 4)))
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns[0] == START_NS - delay_ms * 1_000_000
