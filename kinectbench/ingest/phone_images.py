@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.ingest.images import DamagedImageError, decode_color_bgr, encode_png
+from kinectbench.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
 from kinectbench.ingest.intrinsics import Intrinsics
 from kinectbench.ingest.recording import FileRecording, read_image_file
 
@@ -37,9 +37,15 @@ class PhoneRecording(FileRecording):
         return np.where(confidence >= self.min_confidence, depth, np.uint16(0))
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame at the size of depth: (".png", bytes), or None."""
+        """Colour of a frame at the size of depth: as it was encoded if it has it, else a PNG; or None."""
         file = self.files[index].color
-        return None if file is None else self.shrunk(decode_color_bgr(read_image_file(file), str(file)))
+        if file is None:
+            return None
+        data = read_image_file(file)
+        suffix, *size_px = image_header(data, str(file))
+        if size_px == [self.camera.width, self.camera.height]:
+            return suffix, data
+        return self.shrunk(decode_color_bgr(data, str(file)))
 
     def shrunk(self, bgr: NDArray[np.uint8]) -> tuple[str, bytes]:
         """Colour (height, width, 3) averaged over the pixels of depth, as PNG."""
