@@ -1,4 +1,4 @@
-"""The code of depth images against PNG: size, and CPU time to read a frame back, for folders of 16-bit PNGs."""
+"""The code of depth images against PNG: size, and CPU time to read a frame back, of 16-bit PNGs."""
 
 import time
 from collections.abc import Callable
