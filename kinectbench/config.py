@@ -40,6 +40,16 @@ class CameraSettings(Settings):
     cx: float | None = Field(None, description="principal point in x, pixels")
     cy: float | None = Field(None, description="principal point in y, pixels")
     depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
+    depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
+    color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
+    pose_topic: str | None = Field(None, description="of a bag: the topic of poses, or tf")
+    color_delay_s: float = Field(0.0, ge=-10, le=10, description="stamps of colour are late by this")
+    trajectory_delay_s: float = Field(
+        0.0, ge=-1e10, le=1e10, description="stamps of given poses are late by this"
+    )
+    min_confidence: int = Field(2, ge=0, le=2, description="of an iPhone: depth below is no measurement")
+    mask_object: int | None = Field(None, description="of a BOP scene: the object whose masks are read")
+    swap_red_blue: bool = Field(False, description="colour is stored with red and blue exchanged")
 
 
 class BoxSettings(Settings):

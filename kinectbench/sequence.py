@@ -49,6 +49,8 @@ class Sequence:
         given_trajectory: the trajectory that came with the recording, or None.
         frames: where depth and colour lie.
         depth_correction_per_m: (height, width) float32, added to 1 / depth; None: depth as recorded.
+        masks: the masks that came with the recording, or None: index -> (height, width) bool, the object, or
+            None for a frame without one.
     """
 
     camera: Camera
@@ -58,6 +60,7 @@ class Sequence:
     given_trajectory: GivenTrajectory | None
     frames: FrameStore
     depth_correction_per_m: NDArray[np.float32] | None = None
+    masks: Callable[[int], NDArray[np.bool_] | None] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

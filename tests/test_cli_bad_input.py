@@ -139,7 +139,7 @@ LEVEL, DOWN = "-0.5 0.5 -0.5 0.5", "-0.653281 0.653281 -0.270598 0.270598"
 wall_only = in_front_of(lambda x, y: np.full(x.shape, 1.5), LEVEL)
 floor_only = in_front_of(lambda x, y: 1.2 * np.sqrt(2) / np.maximum(1 + y, 0.2), DOWN)
 
-LAYOUTS = "rosbag1: |tum: |7scenes: |folder: |depth.txt|ROSBAG"
+LAYOUTS = "rosbag1, |tum, |7scenes, |, folder|kinectbench formats"
 BAD_RECORDINGS = {
     "no such recording": (lost, "recordings/chair: no such recording|correct `path`|'chair'"),
     "empty folder": (empty_folder, f"recordings/chair: the folder is empty|{LAYOUTS}"),

@@ -10,8 +10,19 @@ from numpy.typing import NDArray
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.images import DamagedImageError, image_header
-from kinectbench.ingest.intrinsics import Intrinsics, read_intrinsics_json, read_intrinsics_matrix
-from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size, read_image_file
+from kinectbench.ingest.intrinsics import (
+    Intrinsics,
+    read_color_calibration,
+    read_intrinsics_json,
+    read_intrinsics_matrix,
+)
+from kinectbench.ingest.recording import (
+    ColorCalibration,
+    FileRecording,
+    FrameFiles,
+    first_depth_size,
+    read_image_file,
+)
 from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.ingest.text_rows import parse_floats, text_rows
 from kinectbench.ingest.trajectory_file import read_trajectory, trajectory_from_matrices
@@ -20,19 +31,25 @@ from kinectbench.sequence import GivenTrajectory
 DEPTH_SCALE = 1000.0
 COLOR_FOLDERS = ("color", "rgb", "image")
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json")
+JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json")
 # Longer numbers are stamps of an unknown unit, not frame numbers.
 FRAME_NUMBER = re.compile(r"\d{1,9}")
+# Redwood's scans: frame number and stamp in microseconds, which differs between depth and colour.
+NUMBER_AND_STAMP = re.compile(r"(\d{1,9})-(\d{12})")
+# Their PrimeSense camera, by the data set's own documents.
+PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 
 class FolderRecording(FileRecording):
     """A folder with `depth/`, maybe `color/` (or rgb/, image/), intrinsics and maybe a trajectory.
 
-    It has no stamps: a file name that is a number counts seconds, or else the order does.
+    Redwood's file names, NUMBER-MICROSECONDS, give stamps. Others have none: a file name that is a number
+    counts seconds, or else the order does.
     """
 
     format: ClassVar[str] = "folder"
     looks_for: ClassVar[str] = "a folder with depth/*.png (and color/, intrinsics.json, trajectory.log)"
+    verified: ClassVar[str] = "folders and trajectories that Open3D reads alike"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -49,12 +66,12 @@ class FolderRecording(FileRecording):
         )
         stamps_ns = _stamps_ns(depth)
         partners = _partners(depth, color, path)
-        files = tuple(
-            FrameFiles(stamp_ns, file, partner)
-            for stamp_ns, file, partner in zip(stamps_ns, depth, partners, strict=True)
-        )
-        intrinsics = _read_intrinsics(path).overridden_by(settings)
+        order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
+        files = tuple(FrameFiles(stamps_ns[i], depth[i], partners[i]) for i in order)
         size_px = first_depth_size(files)
+        said, said_warnings = _read_intrinsics(path, depth, size_px)
+        intrinsics = said.overridden_by(settings)
+        calibration = _read_calibration(path)
         registered = intrinsics.color_registered
         trajectory, warnings = _read_trajectory(path, stamps_ns)
         return cls(
@@ -63,8 +80,9 @@ class FolderRecording(FileRecording):
             camera=intrinsics.camera(size_px, path),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=_same_size(files, size_px) if registered is None else registered,
+            color_calibration=calibration,
             given_trajectory=trajectory,
-            warnings=tuple(warnings),
+            warnings=(*said_warnings, *warnings),
         )
 
 
@@ -80,10 +98,18 @@ def _counting_key(stem: str) -> list[tuple[int, str]]:
 
 def _key(file: Path) -> str:
     """What must agree for depth and colour to be one frame: the stem, without leading zeros of a number."""
+    redwood = NUMBER_AND_STAMP.fullmatch(file.stem)
+    if redwood:
+        return str(int(redwood[1]))
     return str(int(file.stem)) if FRAME_NUMBER.fullmatch(file.stem) else file.stem
 
 
 def _stamps_ns(depth: list[Path]) -> list[int]:
+    stamps = [NUMBER_AND_STAMP.fullmatch(file.stem) for file in depth]
+    if all(stamps):
+        stamps_ns = [int(match[2]) * 1000 for match in stamps if match]
+        if len(set(stamps_ns)) == len(stamps_ns):
+            return stamps_ns
     keys = [_key(file) for file in depth]
     numbered = all(FRAME_NUMBER.fullmatch(key) for key in keys) and len(set(keys)) == len(keys)
     return [(int(key) if numbered else index) * NS_PER_S for index, key in enumerate(keys)]
@@ -114,18 +140,28 @@ def _same_size(files: tuple[FrameFiles, ...], size_px: tuple[int, int]) -> bool:
     return False
 
 
-def _read_intrinsics(path: Path) -> Intrinsics:
+def _read_intrinsics(path: Path, depth: list[Path], size_px: tuple[int, int]) -> tuple[Intrinsics, list[str]]:
     for name in JSON_FILES:
         if (path / name).is_file():
-            return read_intrinsics_json(path / name)
+            return read_intrinsics_json(path / name), []
     matrix_file = path / "intrinsics.txt"
-    return read_intrinsics_matrix(matrix_file) if matrix_file.is_file() else Intrinsics()
+    if matrix_file.is_file():
+        return read_intrinsics_matrix(matrix_file), []
+    if NUMBER_AND_STAMP.fullmatch(depth[0].stem) and size_px == (PRIMESENSE.width, PRIMESENSE.height):
+        return PRIMESENSE, [f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"]
+    return Intrinsics(), []
+
+
+def _read_calibration(path: Path) -> ColorCalibration | None:
+    files = (path / name for name in JSON_FILES)
+    return next((read_color_calibration(file) for file in files if file.is_file()), None)
 
 
 def _read_trajectory(path: Path, stamps_ns: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
     if (path / "trajectory.txt").is_file():
         return read_trajectory(path / "trajectory.txt")
-    file = path / "trajectory.log"
+    logs = sorted(path.glob("*.log"))
+    file = path / "trajectory.log" if len(logs) != 1 else logs[0]
     if not file.is_file():
         return None, []
     matrices = _read_log(file, len(stamps_ns))

@@ -78,6 +78,15 @@ def decode_color_bgr(data: bytes, name: str) -> NDArray[np.uint8]:
     return _decode(data, name, unchanged=False).astype(np.uint8, copy=False)
 
 
+def decode_mask(data: bytes, name: str) -> NDArray[np.bool_]:
+    """Decode a PNG mask: (height, width) bool, True where any channel is not 0.
+
+    Raises:
+        DamagedImageError: the image is damaged.
+    """
+    return np.asarray(decode_color_bgr(data, name).any(axis=2))
+
+
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """Encode (height, width) or BGR (height, width, 3), 8 or 16 bits, as PNG: same pixels, same bytes."""
     import cv2

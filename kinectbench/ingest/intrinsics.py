@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.geometry import Camera
+from kinectbench.ingest.recording import ColorCalibration
 from kinectbench.ingest.text_rows import read_matrix, read_text
+from kinectbench.ingest.trajectory_file import rigid_or_none
 
 NEEDED = ("fx", "fy", "cx", "cy")
 
@@ -37,7 +39,7 @@ class Intrinsics:
         the intrinsics that are replaced.
         """
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        given = settings.model_dump(exclude_none=True) if settings else {}
+        given = settings.model_dump(exclude_none=True, include=set(values)) if settings else {}
         if all(name in given for name in NEEDED):
             values |= {"width": None, "height": None}
         return Intrinsics(**{**values, **given})
@@ -85,12 +87,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     Raises:
         RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
     """
-    try:
-        raw = json.loads(read_text(path))
-    except ValueError as error:
-        raise RecordingError(f"{path}: is not valid JSON ({error})") from error
-    if not isinstance(raw, dict):
-        raise RecordingError(f"{path}: must hold an object with width, height, fx, fy, cx, cy")
+    raw = _read_object(path)
     known = {key: value for key, value in raw.items() if value is not None}
     if "depth_factor" in known:
         known.setdefault("depth_scale", known["depth_factor"])
@@ -113,6 +110,46 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     return Intrinsics(**values)
 
 
+def read_color_calibration(path: Path) -> ColorCalibration | None:
+    """Read how colour lies to depth from camera.json: `color_camera` and `T_color_depth` (own rule).
+
+    `color_camera` holds width, height, fx, fy, cx, cy and maybe `distortion` (Brown's coefficients);
+    `T_color_depth` four rows, metres, depth camera to colour camera.
+
+    Returns:
+        None if the file does not hold both.
+
+    Raises:
+        RecordingError: one of them is not what it should be.
+    """
+    raw = _read_object(path)
+    if raw.get("color_camera") is None or raw.get("T_color_depth") is None:
+        return None
+    where = f"{path}: 'color_camera'"
+    said = raw["color_camera"]
+    if not isinstance(said, dict):
+        raise RecordingError(f"{where} must hold an object with width, height, fx, fy, cx, cy")
+    values = {key: _number(said.get(key), f"{where}: '{key}'") for key in ("width", "height", *NEEDED)}
+    size_px = (int(values["width"]), int(values["height"]))
+    fx, fy, cx, cy = (values[key] for key in NEEDED)
+    camera = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy).camera(size_px, path)
+    distortion = said.get("distortion") or []
+    if not isinstance(distortion, list) or len(distortion) not in (0, 4, 5, 8):
+        raise RecordingError(f"{where}: 'distortion' must hold 4, 5 or 8 numbers (Brown's model)")
+    T = rigid_or_none(_matrix4(raw["T_color_depth"]))
+    if T is None:
+        raise RecordingError(f"{path}: 'T_color_depth' must be four rows of a rigid transform")
+    return ColorCalibration(camera, tuple(_number(d, f"{where}: 'distortion'") for d in distortion), T)
+
+
+def _matrix4(value: object) -> NDArray[np.float64]:
+    try:
+        matrix = np.array(value, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    return matrix if matrix.shape == (4, 4) else np.full((4, 4), np.nan)
+
+
 def read_intrinsics_matrix(path: Path) -> Intrinsics:
     """Read a text file with the 3x3 intrinsic matrix, row by row.
 
@@ -120,6 +157,16 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
         RecordingError: not nine numbers, or no pinhole matrix.
     """
     return _pinhole(read_matrix(path, 3), path)
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    try:
+        raw = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: is not valid JSON ({error})") from error
+    if not isinstance(raw, dict):
+        raise RecordingError(f"{path}: must hold an object with width, height, fx, fy, cx, cy")
+    return raw
 
 
 def _number(value: object, where: str) -> float:

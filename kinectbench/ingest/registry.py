@@ -3,15 +3,25 @@
 import importlib
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.recording import Recording
+from kinectbench.ingest.stamps import NS_PER_S
+from kinectbench.sequence import GivenTrajectory
 
 # name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
 FORMATS = {
+    "realsense": "kinectbench.ingest.realsense:RealsenseRecording",
     "rosbag1": "kinectbench.ingest.rosbag1:Rosbag1Recording",
+    "rosbag2": "kinectbench.ingest.rosbag2:Rosbag2Recording",
+    "klg": "kinectbench.ingest.klg:KlgRecording",
+    "sens": "kinectbench.ingest.sens:SensRecording",
+    "stray": "kinectbench.ingest.stray_scanner:StrayScannerRecording",
+    "scanner_app": "kinectbench.ingest.scanner_app:ScannerAppRecording",
+    "bop": "kinectbench.ingest.bop:BopRecording",
     "tum": "kinectbench.ingest.tum:TumRecording",
     "7scenes": "kinectbench.ingest.seven_scenes:SevenScenesRecording",
     "folder": "kinectbench.ingest.folder:FolderRecording",
@@ -49,7 +59,8 @@ def open_recording(path: Path, camera: CameraSettings | None = None) -> Recordin
         name = format_of(path)
         if name is None:
             raise RecordingError(_unknown(path))
-        return reader_of(name).open(path, camera)
+        recording = reader_of(name).open(path, camera)
+        return _with_delay(recording, 0 if camera is None else round(camera.trajectory_delay_s * NS_PER_S))
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
 
@@ -78,6 +89,15 @@ def find_recordings(folder: Path) -> list[tuple[Path, str]]:
     return [recording for recordings in found for recording in recordings]
 
 
+def _with_delay(recording: Recording, delay_ns: int) -> Recording:
+    """The recording with the stamps of its given poses moved back by a delay."""
+    given = recording.given_trajectory
+    if given is None or not delay_ns:
+        return recording
+    moved = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
+    return replace(recording, given_trajectory=moved)  # type: ignore[type-var]
+
+
 def _walk(folder: Path) -> Iterator[Path]:
     seen: set[str] = set()
     for root, folders, files in os.walk(folder, followlinks=True):
@@ -91,9 +111,9 @@ def _walk(folder: Path) -> Iterator[Path]:
 
 
 def _unknown(path: Path) -> str:
-    layouts = "; ".join(f"{name}: {reader_of(name).looks_for}" for name in FORMATS)
+    known = f"the formats that are read are {', '.join(FORMATS)}; `kinectbench formats` says what each needs"
     if path.is_dir() and not any(path.iterdir()):
-        return f"{path}: the folder is empty; a recording is one of {layouts}"
+        return f"{path}: the folder is empty; {known}"
     inside = find_recordings(path) if path.is_dir() else []
-    hint = f" Did you mean {inside[0][0]}?" if inside else ""
-    return f"{path}: not a recording of a known format, which are {layouts}.{hint}"
+    hint = f". Did you mean {inside[0][0]}?" if inside else ""
+    return f"{path}: not a recording of a known format; {known}{hint}"

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import RecordingError
 from kinectbench.ingest.images import (
     PNG_MAGIC,
     DamagedImageError,
@@ -15,6 +14,7 @@ from kinectbench.ingest.images import (
     image_header,
     is_depth_png,
 )
+from kinectbench.ingest.rvl import decode_rvl
 
 INTEGER_DEPTH = frozenset({"16UC1", "mono16"})
 FLOAT_DEPTH = "32FC1"
@@ -25,7 +25,21 @@ COLOR_CHANNELS: dict[str, tuple[int, ...]] = {
     "bgr8": (0, 1, 2),
     "rgba8": (2, 1, 0),
     "bgra8": (0, 1, 2),
+    "8UC3": (0, 1, 2),
+    "8UC4": (0, 1, 2),
     "mono8": (0,),
+    "8UC1": (0,),
+}
+# encoding -> OpenCV's conversion to blue, green, red; its names count the pattern from the second row.
+CONVERSIONS = {
+    "bayer_rggb8": (1, "COLOR_BayerBG2BGR"),
+    "bayer_bggr8": (1, "COLOR_BayerRG2BGR"),
+    "bayer_gbrg8": (1, "COLOR_BayerGR2BGR"),
+    "bayer_grbg8": (1, "COLOR_BayerGB2BGR"),
+    "yuv422": (2, "COLOR_YUV2BGR_UYVY"),
+    "uyvy": (2, "COLOR_YUV2BGR_UYVY"),
+    "yuv422_yuy2": (2, "COLOR_YUV2BGR_YUYV"),
+    "yuyv": (2, "COLOR_YUV2BGR_YUYV"),
 }
 # Native units per metre: integers are millimetres, floats metres that are stored in units of 0.2 mm.
 INTEGER_SCALE = 1000.0
@@ -47,7 +61,8 @@ def depth_encoding(message: Any, *, compressed: bool) -> str | None:
 def color_encoding(message: Any, *, compressed: bool) -> str | None:
     """The encoding of the colour in an image message; None if it holds none that can be read."""
     if not compressed:
-        return message.encoding if message.encoding in COLOR_CHANNELS else None
+        known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
+        return message.encoding if known else None
     data = bytes(message.data[:32])
     if COMPRESSED_DEPTH in message.format or is_depth_png(data):
         return None
@@ -71,7 +86,7 @@ def depth_of(
 
     Raises:
         DamagedImageError: the image is damaged.
-        RecordingError: it is compressed in a way that cannot be read.
+        RecordingError: it is whole, but not 16-bit grey.
     """
     if not compressed:
         if message.encoding in INTEGER_DEPTH:
@@ -86,13 +101,12 @@ def depth_of(
     if COMPRESSED_DEPTH not in message.format:
         return decode_depth_png(data, name), data
     body = data[COMPRESSED_DEPTH_HEADER:]
-    if "rvl" in message.format.lower():
-        raise RecordingError(
-            f"{name}: compressedDepth with RVL cannot be read; republish the topic as raw images"
-        )
-    native = decode_depth_png(body, name)
+    if len(data) < COMPRESSED_DEPTH_HEADER:
+        raise DamagedImageError(f"{name}: the compressedDepth image is cut off after {len(data)} bytes")
+    is_rvl = "rvl" in message.format.lower()
+    native = decode_rvl(body, name) if is_rvl else decode_depth_png(body, name)
     if not message.format.startswith(FLOAT_DEPTH):
-        return native, body
+        return native, None if is_rvl else body
     # Inverse depth: z = A / (v - B), from the header `int32 format, float32 A, float32 B`.
     a, b = struct.unpack_from("<ff", data, 4)
     valid = native > 0
@@ -109,12 +123,24 @@ def color_of(message: Any, name: str, *, compressed: bool) -> tuple[str, bytes]:
     if compressed:
         data = bytes(message.data)
         return image_header(data, name)[0], data
+    conversion = CONVERSIONS.get(message.encoding.lower())
+    if conversion is not None:
+        return ".png", encode_png(
+            _converted(_pixels(message, name, np.dtype(np.uint8), conversion[0]), conversion[1])
+        )
     channels = COLOR_CHANNELS.get(message.encoding)
     if channels is None:
         raise DamagedImageError(f"{name}: encoding '{message.encoding}' is not the first message's")
-    stored = 1 if channels == (0,) else int(message.encoding.endswith("a8")) + 3
+    stored = 1 if channels == (0,) else 3 + int(message.encoding.endswith(("a8", "C4")))
     pixels = _pixels(message, name, np.dtype(np.uint8), stored)
     return ".png", encode_png(np.ascontiguousarray(pixels[..., channels]).astype(np.uint8))
+
+
+def _converted(pixels: NDArray[np.uint8], conversion: str) -> NDArray[np.uint8]:
+    """Blue, green, red (height, width, 3) of a Bayer or YUV 4:2:2 image."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(pixels, getattr(cv2, conversion)), np.uint8)
 
 
 def _pixels(message: Any, name: str, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:

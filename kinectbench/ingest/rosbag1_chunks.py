@@ -1,47 +1,32 @@
 """The records of a ROS 1 bag (format 2.0), found by walking its chunks.
 
 The walk needs no index, so it also reads what is whole of a bag that was cut off or never closed, and it
-gives random access to single messages. Layout: http://wiki.ros.org/Bags/Format/2.0.
+gives random access to single messages. Of chunks that are not compressed it reads no more than the records'
+headers. Layout: http://wiki.ros.org/Bags/Format/2.0.
 """
 
 import bz2
+import os
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
 from kinectbench.errors import RecordingError
+from kinectbench.ingest.ros_messages import (
+    BagTopic,
+    ChunkCache,
+    MessagePlace,
+    header_stamp_ns,
+    joined_topics,
+)
 
 MAGIC = b"#ROSBAG V2.0\n"
 OP_MESSAGE, OP_BAG, OP_CHUNK, OP_CONNECTION = 2, 3, 5, 7
-CACHED_CHUNKS = 4
-
-
-@dataclass(frozen=True)
-class MessagePlace:
-    """Where a message lies.
-
-    Attributes:
-        stamp_ns: stamp of its header, or the time it was recorded where the header has none.
-        chunk: position of the chunk's record in the file.
-        offset: of the message in the chunk, once that is decompressed.
-        size: in bytes.
-    """
-
-    stamp_ns: int
-    chunk: int
-    offset: int
-    size: int
-
-
-@dataclass(frozen=True)
-class BagTopic:
-    """One topic: its type such as "sensor_msgs/Image", and its messages in the order of their stamps."""
-
-    name: str
-    type: str
-    messages: tuple[MessagePlace, ...]
+# A Header's sequence number and stamp.
+PEEK = 16
 
 
 @dataclass(frozen=True)
@@ -53,58 +38,72 @@ class BagContents:
         chunks: number of whole chunks.
         damaged_chunks: number of chunks that do not decompress.
         complete: the file ends as it should and has an index.
+        backwards: how often the stamps of a connection go back.
     """
 
     topics: tuple[BagTopic, ...]
     chunks: int
     damaged_chunks: int
     complete: bool
+    backwards: int
 
 
 class _CutOffError(Exception):
     """The file ends within a record, or does not go on with one."""
 
 
-def scan_bag(path: Path, types: frozenset[str]) -> BagContents:
-    """Walk through a bag and note where the messages of these types lie; all of them begin with a Header.
+def scan_bag(path: Path, types: frozenset[str], own_types: frozenset[str] = frozenset()) -> BagContents:
+    """Walk through a bag and note where the messages of these types lie.
+
+    Args:
+        path: the bag.
+        types: such as "sensor_msgs/Image".
+        own_types: those of them whose definition is to be taken from the bag.
 
     Raises:
         RecordingError: not a bag of format 2.0, or encrypted.
     """
     walk = _Walk(types)
+    size = path.stat().st_size
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise RecordingError(f"{path}: not a ROS 1 bag of format 2.0")
         try:
-            fields, data_size = _read_header(file)
+            fields, data_size = _read_header(file, size)
             if fields.get(b"encryptor"):
                 raise RecordingError(f"{path}: the bag is encrypted; record or copy it without encryption")
-            file.seek(data_size, 1)
-            complete = 0 < _number(fields, b"index_pos", "<Q") < path.stat().st_size
-            while file.peek(1):
-                walk.take_record(file)
+            file.seek(data_size, os.SEEK_CUR)
+            complete = 0 < _number(fields, b"index_pos", "<Q") < size
+            while file.tell() < size:
+                walk.take_record(file, size)
         except _CutOffError:
             complete = False
-    return BagContents(walk.topics(), walk.chunks, walk.damaged_chunks, complete)
+    topics, backwards = walk.topics(own_types)
+    return BagContents(topics, walk.chunks, walk.damaged_chunks, complete, backwards)
 
 
-class ChunkReader:
-    """Reads single messages; keeps the chunks that were read last."""
+class BagFile:
+    """Reads single messages of a bag."""
 
     def __init__(self, path: Path) -> None:
         """Read from this bag, which `scan_bag` has walked through."""
         self._path = path
-        self._chunks: dict[int, bytes] = {}
+        self._chunk = ChunkCache(self._unpacked)
 
-    def message(self, place: MessagePlace) -> bytes:
+    def __call__(self, place: MessagePlace) -> bytes:
         """The serialised message that lies there."""
-        if place.chunk not in self._chunks:
-            while len(self._chunks) >= CACHED_CHUNKS:
-                del self._chunks[next(iter(self._chunks))]
+        if place.chunk < 0:
             with self._path.open("rb") as file:
-                file.seek(place.chunk)
-                self._chunks[place.chunk] = _decompress(*_read_record(file))
-        return self._chunks[place.chunk][place.offset : place.offset + place.size]
+                file.seek(place.offset)
+                return file.read(place.size)
+        return self._chunk(place.chunk)[place.offset : place.offset + place.size]
+
+    def _unpacked(self, position: int) -> bytes:
+        with self._path.open("rb") as file:
+            end = file.seek(0, os.SEEK_END)
+            file.seek(position)
+            fields, size = _read_header(file, end)
+            return _decompress(fields, _read_exactly(file, size, end))
 
 
 class _Walk:
@@ -114,109 +113,118 @@ class _Walk:
         self.chunks = 0
         self.damaged_chunks = 0
         self._types = types
-        self._connections: dict[int, tuple[str, str]] = {}
+        self._connections: dict[int, tuple[str, str, str]] = {}
         self._messages: dict[int, list[MessagePlace]] = {}
 
-    def take_record(self, file: BinaryIO) -> None:
+    def take_record(self, file: BinaryIO, end: int) -> None:
         """Read the next record of the file, or pass over it."""
         position = file.tell()
-        fields, data_size = _read_header(file)
+        fields, size = _read_header(file, end)
         op = _number(fields, b"op", "<B")
-        if op not in (OP_CHUNK, OP_CONNECTION):
-            _read_exactly(file, data_size)
+        start = file.tell()
+        if op == OP_CHUNK:
+            self._take_chunk(file, position, fields, size, end)
             return
-        data = _read_exactly(file, data_size)
-        if op == OP_CONNECTION:
-            self._take_connection(fields, data)
+        if start + size > end:
+            raise _CutOffError
+        # A bag that was never closed can hold the records of its last chunk without the chunk.
+        self._take(fields, file, start, size, chunk=-1)
+        file.seek(start + size)
+
+    def _take_chunk(
+        self, file: BinaryIO, position: int, fields: dict[bytes, bytes], size: int, end: int
+    ) -> None:
+        start = file.tell()
+        if fields.get(b"compression") == b"none":
+            # Of a chunk that is cut off, what is whole is taken.
+            for inner, offset, length in _records_of(file, min(start + size, end)):
+                self._take(inner, file, offset, length, chunk=-1)
+            if start + size > end:
+                raise _CutOffError
+            self.chunks += 1
+            file.seek(start + size)
             return
+        data = _read_exactly(file, size, end)
         self.chunks += 1
         try:
-            self._take_chunk(position, _decompress(fields, data))
-        except (_CutOffError, OSError, ValueError, EOFError, RuntimeError):
+            unpacked = BytesIO(_decompress(fields, data))
+            for inner, offset, length in _records_of(unpacked, len(unpacked.getbuffer())):
+                self._take(inner, unpacked, offset, length, chunk=position)
+        except (_CutOffError, OSError, ValueError, EOFError, RuntimeError, MemoryError):
             self.damaged_chunks += 1
 
-    def topics(self) -> tuple[BagTopic, ...]:
-        """The topics of the wanted types; connections that share a topic are joined."""
-        joined: dict[tuple[str, str], list[MessagePlace]] = {}
-        for connection, messages in self._messages.items():
-            name_and_type = self._connections.get(connection)
-            if name_and_type is not None and name_and_type[1] in self._types:
-                joined.setdefault(name_and_type, []).extend(messages)
-        return tuple(
-            BagTopic(name, type_, tuple(sorted(messages, key=lambda place: place.stamp_ns)))
-            for (name, type_), messages in sorted(joined.items())
+    def topics(self, own_types: frozenset[str]) -> tuple[tuple[BagTopic, ...], int]:
+        """The topics of the wanted types, and how often stamps go back."""
+        known = ((self._connections.get(number), places) for number, places in self._messages.items())
+        return joined_topics(
+            (found[0], found[1], "ros1", found[2] if found[1] in own_types else "", places)
+            for found, places in known
+            if found is not None and found[1] in self._types
         )
+
+    def _take(self, fields: dict[bytes, bytes], file: BinaryIO, offset: int, size: int, chunk: int) -> None:
+        op = _number(fields, b"op", "<B")
+        if op == OP_CONNECTION:
+            file.seek(offset)
+            self._take_connection(fields, file.read(size))
+        elif op == OP_MESSAGE:
+            connection = _number(fields, b"conn", "<I")
+            known = self._connections.get(connection)
+            # The connection of a message can be in a chunk that is lost, and again at the end.
+            if known is None or known[1] in self._types:
+                file.seek(offset)
+                type_ = "" if known is None else known[1]
+                stamp_ns = header_stamp_ns(file.read(min(PEEK, size)), type_, "ros1") or _time_ns(fields)
+                self._messages.setdefault(connection, []).append(MessagePlace(stamp_ns, chunk, offset, size))
 
     def _take_connection(self, fields: dict[bytes, bytes], data: bytes) -> None:
         more = _parse_fields(data)
-        topic, type_ = (fields.get(b"topic", b""), more.get(b"type", b""))
-        names = (topic.decode(errors="replace"), type_.decode(errors="replace"))
-        self._connections[_number(fields, b"conn", "<I")] = names
-
-    def _take_chunk(self, position: int, chunk: bytes) -> None:
-        for fields, offset, size in _records_of(chunk):
-            op = _number(fields, b"op", "<B")
-            if op == OP_CONNECTION:
-                self._take_connection(fields, chunk[offset : offset + size])
-            elif op == OP_MESSAGE:
-                connection = _number(fields, b"conn", "<I")
-                known = self._connections.get(connection)
-                # The connection of a message can be in a chunk that is lost, and again at the end.
-                if size >= 12 and (known is None or known[1] in self._types):
-                    _, seconds, nanoseconds = struct.unpack_from("<III", chunk, offset)
-                    stamp_ns = seconds * 10**9 + nanoseconds or _time_ns(fields)
-                    place = MessagePlace(stamp_ns, position, offset, size)
-                    self._messages.setdefault(connection, []).append(place)
+        values = (fields.get(b"topic", b""), more.get(b"type", b""), more.get(b"message_definition", b""))
+        topic, type_, definition = (value.decode(errors="replace") for value in values)
+        self._connections[_number(fields, b"conn", "<I")] = (topic, type_, definition)
 
 
-def _records_of(chunk: bytes) -> Iterator[tuple[dict[bytes, bytes], int, int]]:
-    """The records in a chunk: header fields, and offset and size of the data."""
-    position = 0
-    while position < len(chunk):
-        try:
-            (header_size,) = struct.unpack_from("<I", chunk, position)
-            fields = _parse_fields(chunk[position + 4 : position + 4 + header_size])
-            (size,) = struct.unpack_from("<I", chunk, position + 4 + header_size)
-        except struct.error as error:
-            raise _CutOffError from error
-        offset = position + 8 + header_size
-        if offset + size > len(chunk):
+def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], int, int]]:
+    """The records from here to the end of a chunk: header fields, and position and size of the data."""
+    position = file.tell()
+    while position < end:
+        file.seek(position)
+        fields, size = _read_header(file, end)
+        offset = file.tell()
+        if offset + size > end:
             raise _CutOffError
         yield fields, offset, size
         position = offset + size
 
 
 def _decompress(fields: dict[bytes, bytes], data: bytes) -> bytes:
-    def lz4(packed: bytes) -> bytes:
-        from lz4.frame import decompress  # type: ignore[import-untyped]
+    """The bytes of a chunk, no more of them than its header says."""
+    size = _number(fields, b"size", "<I")
+    kind = fields.get(b"compression")
+    if kind == b"none":
+        return data
+    if kind == b"bz2":
+        return bz2.BZ2Decompressor().decompress(data, max_length=max(size, 1))
+    if kind == b"lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
-        return bytes(decompress(packed))
-
-    known: dict[bytes, Callable[[bytes], bytes]] = {b"none": bytes, b"bz2": bz2.decompress, b"lz4": lz4}
-    unpack = known.get(fields.get(b"compression", b""))
-    if unpack is None:
-        raise _CutOffError
-    return unpack(data)
-
-
-def _read_record(file: BinaryIO) -> tuple[dict[bytes, bytes], bytes]:
-    fields, size = _read_header(file)
-    return fields, _read_exactly(file, size)
+        return bytes(LZ4FrameDecompressor().decompress(data, max_length=max(size, 1)))
+    raise _CutOffError
 
 
-def _read_header(file: BinaryIO) -> tuple[dict[bytes, bytes], int]:
+def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
     """Header fields of the next record, and the size of the data that follow."""
-    (header_size,) = struct.unpack("<I", _read_exactly(file, 4))
-    fields = _parse_fields(_read_exactly(file, header_size))
-    (data_size,) = struct.unpack("<I", _read_exactly(file, 4))
+    (header_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
+    fields = _parse_fields(_read_exactly(file, header_size, end))
+    (data_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
     return fields, data_size
 
 
-def _read_exactly(file: BinaryIO, size: int) -> bytes:
-    data = file.read(size)
-    if len(data) != size:
+def _read_exactly(file: BinaryIO, size: int, end: int) -> bytes:
+    """Bytes of the file, once it is known to hold them: a damaged size allocates nothing."""
+    if file.tell() + size > end:
         raise _CutOffError
-    return data
+    return file.read(size)
 
 
 def _parse_fields(data: bytes) -> dict[bytes, bytes]:

@@ -1,35 +1,49 @@
 """A Sequence on disk: written from a recording frame by frame, read at random.
 
 camera.json           format_version, width, height, fx, fy, cx, cy, depth_scale, color_registered,
-                      source_format, frames (their number), warnings
-frames.json           rows: index, stamp_ns, depth, color (paths in the folder; color may be null)
-depth/000000.png      uint16 in native units, 0 = no measurement; the recorded file where that is unchanged
-color/000000.jpg|png  as it was encoded
+                      registered_by (recording, calibration or null), source_format, frames (their number),
+
+Warnings:
+frames.json           rows: index, stamp_ns, depth, color, mask (paths in the folder; color and mask may be
+                      null)
+depth/000000.kbd      uint16 in native units, 0 = no measurement, as `depth_code` packs it; PNG in version 1
+color/000000.jpg|png  as it was encoded; a PNG where it was brought onto the pixels of depth
+mask/000000.png       0 or 255 = the object; only if the recording has masks
 given_trajectory.txt  TUM text, camera to world; only if the recording has one
 """
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import KinectBenchError, StorageError
+from kinectbench.errors import KinectBenchError, RecordingError, StorageError
 from kinectbench.geometry import Camera
-from kinectbench.ingest.images import DamagedImageError, encode_png
+from kinectbench.ingest.depth_code import decode_depth, encode_depth
+from kinectbench.ingest.images import (
+    DamagedImageError,
+    decode_color_bgr,
+    decode_depth_png,
+    decode_mask,
+    encode_png,
+)
 from kinectbench.ingest.plausibility import FrameChecks, Tally
-from kinectbench.ingest.recording import DamagedFrame, RawFrame, Recording
+from kinectbench.ingest.recording import ColorCalibration, DamagedFrame, RawFrame, Recording
+from kinectbench.ingest.registration import ColorRegistration
 from kinectbench.ingest.trajectory_file import read_trajectory, trajectory_text
 from kinectbench.sequence import Sequence
 from kinectbench.workspace import pretty_json, storage_errors
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+READABLE_VERSIONS = (1, 2)
 CAMERA = "camera.json"
 FRAMES = "frames.json"
 TRAJECTORY = "given_trajectory.txt"
+DEPTH_SUFFIX = ".kbd"
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
@@ -53,18 +67,24 @@ def write_sequence(
     with storage_errors(folder):
         for name in ("depth", "color"):
             (folder / name).mkdir(parents=True, exist_ok=True)
+    registered_by = "recording" if recording.color_registered else None
+    register = None
+    if recording.color_calibration is not None and not recording.color_registered:
+        register = _Registered(recording, recording.color_calibration)
+        registered_by = "calibration"
     checks, tally = FrameChecks(recording), Tally(recording)
     rows: list[dict[str, Any]] = []
     for done, frame in enumerate(recording.frames(), start=1):
         try:
-            rows += _write_checked(frame, len(rows), folder, checks, tally)
+            rows += _write_checked(frame, len(rows), folder, checks, tally, register)
         except DamagedImageError as error:
             tally.leave_out(str(error))
         if progress:
             progress(done, len(recording))
     warnings = [*recording.warnings, *tally.verdict(), *checks.verdict([row["stamp_ns"] for row in rows])]
     head = {"format_version": FORMAT_VERSION, **asdict(recording.camera)}
-    head |= {"depth_scale": recording.depth_scale, "color_registered": recording.color_registered}
+    head |= {"depth_scale": recording.depth_scale, "color_registered": registered_by is not None}
+    head |= {"registered_by": registered_by}
     head |= {"source_format": recording.format, "frames": len(rows), "warnings": warnings}
     with storage_errors(folder):
         (folder / CAMERA).write_text(pretty_json(head))
@@ -83,20 +103,23 @@ def read_sequence(folder: Path) -> Sequence:
     try:
         head = json.loads((folder / CAMERA).read_text())
         rows = json.loads((folder / FRAMES).read_text())
-        if head["format_version"] != FORMAT_VERSION:
+        if head["format_version"] not in READABLE_VERSIONS:
             raise StorageError(
                 f"{folder}: written in format version {head['format_version']}; {_again(folder)}"
             )
         trajectory = read_trajectory(folder / TRAJECTORY)[0] if (folder / TRAJECTORY).is_file() else None
+        masks = tuple(row.get("mask") for row in rows)
+        frames = FolderFrames(
+            folder, tuple(row["depth"] for row in rows), tuple(row["color"] for row in rows), masks
+        )
         return Sequence(
             camera=Camera(*(head[key] for key in CAMERA_KEYS)),
             depth_scale=head["depth_scale"],
             stamps_ns=np.array([row["stamp_ns"] for row in rows], np.int64),
             color_registered=head["color_registered"],
             given_trajectory=trajectory,
-            frames=FolderFrames(
-                folder, tuple(row["depth"] for row in rows), tuple(row["color"] for row in rows)
-            ),
+            frames=frames,
+            masks=frames.mask if any(masks) else None,
         )
     except StorageError:
         raise
@@ -112,11 +135,13 @@ class FolderFrames:
         folder: the sequence folder.
         depth: path of each depth image within it.
         color: path of each colour image within it, or None.
+        masks: path of each given mask within it, or None.
     """
 
     folder: Path
     depth: tuple[str, ...]
     color: tuple[str | None, ...]
+    masks: tuple[str | None, ...] = ()
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
         """Depth of one frame: (height, width) uint16, 0 = no measurement.
@@ -124,13 +149,26 @@ class FolderFrames:
         Raises:
             StorageError: the image is missing or damaged.
         """
-        import cv2
+        data = self._bytes(self.depth[index])
+        name = str(self.folder / self.depth[index])
+        try:
+            return decode_depth(data) if name.endswith(DEPTH_SUFFIX) else decode_depth_png(data, name)
+        except (ValueError, RecordingError) as error:
+            raise StorageError(f"{name}: is damaged ({error}); {_again(self.folder)}") from error
 
-        data = np.frombuffer(self._bytes(self.depth[index]), np.uint8)
-        depth = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-        if depth is None or depth.dtype != np.uint16:
-            raise StorageError(f"{self.folder / self.depth[index]}: is damaged; {_again(self.folder)}")
-        return np.asarray(depth, dtype=np.uint16)
+    def mask(self, index: int) -> NDArray[np.bool_] | None:
+        """The mask that came with a frame: (height, width) bool, or None.
+
+        Raises:
+            StorageError: the image is missing or damaged.
+        """
+        name = self.masks[index] if self.masks else None
+        if name is None:
+            return None
+        try:
+            return decode_mask(self._bytes(name), name)
+        except RecordingError as error:
+            raise StorageError(f"{self.folder / name}: is damaged; {_again(self.folder)}") from error
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
         """Colour of one frame as it was encoded: (suffix, bytes), or None.
@@ -151,21 +189,54 @@ class FolderFrames:
             ) from error
 
 
+class _Registered:
+    """Brings the colour of frames onto their depth."""
+
+    def __init__(self, recording: Recording, calibration: ColorCalibration) -> None:
+        self._register = ColorRegistration(recording.camera, calibration)
+        self._scale = recording.depth_scale
+        self._size_px = (calibration.camera.width, calibration.camera.height)
+
+    def __call__(self, frame: RawFrame) -> RawFrame:
+        if frame.color is None:
+            return frame
+        bgr = decode_color_bgr(frame.color[1], f"colour of {frame.name}")
+        if bgr.shape[1::-1] != self._size_px:
+            raise RecordingError(
+                f"{frame.name}: its colour is {bgr.shape[1]}x{bgr.shape[0]}, but its camera makes "
+                f"{self._size_px[0]}x{self._size_px[1]}: correct the calibration, or remove it"
+            )
+        depth_m = frame.depth.astype(np.float32) / np.float32(self._scale)
+        return replace(frame, color=(".png", encode_png(self._register(depth_m, bgr))))
+
+
 def _write_checked(
-    frame: RawFrame | DamagedFrame, index: int, folder: Path, checks: FrameChecks, tally: Tally
+    frame: RawFrame | DamagedFrame,
+    index: int,
+    folder: Path,
+    checks: FrameChecks,
+    tally: Tally,
+    register: _Registered | None,
 ) -> list[dict[str, Any]]:
     """Write one frame; its row, or none if it is damaged."""
     if isinstance(frame, DamagedFrame):
         tally.leave_out(frame.why)
         return []
     color_suffix = checks.check(frame)
-    depth_name, color_name = f"depth/{index:06d}.png", None
+    if register is not None:
+        frame, color_suffix = register(frame), color_suffix and ".png"
+    depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
+    color = None if frame.color is None else f"color/{index:06d}{color_suffix}"
+    mask = None if frame.mask is None else f"mask/{index:06d}.png"
     with storage_errors(folder):
-        (folder / depth_name).write_bytes(frame.depth_png or encode_png(frame.depth))
+        (folder / depth).write_bytes(encode_depth(frame.depth))
         if frame.color is not None:
-            color_name = f"color/{index:06d}{color_suffix}"
-            (folder / color_name).write_bytes(frame.color[1])
-    return [{"index": index, "stamp_ns": frame.stamp_ns, "depth": depth_name, "color": color_name}]
+            (folder / f"{color}").write_bytes(frame.color[1])
+        if frame.mask is not None:
+            (folder / "mask").mkdir(exist_ok=True)
+            pixels = np.where(frame.mask, np.uint8(255), np.uint8(0))
+            (folder / f"{mask}").write_bytes(encode_png(pixels))
+    return [{"index": index, "stamp_ns": frame.stamp_ns, "depth": depth, "color": color, "mask": mask}]
 
 
 def _again(folder: Path) -> str:

@@ -30,6 +30,7 @@ class SevenScenesRecording(FileRecording):
 
     format: ClassVar[str] = "7scenes"
     looks_for: ClassVar[str] = "a folder with frame-000000.depth.png (and .color.png, .pose.txt)"
+    verified: ClassVar[str] = "frames of redkitchen"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -66,7 +67,7 @@ class SevenScenesRecording(FileRecording):
             warnings=tuple(warnings),
         )
 
-    def clean_depth(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Turn 65535 (invalid) into 0."""
         invalid = depth == INVALID
         return np.where(invalid, np.uint16(0), depth) if invalid.any() else depth

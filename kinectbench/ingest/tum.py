@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.association import associate
-from kinectbench.ingest.intrinsics import Intrinsics, read_intrinsics_json
+from kinectbench.ingest.intrinsics import Intrinsics, read_color_calibration, read_intrinsics_json
 from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size
-from kinectbench.ingest.stamps import first_by_stamp, parse_stamp_ns
+from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp, parse_stamp_ns
 from kinectbench.ingest.text_rows import text_rows
 from kinectbench.ingest.trajectory_file import read_trajectory
 from kinectbench.sequence import GivenTrajectory
@@ -24,6 +24,7 @@ class TumRecording(FileRecording):
 
     format: ClassVar[str] = "tum"
     looks_for: ClassVar[str] = "a folder with depth.txt (and rgb.txt, groundtruth.txt, camera.json)"
+    verified: ClassVar[str] = "fr3/cabinet and fr1/xyz"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -33,11 +34,14 @@ class TumRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings | None) -> Self:
         """Read the lists, pair colour with depth, and read the trajectory."""
-        depth, warnings = _read_list(path / "depth.txt")
+        depth, depth_ns, warnings = _read_list(path / "depth.txt")
         if not depth:
             raise RecordingError(f"{path / 'depth.txt'}: lists no images")
-        color, color_warnings = _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [])
-        partners = associate([stamp for stamp, _ in depth], [stamp for stamp, _ in color])
+        color, color_ns, color_warnings = (
+            _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [], [])
+        )
+        delay_ns = 0 if settings is None else round(settings.color_delay_s * NS_PER_S)
+        partners = associate([stamp for stamp, _ in depth], [stamp - delay_ns for stamp, _ in color])
         alone = sum(partner is None for partner in partners)
         if color and alone:
             warnings.append(f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms")
@@ -55,22 +59,25 @@ class TumRecording(FileRecording):
             camera=intrinsics.camera(first_depth_size(files), path),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=True if said.color_registered is None else said.color_registered,
+            color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
+            recorded=(tuple(depth_ns), tuple(color_ns)),
             given_trajectory=trajectory,
             warnings=(*warnings, *color_warnings, *trajectory_warnings),
         )
 
 
-def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[str]]:
-    """Rows `stamp file` as (ns, path), ordered by stamp, each stamp once; and warnings."""
+def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
+    """Rows `stamp file` as (ns, path), ordered by stamp, each stamp once; stamps as listed; and warnings."""
     rows = []
     for where, row in text_rows(path):
         words = row.split(maxsplit=1)
         if len(words) != 2:
             raise RecordingError(f"{where}: '{row}' is not 'stamp file'")
         rows.append((parse_stamp_ns(words[0], where), path.parent / words[1]))
-    order, repeated = first_by_stamp([stamp for stamp, _ in rows])
+    stamps_ns = [stamp for stamp, _ in rows]
+    order, repeated = first_by_stamp(stamps_ns)
     warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
-    return [rows[i] for i in order], warnings
+    return [rows[i] for i in order], stamps_ns, warnings
 
 
 def _read_groundtruth(path: Path) -> tuple[GivenTrajectory | None, list[str]]:

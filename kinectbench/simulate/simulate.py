@@ -10,7 +10,7 @@ from kinectbench.simulate.simulation import Simulation, prepare, record
 from kinectbench.simulate.spec import SimulationSpec
 from kinectbench.simulate.truth import DEPTH_SCALE, SurfaceTruth, Truth, is_truth, truth_folder, write_truth
 from kinectbench.simulate.visibility import Visibility, sample_surface
-from kinectbench.simulate.writers import BAGS, WRITERS, cut, stamp_as_read
+from kinectbench.simulate.writers import SUFFIXES, WRITERS, cut, stamp_as_read
 from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes
 from kinectbench.workspace import replaced_file, replaced_folder, sha256_file, sweep
 
@@ -28,7 +28,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
     Args:
         spec: what to simulate.
-        out: a folder, or for the bag formats a path that ends in .bag.
+        out: a folder, or for the formats that are one file a path with their suffix, such as .bag.
         progress: told (frames done, frames in all).
 
     Raises:
@@ -42,7 +42,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     sweep(out)
     sweep(folder)
     writer = WRITERS[spec.format]
-    replaced = replaced_file if spec.format in BAGS else replaced_folder
+    replaced = replaced_file if spec.format in SUFFIXES else replaced_folder
     with replaced_folder(folder) as temporary:
         recorder = _Recorder(simulation, temporary, progress)
         with replaced(out) as path:
@@ -111,17 +111,18 @@ class _Recorder:
 
 def _check_place(spec: SimulationSpec, out: Path) -> None:
     """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
-    if not out.name or (out.suffix == ".bag") != (spec.format in BAGS) or out.suffix in (".BAG", ".truth"):
-        raise SettingsError(
-            f"{out}: a bag's name must end in .bag, and no other recording's may; none may end in .truth"
-        )
+    suffix = SUFFIXES.get(spec.format, "")
+    foreign = {*SUFFIXES.values(), ".truth"} - {suffix}
+    if not out.name or (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:
+        said = f"of this format is a file that ends in {suffix}" if suffix else "of this format is a folder"
+        raise SettingsError(f"{out}: a recording {said}; no other name may end so, and none in .truth")
     truth = truth_folder(out)
     for path in (out, truth):
         if (path.exists() or path.is_symlink()) and not (_is_empty(path) or is_truth(truth)):
             raise SettingsError(
                 f"{path}: exists and is no simulated recording; choose another name or remove it"
             )
-    other = out.with_suffix("") if spec.format in BAGS else out.with_name(f"{out.name}.bag")
+    other = out.with_suffix("") if suffix == ".bag" else out.with_name(f"{out.name}.bag")
     if other.exists():
         raise SettingsError(f"{other}: is there already, and would share {truth}; choose another name")
 

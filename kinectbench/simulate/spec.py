@@ -8,7 +8,23 @@ from pydantic import Field
 from kinectbench.config import Settings
 from kinectbench.geometry import Camera
 
-Format = Literal["tum", "7scenes", "folder", "bag", "bag_compressed"]
+Format = Literal[
+    "tum",
+    "7scenes",
+    "folder",
+    "redwood",
+    "bag",
+    "bag_compressed",
+    "ros2_sqlite",
+    "ros2_mcap",
+    "realsense",
+    "realsense_old",
+    "klg",
+    "sens",
+    "stray",
+    "scanner_app",
+    "bop",
+]
 WorldFrame = Literal["upright", "first_camera", "random"]
 
 FIRST_STAMP_NS = 1_400_000_000 * 10**9

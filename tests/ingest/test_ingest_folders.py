@@ -260,10 +260,12 @@ def test_bad_redwood_log(tmp_path: Path, text: str, message: str) -> None:
 def test_what_is_not_there_or_not_known(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="there is no such file or folder"):
         open_recording(tmp_path / "nowhere")
-    with pytest.raises(RecordingError, match="the folder is empty; a recording is one of"):
+    with pytest.raises(RecordingError, match="the folder is empty; the formats that are read are"):
         open_recording(tmp_path)
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(RecordingError, match=r"known format, which are rosbag1.*tum: .*7scenes: .*folder: "):
+    with pytest.raises(
+        RecordingError, match=r"known format; the formats .* rosbag1, .*tum, .*`kinectbench formats`"
+    ):
         open_recording(tmp_path)
     with pytest.raises(RecordingError, match=r"notes\.txt: not a recording"):
         open_recording(tmp_path / "notes.txt")
@@ -287,3 +289,66 @@ def test_find_recordings_and_source_files(tmp_path: Path) -> None:
     assert files == sorted(files)
     assert len(files) == 2 * 5 + 4
     assert source_files(files[0]) == [files[0]]
+
+
+def test_redwood_names_pair_by_number_and_give_stamps(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r", ("a", "b", "c"))
+    big = np.full((480, 640), 1500, np.uint16)
+    for i, stem in enumerate(("a", "b", "c")):
+        (folder / f"depth/{stem}.png").unlink()
+        (folder / f"depth/{i + 1:07d}-{i * 33_368:012d}.png").write_bytes(png(big))
+        (folder / f"color/{stem}.jpg").rename(folder / f"color/{i + 1:07d}-{i * 33_368 + 7:012d}.jpg")
+    (folder / "camera_intrinsic.json").unlink()
+    rows = ["1 0 0 0.5", "0 1 0 0", "0 0 1 0", "0 0 0 1"]
+    (folder / "00021.log").write_text("\n".join(["1 1 2", *rows]) + "\n")
+    recording = open_recording(folder)
+    assert recording.stamps_ns.tolist() == [0, 33_368_000, 66_736_000]
+    assert recording.frame(2).color == (".jpg", jpeg(color_image(2)))
+    assert (recording.camera.fx, recording.camera.cx) == (525.0, 319.5)
+    assert "those of Redwood's PrimeSense camera are taken" in recording.warnings[0]
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns.tolist() == [33_368_000]
+    assert recording.given_trajectory.T_world_camera[0, 0, 3] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"color_camera": 3}, "'color_camera' must hold an object"),
+        ({"color_camera": {**CAMERA, "fx": None}}, "'color_camera': 'fx' must be a number"),
+        ({"color_camera": {**CAMERA, "distortion": [1]}}, "must hold 4, 5 or 8 numbers"),
+        ({"T_color_depth": [[1, 2], [3]]}, "'T_color_depth' must be four rows of a rigid transform"),
+        ({"T_color_depth": np.zeros((4, 4)).tolist()}, "'T_color_depth' must be four rows"),
+    ],
+)
+def test_a_wrong_colour_calibration_is_refused(
+    tmp_path: Path, values: dict[str, object], message: str
+) -> None:
+    folder = write_tum(tmp_path / "r")
+    right = {"color_camera": CAMERA, "T_color_depth": np.eye(4).tolist(), "color_registered": False}
+    (folder / "camera.json").write_text(json.dumps({**CAMERA, **right, **values}))
+    with pytest.raises(RecordingError, match=message):
+        open_recording(folder)
+
+
+def test_stamps_of_tum_lists_in_their_order(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r")
+    header, *rows = (folder / "depth.txt").read_text().splitlines()
+    (folder / "depth.txt").write_text("\n".join([header, rows[1], rows[0], rows[0], *rows[2:]]) + "\n")
+    recording = open_recording(folder)
+    depth_ns, color_ns = recording.recorded_stamps_ns
+    assert ((depth_ns - START_NS) // STEP_NS).tolist() == [1, 0, 0, 2, 3, 4]
+    assert len(color_ns) == 5
+    assert ((recording.stamps_ns - START_NS) // STEP_NS).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("delay_ms", [0, 200])
+def test_a_delay_of_colour_and_of_poses_can_be_given(tmp_path: Path, delay_ms: int) -> None:
+    folder = write_tum(tmp_path / "r", frames=20, color_shift_ns=200_000_000)
+    settings = CameraSettings(color_delay_s=delay_ms / 1000, trajectory_delay_s=delay_ms / 1000)
+    recording = open_recording(folder, settings)
+    color = recording.frame(10).color
+    # Late by six frames: without the delay frame 10 gets what frame 4 should have.
+    assert color == (".jpg", jpeg(color_image(10 if delay_ms else 4)))
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns[0] == START_NS - delay_ms * 1_000_000

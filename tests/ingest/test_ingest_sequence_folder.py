@@ -24,6 +24,7 @@ from ingest_writers import (
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError, StorageError
 from kinectbench.geometry import rotation_from_quaternion_xyzw
+from kinectbench.ingest.depth_code import encode_depth
 from kinectbench.ingest.registry import open_recording
 from kinectbench.ingest.sequence_folder import read_sequence, write_sequence
 
@@ -44,7 +45,7 @@ def test_round_trip(tmp_path: Path) -> None:
     for i in range(5):
         np.testing.assert_array_equal(sequence.frames.depth_native(i), depth_image(i))
         assert sequence.frames.color_encoded(i) == (".jpg", jpeg(color_image(i)))
-        assert (tmp_path / f"s/depth/{i:06d}.png").read_bytes() == png(depth_image(i))
+        assert (tmp_path / f"s/depth/{i:06d}.kbd").read_bytes() == encode_depth(depth_image(i))
     assert sequence.depth_m(1)[0, 6] == np.float32(depth_image(1)[0, 6] / 5000)
     trajectory = sequence.given_trajectory
     assert trajectory is not None
@@ -52,10 +53,11 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(trajectory.T_world_camera[2, :3, :3], rotation, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(trajectory.T_world_camera[2, :3, 3], translation(2))
     assert json.loads((tmp_path / "s/camera.json").read_text()) == {
-        "format_version": 1,
+        "format_version": 2,
         **CAMERA,
         "depth_scale": 5000.0,
         "color_registered": True,
+        "registered_by": "recording",
         "source_format": "tum",
         "frames": 5,
         "warnings": [],
@@ -64,8 +66,9 @@ def test_round_trip(tmp_path: Path) -> None:
     row = {
         "index": 1,
         "stamp_ns": START_NS + STEP_NS,
-        "depth": "depth/000001.png",
+        "depth": "depth/000001.kbd",
         "color": "color/000001.jpg",
+        "mask": None,
     }
     assert rows[1] == row
 
@@ -109,11 +112,11 @@ def test_damaged_sequence_folder(tmp_path: Path, file: str, damage: str, message
 def test_damaged_images_in_a_sequence_folder(tmp_path: Path) -> None:
     ingest(write_tum(tmp_path / "r"))
     sequence = read_sequence(tmp_path / "sequence")
-    (tmp_path / "sequence/depth/000000.png").write_bytes(b"")
-    (tmp_path / "sequence/depth/000001.png").unlink()
-    with pytest.raises(StorageError, match=r"000000\.png: is damaged"):
+    (tmp_path / "sequence/depth/000000.kbd").write_bytes(b"")
+    (tmp_path / "sequence/depth/000001.kbd").unlink()
+    with pytest.raises(StorageError, match=r"000000\.kbd: is damaged"):
         sequence.frames.depth_native(0)
-    with pytest.raises(StorageError, match=r"000001\.png: cannot be read"):
+    with pytest.raises(StorageError, match=r"000001\.kbd: cannot be read"):
         sequence.frames.depth_native(1)
 
 
@@ -235,3 +238,54 @@ def test_trajectory_of_another_time(tmp_path: Path) -> None:
     message = rf"\(10\.000000000 to 12\.500000000 s\) shares no time with the frames \({first} to {last} s\)"
     with pytest.raises(RecordingError, match=message):
         ingest(folder)
+
+
+def test_a_folder_of_version_1_holds_png(tmp_path: Path) -> None:
+    ingest(write_tum(tmp_path / "r"))
+    folder = tmp_path / "sequence"
+    rows = json.loads((folder / "frames.json").read_text())
+    for i, row in enumerate(rows):
+        row["depth"] = f"depth/{i:06d}.png"
+        del row["mask"]
+        (folder / row["depth"]).write_bytes(png(depth_image(i)))
+    (folder / "frames.json").write_text(json.dumps(rows))
+    head = json.loads((folder / "camera.json").read_text())
+    (folder / "camera.json").write_text(json.dumps({**head, "format_version": 1}))
+    sequence = read_sequence(folder)
+    np.testing.assert_array_equal(sequence.frames.depth_native(3), depth_image(3))
+    assert sequence.masks is None
+
+
+def test_masks_come_along(tmp_path: Path) -> None:
+    from test_ingest_phones_bop import bop
+
+    write_sequence(open_recording(bop(tmp_path / "r")), tmp_path / "s")
+    sequence = read_sequence(tmp_path / "s")
+    assert sequence.masks is not None
+    mask = sequence.masks(1)
+    assert mask is not None
+    assert (mask.dtype, mask.sum(), mask[:5].all()) == (np.bool_, 5 * 64, True)
+
+
+def test_colour_with_a_calibration_is_registered(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r")
+    # The same camera, moved by 10 cm: at 1 m by 6 pixels.
+    T = np.eye(4)
+    T[0, 3] = -0.1
+    said = {**CAMERA, "depth_scale": 5000, "color_registered": False}
+    for file in (folder / "depth").iterdir():
+        file.write_bytes(png(np.full((48, 64), 5000, np.uint16)))
+    for file in (folder / "rgb").iterdir():
+        ramp = np.tile(3 * np.arange(64, dtype=np.uint8) + 10, (48, 1))
+        file.write_bytes(png(np.dstack([ramp] * 3)))
+    (folder / "camera.json").write_text(
+        json.dumps({**said, "color_camera": CAMERA, "T_color_depth": T.tolist()})
+    )
+    assert write_sequence(open_recording(folder), tmp_path / "s") == []
+    sequence = read_sequence(tmp_path / "s")
+    assert sequence.color_registered
+    assert json.loads((tmp_path / "s/camera.json").read_text())["registered_by"] == "calibration"
+    rgb = sequence.color_rgb(2)
+    assert rgb is not None
+    np.testing.assert_array_equal(rgb[20, 6:, 0], 3 * np.arange(58) + 10)
+    assert not rgb[:, :5].any()

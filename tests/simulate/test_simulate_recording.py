@@ -1,6 +1,7 @@
 """Whole simulated recordings: their files, their truth, and that the same spec gives the same bytes."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 import trimesh
 import yaml
 
-from kinectbench.config import BenchmarkSettings
+from kinectbench.config import BenchmarkSettings, CameraSettings
 from kinectbench.errors import KinectBenchError, RecordingError
 from kinectbench.geometry import Grid, invert_rigid, rigid, transform_points
 from kinectbench.geometry import rotation_from_quaternion_xyzw as rotation_of
@@ -20,7 +21,7 @@ from kinectbench.simulate.simulate import simulate
 from kinectbench.simulate.simulation import prepare, record
 from kinectbench.simulate.spec import SimulationSpec
 from kinectbench.simulate.truth import read_truth, truth_folder, truth_occupancy
-from kinectbench.simulate.writers import BAGS, WRITERS
+from kinectbench.simulate.writers import SUFFIXES, WRITERS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,19 +49,26 @@ def ideal(tmp_path_factory):
 def test_same_spec_same_bytes(tmp_path, form):
     full = {"exposure_s": 0.02, "exposure_drift": 0.2, "color_registered": False, "color_delay_s": 0.01}
     spec = spec_of(object="table:seed=2", format=form, world="first_camera", sensor=full)
-    name = "r.bag" if form in BAGS else "r"
+    name = f"r{SUFFIXES.get(form, '')}"
     told = []
     for place in ("a", "b"):
         simulate(spec, tmp_path / place / name, lambda done, total: told.append((done, total)))
     assert told[:3] == [(1, 3), (2, 3), (3, 3)]
     first, second = files(tmp_path / "a"), files(tmp_path / "b")
     assert first == second
-    assert {"r.truth/truth.json", "r.truth/surface.npz", "r.truth/masks/000002.png"} <= set(first)
+    folder = truth_folder(tmp_path / "a" / name)
+    beside = {f"{folder.name}/{file}" for file in ("truth.json", "surface.npz", "masks/000002.png")}
+    assert beside <= set(first)
     assert all(".part" not in path.name for path in tmp_path.rglob("*"))
-    recording = open_recording(tmp_path / "a" / name, None)
-    truth = read_truth(truth_folder(tmp_path / "a" / name))
+    truth = read_truth(folder)
+    # A .klg does not say its intrinsics.
+    settings = CameraSettings(**asdict(truth.camera)) if form == "klg" else None
+    recording = open_recording(tmp_path / "a" / name, settings)
     assert [frame.stamp_ns for frame in recording.frames()] == truth.stamps_ns.tolist()
-    assert recording.camera == truth.camera
+    assert asdict(recording.camera) == pytest.approx(asdict(truth.camera), rel=1e-7)
+    if form in ("klg", "realsense", "realsense_old"):
+        assert recording.given_trajectory is None
+        return
     assert np.abs(recording.given_trajectory.T_world_camera - truth.T_world_camera).max() < 1e-6
 
 

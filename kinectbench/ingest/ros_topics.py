@@ -1,4 +1,4 @@
-"""Which topics of a ROS 1 bag hold depth, colour, intrinsics and poses: by type, content and name."""
+"""Which topics of a ROS bag hold depth, colour, intrinsics and poses: by type, content and name."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench.errors import RecordingError
-from kinectbench.ingest.images import DamagedImageError
 from kinectbench.ingest.ros_images import FLOAT_DEPTH, color_encoding, depth_encoding
-from kinectbench.ingest.rosbag1_chunks import BagTopic, ChunkReader
+from kinectbench.ingest.ros_messages import OLD_TF_MESSAGE, TF_MESSAGE, BagMessages, BagTopic
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 CAMERA_INFO = "sensor_msgs/CameraInfo"
 POSE, ODOMETRY = "geometry_msgs/PoseStamped", "nav_msgs/Odometry"
-WANTED = frozenset({IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POSE, ODOMETRY})
+TF = frozenset({TF_MESSAGE, OLD_TF_MESSAGE})
+WANTED = TF | {IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POSE, ODOMETRY}
 INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)")
 
 
@@ -43,40 +43,6 @@ class ImageTopic:
         return self.topic.type == COMPRESSED_IMAGE
 
 
-class BagMessages:
-    """Decodes the messages of a bag."""
-
-    def __init__(self, path: Path) -> None:
-        """Decode messages of this bag by the standard definitions, whatever the bag says of its types."""
-        from rosbags.serde import SerdeError
-        from rosbags.typesys import Stores, get_typestore
-
-        self._errors = (SerdeError, ValueError)
-        self._decode: Callable[[bytes, str], Any] = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
-        self._reader = ChunkReader(path)
-
-    def decode(self, topic: BagTopic, index: int) -> Any:
-        """The index-th message of a topic.
-
-        Raises:
-            DamagedImageError: it does not decode as the topic's type.
-        """
-        data = self._reader.message(topic.messages[index])
-        try:
-            return self._decode(data, topic.type.replace("/", "/msg/"))
-        except self._errors as error:
-            raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
-
-    def first(self, topic: BagTopic) -> Any | None:
-        """The first message that decodes, or None."""
-        for index in range(len(topic.messages)):
-            try:
-                return self.decode(topic, index)
-            except DamagedImageError:
-                continue
-        return None
-
-
 def image_topics(
     topics: Iterable[BagTopic], messages: BagMessages, encoding_of: Callable[..., str | None]
 ) -> list[ImageTopic]:
@@ -92,14 +58,22 @@ def image_topics(
 
 
 def choose_depth(
-    path: Path, topics: tuple[BagTopic, ...], messages: BagMessages
+    path: Path, topics: tuple[BagTopic, ...], messages: BagMessages, named: str | None = None
 ) -> tuple[ImageTopic, list[str]]:
-    """The depth topic: named so, registered, integer, raw, in this order; a warning if there was a choice.
+    """The depth topic: named so, registered, integer, raw, the most images; a warning if there was a choice.
+
+    Args:
+        path: the bag, for messages.
+        topics: of the bag.
+        messages: of the bag.
+        named: the topic that the settings name.
 
     Raises:
-        RecordingError: no topic holds depth.
+        RecordingError: no topic holds depth, or the one that is named does not.
     """
     found = image_topics(topics, messages, depth_encoding)
+    if named is not None:
+        return _named(path, "depth_topic", named, found, topics), []
     # Infrared images are 16-bit too.
     found = [t for t in found if "depth" in t.name.lower() or not INFRARED.search(t.name.lower())]
     if not found:
@@ -110,31 +84,54 @@ def choose_depth(
             f"are: {', '.join(images) or 'none'}"
         )
     best = max(
-        reversed(found),
+        found,
         key=lambda t: (
             "depth" in t.name.lower(),
             is_named_registered(t),
             t.encoding != FLOAT_DEPTH,
             not t.compressed,
+            len(t.topic.messages),
         ),
     )
     return best, _choice(path, "depth", best, found)
 
 
 def choose_color(
-    path: Path, topics: tuple[BagTopic, ...], messages: BagMessages
+    path: Path,
+    topics: tuple[BagTopic, ...],
+    messages: BagMessages,
+    depth: ImageTopic,
+    named: str | None = None,
 ) -> tuple[ImageTopic | None, list[str]]:
-    """The colour topic: not infrared, named so, with colours, raw, in this order; or None; and warnings."""
+    """The colour topic: not infrared, named so, of the depth's camera, with colours, raw, most images.
+
+    Args:
+        path: the bag, for messages.
+        topics: of the bag.
+        messages: of the bag.
+        depth: the depth topic; where two cameras are in a bag, colour is of the same one.
+        named: the topic that the settings name.
+
+    Returns:
+        The topic or None; and warnings.
+
+    Raises:
+        RecordingError: the topic that is named holds no colour.
+    """
     found = image_topics(topics, messages, color_encoding)
+    if named is not None:
+        return _named(path, "color_topic", named, found, topics), []
     if not found:
         return None, [f"{path}: no topic holds colour images that can be read; there will be no colour"]
     best = max(
-        reversed(found),
+        found,
         key=lambda t: (
             not INFRARED.search(t.name.lower()) and "depth" not in t.name.lower(),
             any(word in t.name.lower() for word in ("rgb", "color", "colour")),
+            _first_folder(t) == _first_folder(depth),
             t.encoding != "mono8",
             not t.compressed,
+            len(t.topic.messages),
         ),
     )
     return best, _choice(path, "colour", best, found)
@@ -143,6 +140,23 @@ def choose_color(
 def is_named_registered(depth: ImageTopic) -> bool:
     """Whether a depth topic's name says that its pixels lie on those of colour."""
     return "registered" in depth.name.lower() or "aligned" in depth.name.lower()
+
+
+def _named(
+    path: Path, key: str, named: str, found: list[ImageTopic], topics: tuple[BagTopic, ...]
+) -> ImageTopic:
+    """The image topic of that name among those that fit."""
+    for topic in found:
+        if topic.name == named:
+            return topic
+    names = ", ".join(topic.name for topic in found) or "no topic"
+    what = "holds no such images" if any(t.name == named for t in topics) else "is not in the bag"
+    raise RecordingError(f"{path}: `{key}: {named}` {what}; those that fit are: {names}")
+
+
+def _first_folder(image: ImageTopic) -> str:
+    """The first part of a topic's name, by which drivers tell cameras apart."""
+    return image.name.strip("/").split("/")[0]
 
 
 def _any_encoding(message: Any, *, compressed: bool) -> str:

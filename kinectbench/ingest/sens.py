@@ -1,0 +1,275 @@
+"""ScanNet's .sens files (version 4), read frame by frame; one that was cut off is read to its end.
+
+Layout, little-endian (ScanNet's SensReader): `u32 4, u64 length, name`, four float32 4x4 matrices (colour
+intrinsic and extrinsic, depth intrinsic and extrinsic), `i32 colour compression (0 raw, 1 PNG, 2 JPEG), i32
+depth compression (0 raw, 1 zlib, 2 occi), u32 colour width, height, depth width, height, f32 depth shift, u64
+frames`; per frame a float32 4x4 camera to world, `u64 colour stamp, depth stamp, colour bytes, depth bytes`
+and the data. Metres = depth / shift; stamps are microseconds.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import CameraSettings
+from kinectbench.errors import RecordingError
+from kinectbench.geometry import Camera
+from kinectbench.ingest.images import encode_png
+from kinectbench.ingest.intrinsics import Intrinsics
+from kinectbench.ingest.klg import inflated
+from kinectbench.ingest.recording import ColorCalibration, RawFrame, Recording
+from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp
+from kinectbench.ingest.trajectory_file import rigid_or_none, trajectory_from_matrices
+from kinectbench.sequence import GivenTrajectory
+
+START = struct.Struct("<IQ")
+MATRICES = struct.Struct("<64f")
+FACTS = struct.Struct("<iiIIIIfQ")
+FRAME = struct.Struct("<16f4Q")
+VERSION = 4
+LONGEST_NAME = 4096
+LARGEST_SIDE_PX = 16384
+COLOR_SUFFIXES = {1: ".png", 2: ".jpg"}
+RAW, ZLIB = 0, 1
+NS_PER_US = 1000
+
+
+class SensFrame(NamedTuple):
+    """Where a frame's images lie, its stamps in microseconds, and its pose as recorded."""
+
+    depth_us: int
+    color_us: int
+    position: int
+    color_bytes: int
+    depth_bytes: int
+    matrix: NDArray[np.float64]
+
+
+class SensHead(NamedTuple):
+    """What the file says before its first frame."""
+
+    name: str
+    color_intrinsic: NDArray[np.float64]
+    color_extrinsic: NDArray[np.float64]
+    depth_intrinsic: NDArray[np.float64]
+    depth_extrinsic: NDArray[np.float64]
+    color_compression: int
+    depth_compression: int
+    color_px: tuple[int, int]
+    depth_px: tuple[int, int]
+    depth_shift: float
+    frames: int
+
+
+@dataclass(frozen=True)
+class SensRecording(Recording):
+    """A .sens file; its intrinsics and extrinsics say how colour lies to depth.
+
+    Attributes:
+        head: what the file says before its first frame.
+        places: of the frames, by stamp.
+        frame_stamps_ns: of the frames, nanoseconds.
+    """
+
+    format: ClassVar[str] = "sens"
+    looks_for: ClassVar[str] = "a .sens file of ScanNet (version 4)"
+
+    path: Path
+    head: SensHead
+    places: tuple[SensFrame, ...]
+    frame_stamps_ns: tuple[int, ...]
+    camera: Camera
+    depth_scale: float
+    color_registered: bool
+    color_calibration: ColorCalibration | None
+    given_trajectory: GivenTrajectory | None
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether it is named .sens, or begins with version 4 and a short printable name."""
+        if not path.is_file():
+            return False
+        if path.suffix.lower() == ".sens":
+            return True
+        with path.open("rb") as file:
+            start = file.read(START.size + 64)
+        if len(start) < START.size:
+            return False
+        version, length = START.unpack_from(start)
+        name = start[START.size : START.size + length]
+        return version == VERSION and 0 < length <= 64 and len(name) == length and name.isascii()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings | None) -> Self:
+        """Read the head and find the frames; nothing is decoded."""
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = _read_head(file, path, size)
+            frames, cut = _find_frames(file, head, size)
+        if not frames:
+            raise RecordingError(f"{path}: {'is cut off, and no' if cut else 'no'} frame in it is whole")
+        warnings = (
+            [f"{path}: {cut}: {len(frames)} of {head.frames} frames are whole and are read"] if cut else []
+        )
+        stamps_ns, order, repeated = _stamps(frames)
+        if repeated:
+            warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
+        places = tuple(frames[i] for i in order)
+        ordered_ns = tuple(stamps_ns[i] for i in order)
+        K = head.depth_intrinsic
+        said = Intrinsics(fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], depth_scale=head.depth_shift)
+        intrinsics = said.overridden_by(settings)
+        trajectory, lost = _trajectory(ordered_ns, places, head, path)
+        camera = intrinsics.camera(head.depth_px, path)
+        calibration = _calibration(head, path)
+        registered = calibration is not None and calibration.lies_on(camera)
+        return cls(
+            path=path,
+            head=head,
+            places=places,
+            frame_stamps_ns=ordered_ns,
+            camera=camera,
+            depth_scale=intrinsics.depth_scale or head.depth_shift,
+            color_registered=registered,
+            color_calibration=None if registered else calibration,
+            given_trajectory=trajectory,
+            warnings=(*warnings, *lost),
+        )
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Stamp of each frame's depth, nanoseconds."""
+        return np.array(self.frame_stamps_ns, np.int64)
+
+    def frame(self, index: int) -> RawFrame:
+        """Read any frame."""
+        place = self.places[index]
+        name = f"{self.path}: the frame at byte {place.position}"
+        with self.path.open("rb") as file:
+            file.seek(place.position)
+            color, packed = file.read(place.color_bytes), file.read(place.depth_bytes)
+        width, height = self.head.depth_px
+        size = 2 * width * height
+        data = (
+            packed
+            if self.head.depth_compression == RAW and len(packed) == size
+            else inflated(packed, size, name)
+        )
+        depth = np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
+        return RawFrame(name, self.frame_stamps_ns[index], depth, None, self._color(color))
+
+    def _color(self, data: bytes) -> tuple[str, bytes] | None:
+        suffix = COLOR_SUFFIXES.get(self.head.color_compression)
+        if not data or suffix is not None:
+            return (suffix, data) if data and suffix else None
+        width, height = self.head.color_px
+        if len(data) != 3 * width * height:
+            return None
+        rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+        return ".png", encode_png(np.ascontiguousarray(rgb[..., ::-1]))
+
+
+def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
+    start = file.read(START.size)
+    if len(start) < START.size:
+        raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
+    version, length = START.unpack(start)
+    if version != VERSION:
+        raise RecordingError(f"{path}: is of version {version}; only version {VERSION} can be read")
+    if length > LONGEST_NAME:
+        raise RecordingError(f"{path}: the name of its sensor has {length} bytes: the file is damaged")
+    name = file.read(length).decode("latin-1")
+    rest = file.read(MATRICES.size + FACTS.size)
+    if len(rest) < MATRICES.size + FACTS.size:
+        raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
+    matrices = np.array(MATRICES.unpack_from(rest), np.float64).reshape(4, 4, 4)
+    facts = FACTS.unpack_from(rest, MATRICES.size)
+    color, depth, color_px, depth_px = facts[0], facts[1], facts[2:4], facts[4:6]
+    if not all(0 < side <= LARGEST_SIDE_PX for side in depth_px):
+        raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
+    if depth not in (RAW, ZLIB):
+        raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")
+    if not (np.isfinite(facts[6]) and facts[6] > 0):
+        raise RecordingError(f"{path}: its depth shift is {facts[6]:g}, not above 0: the file is damaged")
+    return SensHead(
+        name,
+        color_intrinsic=matrices[0],
+        color_extrinsic=matrices[1],
+        depth_intrinsic=matrices[2],
+        depth_extrinsic=matrices[3],
+        color_compression=color,
+        depth_compression=depth,
+        color_px=color_px,
+        depth_px=depth_px,
+        depth_shift=float(facts[6]),
+        frames=facts[7],
+    )
+
+
+def _find_frames(file: BinaryIO, head: SensHead, size: int) -> tuple[list[SensFrame], str]:
+    """Every whole frame in the order of the file; and what is wrong with the file, or ""."""
+    frames: list[SensFrame] = []
+    position = file.tell()
+    while len(frames) < head.frames:
+        if position + FRAME.size > size:
+            return frames, "is cut off"
+        file.seek(position)
+        *matrix, color_us, depth_us, color_bytes, depth_bytes = FRAME.unpack(file.read(FRAME.size))
+        start = position + FRAME.size
+        if start + color_bytes + depth_bytes > size:
+            return frames, "is cut off"
+        values = np.array(matrix, np.float64).reshape(4, 4)
+        frames.append(SensFrame(depth_us, color_us, start, color_bytes, depth_bytes, values))
+        position = start + color_bytes + depth_bytes
+    return frames, ""
+
+
+def _stamps(frames: list[SensFrame]) -> tuple[list[int], list[int], int]:
+    """Stamps in nanoseconds, the order of the frames by them, and how many repeat one.
+
+    Some files have no stamps: then the frames count seconds.
+    """
+    if len({frame.depth_us for frame in frames}) == 1 or max(frame.depth_us for frame in frames) > 2**53:
+        stamps_ns = [index * NS_PER_S for index in range(len(frames))]
+    else:
+        stamps_ns = [frame.depth_us * NS_PER_US for frame in frames]
+    order, repeated = first_by_stamp(stamps_ns)
+    return stamps_ns, order, repeated
+
+
+def _trajectory(
+    stamps_ns: tuple[int, ...], places: tuple[SensFrame, ...], head: SensHead, path: Path
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """The poses of the depth camera; those of frames that were lost are not finite."""
+    if not any(np.isfinite(place.matrix).all() for place in places):
+        return None, []
+    T_camera_depth = rigid_or_none(head.depth_extrinsic)
+    moved = [
+        place.matrix if T_camera_depth is None else _moved(place.matrix, T_camera_depth) for place in places
+    ]
+    return trajectory_from_matrices(stamps_ns, moved, str(path))
+
+
+def _moved(matrix: NDArray[np.float64], T_camera_depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    return matrix @ T_camera_depth if np.isfinite(matrix).all() else matrix
+
+
+def _calibration(head: SensHead, path: Path) -> ColorCalibration | None:
+    """Extrinsics are each camera's place in the rig; None where intrinsics of colour are not given."""
+    T_rig_color, T_rig_depth = rigid_or_none(head.color_extrinsic), rigid_or_none(head.depth_extrinsic)
+    if T_rig_color is None or T_rig_depth is None or not all(head.color_px):
+        return None
+    K = head.color_intrinsic
+    try:
+        camera = Intrinsics(fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2]).camera(head.color_px, path)
+    except RecordingError:
+        return None
+    return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)
