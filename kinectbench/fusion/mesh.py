@@ -7,6 +7,11 @@ from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
 from kinectbench.geometry import TriangleMesh, transform_points
 
 BRICK_BLOCKS = 16
+# More frames than this share see through a voxel only where there is no surface: on a flat one noise makes
+# that many do so, and all frames half a voxel in front of it.
+USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL = 0.1, 2.0
+# How far the rest moves the surface inward, if all frames see through.
+VOXELS_PER_FREE_SHARE = 9.0
 
 
 def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = None) -> TriangleMesh:
@@ -39,8 +44,32 @@ def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = 
     return mesh.keep_faces(whole)
 
 
+def without_fringe(
+    tsdf: NDArray[np.float32], votes: NDArray[np.uint32], voxel_size_m: float
+) -> NDArray[np.float32]:
+    """The TSDF, raised where more frames saw through than a surface there explains (own rule).
+
+    The mean of projective distances makes edges and thin parts thick: to a voxel beside an edge, frames in
+    which it lies just behind the part add a negative distance with full weight; those that look past the part
+    have little weight there, next to a depth edge. Their votes count alike.
+
+    Args:
+        tsdf: signed distances, metres, positive in front of the surface.
+        votes: of the same shape, as in `BlockVolume`.
+        voxel_size_m: edge of a voxel.
+    """
+    free = (votes & 0xFFFF).astype(np.float32)
+    share = free / np.maximum(free + (votes >> 16), np.float32(1))
+    in_front = np.maximum(tsdf, np.float32(0)) / np.float32(voxel_size_m)
+    excess = share - np.float32(USUAL_FREE_SHARE) - np.float32(USUAL_FREE_SHARE_PER_VOXEL) * in_front
+    step = np.float32(VOXELS_PER_FREE_SHARE * voxel_size_m)
+    return np.asarray(tsdf + step * np.maximum(excess, np.float32(0)), np.float32)
+
+
 def extract_mesh(volume: BlockVolume, min_weight: float) -> TriangleMesh:
     """The zero surface of a block volume in the world, brick by brick, joined without seams.
+
+    It is that of the TSDF `without_fringe`.
 
     Args:
         volume: fused blocks.
@@ -53,9 +82,11 @@ def extract_mesh(volume: BlockVolume, min_weight: float) -> TriangleMesh:
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
-        tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        part = isosurface(tsdf, weight > min_weight)
+        tsdf, weight, votes = (
+            volume.dense(values, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+            for values in (volume.tsdf, volume.weight, volume.votes)
+        )
+        part = isosurface(without_fringe(tsdf, votes, volume.voxel_size_m), weight > min_weight)
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

@@ -28,9 +28,9 @@ from kinectbench.tracking.trajectory import Trajectory
 Progress = Callable[[int, int], None]
 
 POSE_SIGMAS = 3.0
-# Surface of less than this share of the median weight was seen too badly to show. A surface that all frames
-# see at the steepest slant that still counts has about as much.
-LEAST_WEIGHT_SHARE = 1 / MAX_SLANT**2
+# Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
+# frames see at the steepest slant that still counts has about as much.
+LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,19 @@ def test_box_faces():
             assert abs(error_mm.mean()) <= 0.4 and error_mm.std() <= 0.6
 
 
+def test_slats_are_no_thicker_than_they_are():
+    """Two slats, seen from all around also through the gap between them."""
+    half = np.array([0.2, 0.02, 0.01])
+    centers = np.array([[0, 0, -0.04], [0, 0, 0.04]])
+    boxes = [box(tuple(c - half), tuple(c + half)) for c in centers]
+    mesh = fuse(*scene_of(boxes, ring(24, 0.9, elevations_rad=(0.2, -0.3, 0.8, -0.9))), SETTINGS).mesh
+    nearest = np.where(mesh.vertices[:, 2:] < 0, centers[0], centers[1])
+    beyond_m = np.abs(mesh.vertices - nearest) - half
+    outside_mm = 1000 * np.linalg.norm(np.maximum(beyond_m, 0), axis=1)
+    assert len(outside_mm) > 3000
+    assert outside_mm.mean() < 0.6 and np.quantile(outside_mm, 0.95) < 1.6
+
+
 def test_depth_out_of_range_is_not_fused(ball):
     sequence, trajectory = ball
     near_only = FusionSettings(scene_voxel_size_m=0.01, max_depth_m=0.5)
