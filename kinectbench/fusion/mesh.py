@@ -82,10 +82,9 @@ def extract_mesh(volume: BlockVolume, min_weight: float) -> TriangleMesh:
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
-        tsdf, weight, votes = (
-            volume.dense(values, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-            for values in (volume.tsdf, volume.weight, volume.votes)
-        )
+        tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        votes = volume.dense(volume.votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         part = isosurface(without_fringe(tsdf, votes, volume.voxel_size_m), weight > min_weight)
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
