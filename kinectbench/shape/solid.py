@@ -46,7 +46,9 @@ MIN_FREE_VOTES = 2
 # more than three) and the share of frames that saw through the voxel. Wide pixels see through a surface's
 # own voxels: the share counts in full up to the first width (in voxels), and by this part from the second on.
 CLIPPED_VOXELS = 3.0
-LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 6.1, 0.1
+LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 8.0, 0.1
+# Through a surface that faces them so many frames seem to see, by their noise.
+FREE_BY_NOISE = 0.05
 NARROW_PIXEL, WIDE_PIXEL, PART_WHERE_WIDE = 0.9, 1.1, 0.45
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
@@ -61,6 +63,7 @@ METHOD = {
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,
     "clipped_voxels": CLIPPED_VOXELS,
+    "free_by_noise": FREE_BY_NOISE,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
     "logit_pixel_widths": [NARROW_PIXEL, WIDE_PIXEL],
     "logit_part_where_wide": PART_WHERE_WIDE,
@@ -195,7 +198,8 @@ def _corrected(observation: Observation, pixel_m: float) -> NDArray[np.float32]:
     seen_through = observation.free / np.maximum(votes, np.float32(1))
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
     told = np.interp(pixel_m / voxel_m, [NARROW_PIXEL, WIDE_PIXEL], [1, PART_WHERE_WIDE])
-    shift = (told * LOGIT_PER_FREE * seen_through - LOGIT) / LOGIT_PER_VOXEL
+    through = np.maximum(seen_through - np.float32(FREE_BY_NOISE), np.float32(0))
+    shift = (told * LOGIT_PER_FREE * through - LOGIT) / LOGIT_PER_VOXEL
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
 
 

@@ -237,9 +237,9 @@ def test_sigma_without_a_common_surface():
     ("pixel_voxels", "expected_voxels"),
     # Log odds of being inside, one voxel behind the surface, where one frame of four saw through.
     [
-        (0.5, (6.1 / 4 - 1.4 - 0.1) / 1.4),
-        (1.0, (6.1 / 4 * 0.725 - 1.4 - 0.1) / 1.4),
-        (1.5, (6.1 / 4 * 0.45 - 1.4 - 0.1) / 1.4),
+        (0.5, (8 * 0.2 - 1.4 - 0.1) / 1.4),
+        (1.0, (8 * 0.2 * 0.725 - 1.4 - 0.1) / 1.4),
+        (1.5, (8 * 0.2 * 0.45 - 1.4 - 0.1) / 1.4),
     ],
 )
 def test_frames_that_saw_through_move_the_surface(pixel_voxels: float, expected_voxels: float) -> None:
