@@ -55,14 +55,22 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
 
     Raises:
         ReleaseError: the pair file is missing, or not the published one.
-        StorageError: the floor of its recording is damaged.
     """
     path = release.pair_path(target)
     partial, full, known = read_grids(path, target.sha256, ("partial", "full", "known"))
-    floor = stored.read_floor(release.folder / "objects" / target.recording / "floor.json")
-    # Where the floor is not known, up is what was up in the view.
-    up = np.array([0.0, -1, 0]) if floor is None else floor[2, :3] @ _R_world_grid(path)
+    up = _up_grid(release.folder / "objects" / target.recording / "floor.json", path)
     return PairTruth(target.category, target.object, up, partial, reduced(full), _sampled(known))
+
+
+def _up_grid(floor: Path, pair: Path) -> Float64:
+    """Where up is in the grid of a pair; what was up in the view, if the floor is not known."""
+    try:
+        T_floor_world = stored.read_floor(floor)
+    except StorageError:  # it only turns a picture
+        T_floor_world = None
+    up = np.zeros(3) if T_floor_world is None else T_floor_world[2, :3] @ _R_world_grid(pair)
+    length = float(np.linalg.norm(up))
+    return up / length if length > 0 and np.isfinite(length) else np.array([0.0, -1, 0])
 
 
 def _sampled(packed: Packed) -> Packed:

@@ -24,6 +24,7 @@ def find_chromium() -> str | None:
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
+BLANK = "about:blank"
 KINDS = ("error", "warning", "assert")
 
 
@@ -40,7 +41,7 @@ class Browser:
         # The browser reads from its descriptor 3 and writes to 4.
         script = f'exec "$@" 3<&{to_browser} 4>&{from_browser}'
         self._process = subprocess.Popen(
-            ["bash", "-c", script, "chromium", command, *OPTIONS, f"--user-data-dir={profile}"],
+            ["bash", "-c", script, "chromium", command, *OPTIONS, f"--user-data-dir={profile}", BLANK],
             pass_fds=(to_browser, from_browser), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )  # fmt: skip
