@@ -16,8 +16,8 @@ from kinectbench.scoring.counts import THRESHOLDS
 
 Float64 = NDArray[np.float64]
 
-WIDTH, HEIGHT = 340.0, 230.0
-LEFT, RIGHT, TOP, BOTTOM = 34.0, 10.0, 10.0, 36.0
+WIDTH, HEIGHT = 340.0, 240.0
+LEFT, RIGHT, TOP, BOTTOM = 34.0, 10.0, 20.0, 36.0
 COLORS = 8  # of the style sheet; methods beyond are told apart by dashes
 TICKS = (0.05, 0.1, 0.2, 0.25, 0.5)
 # Pairs are sorted by visible share and averaged in groups, so that a line shows through the points.
@@ -119,7 +119,7 @@ def _frame(axes: Axes, x_name: str, body: Sequence[str], label: str) -> Markup:
         parts.append(f'<text x="{px:.1f}" y="{py + 16:.1f}" text-anchor="middle">{x:.4g}</text>')
     middle = axes.at((axes.x_low + axes.x_high) / 2, 0)[0]
     parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 4:.1f}" text-anchor="middle">{x_name}</text>')
-    parts.append(f'<text x="{LEFT + 4:.1f}" y="{TOP + 4:.1f}">IoU</text>')
+    parts.append(f'<text x="{LEFT:.1f}" y="{TOP - 9:.1f}">IoU</text>')
     head = f'<svg class="chart" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" role="img"'
     head += f' aria-label="{escape(label)}">'
     return Markup(head + "".join([*parts, *body]) + "</svg>")
