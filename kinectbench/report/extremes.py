@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kinectbench.report.score_model import PairScore, ScoreTable
+from kinectbench.report.score_model import ScoreTable
 from kinectbench.report.tables import shown
 
 SHOWN = 3
@@ -36,8 +36,3 @@ def extremes(tables: Sequence[ScoreTable], protocol: str) -> tuple[Extremes, ...
             best = tuple(reversed(rising[-SHOWN:]))
             found.append(Extremes(table.method, best, tuple(rising[:SHOWN])))
     return tuple(found)
-
-
-def by_iou(rows: Sequence[PairScore]) -> list[str]:
-    """The names of pairs by rising IoU."""
-    return [pair for _, pair in sorted((row.iou, row.pair) for row in rows if row.iou is not None)]

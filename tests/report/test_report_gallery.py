@@ -15,6 +15,7 @@ from kinectbench.errors import StorageError
 from kinectbench.release.release import Release
 from kinectbench.report import gallery
 from kinectbench.report.gallery import PairTruth, gallery_json, read_pair_truth
+from kinectbench.report.gallery_cells import gallery_cells
 from kinectbench.report.gallery_file import (
     GALLERY,
     Gallery,
@@ -194,3 +195,16 @@ def test_from_predictions_to_the_page(release: Release, tmp_path: Path) -> None:
     assert "The MIT License" in text and len(text) < 700_000
     again, _ = page_of_release(release, [out], tmp_path / "again.html")
     assert again.read_bytes() == page.read_bytes()
+
+
+def test_a_missing_prediction_is_an_empty_grid(release: Release, tmp_path: Path) -> None:
+    first, *rest = release.split("test")
+    (tmp_path / "one" / first.recording).mkdir(parents=True)
+    np.save(tmp_path / "one" / first.recording / f"{first.view}.npy", np.ones((1, 1, 1), bool))
+    (table,) = score_methods(release, tmp_path / "one", tmp_path / "scores", surface=False, missing="empty")
+    found = gallery_cells(release, tmp_path / "one", table)
+    assert found[first.name].min() == 255
+    assert [found[target.name].any() for target in rest] == [False] * len(rest)
+    # Of those that cannot be scored nothing is kept.
+    (table,) = score_methods(release, tmp_path / "one", tmp_path / "scores", surface=False)
+    assert list(gallery_cells(release, tmp_path / "one", table)) == [first.name]

@@ -1,4 +1,4 @@
 export {
-  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh,
-  MeshLambertMaterial, PerspectiveCamera, Scene, SRGBColorSpace, Vector3, WebGLRenderer,
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, Mesh, MeshLambertMaterial, PerspectiveCamera,
+  Scene, SRGBColorSpace, Vector3, WebGLRenderer,
 } from "three";
