@@ -220,6 +220,7 @@ def score(
         str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
     ] = "half-pixel",
     surface: Annotated[bool, typer.Option(help="Chamfer distance, F-score, surface Dice, normals")] = True,
+    gallery: Annotated[bool, typer.Option(help="keep some predictions for the page, small")] = True,
     out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
     config: Config = DEFAULT_CONFIG,
     overrides: Set = None,
@@ -228,6 +229,7 @@ def score(
 ) -> None:
     """Score predictions; thresholds come from the validation split or a file."""
     from kinectbench import console
+    from kinectbench.report.run import write_galleries
     from kinectbench.scoring.run import score_methods
     from kinectbench.scoring.terminal import score_table
 
@@ -248,6 +250,9 @@ def score(
             jobs=workers(jobs),
             progress=progress,
         )
+    if gallery:
+        with console.bar("gallery") as progress:
+            write_galleries(release, predictions, tables, folder, upsampling, progress)
     for table in tables:
         console.lines(f"{table.method}: warning", table.warnings, "yellow")
         reasons = [failure["reason"] for failure in table.failures]
@@ -271,14 +276,25 @@ def report(
     ids: Ids = None,
     config: Config = DEFAULT_CONFIG,
     overrides: Set = None,
-    scores: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
+    scores: Annotated[
+        list[Path] | None,
+        typer.Option(help="scores.json, or a folder of them; repeat to merge; default: scores/"),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="default: index.html in the folder of scores")] = None,
+    benchmark: BenchmarkDir = None,
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:
     """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
+    if benchmark is not None:
+        from kinectbench.release.release import open_release
+
+        page = release_page(open_release(benchmark), scores or Path("scores"), out)
+        tell_written([page.resolve()], as_json)
+        return
     settings, root = open_benchmark(config, overrides)
     rows = build_recordings(settings, root, ids, "pairs", jobs)
-    page = write_page(config, overrides, scores or config.parent / "scores")
+    page = write_page(config, overrides, scores or config.parent / "scores", out)
     tell_written([page.resolve()], as_json)
     exit_for(rows)
 

@@ -140,7 +140,9 @@ def find_release(
     return open_release(publish_if_stale(settings, root, built(rows)).folder), rows
 
 
-def write_page(config: Path, overrides: list[str] | None, scores: Path) -> Path:
+def write_page(
+    config: Path, overrides: list[str] | None, scores: Path | list[Path], out: Path | None = None
+) -> Path:
     """The page of the benchmark here."""
     from kinectbench import console
     from kinectbench.report.run import page_of_benchmark
@@ -148,18 +150,18 @@ def write_page(config: Path, overrides: list[str] | None, scores: Path) -> Path:
     settings, root = open_benchmark(config, overrides)
     with console.recording_bars() as progress:
         page, warnings = page_of_benchmark(
-            settings, root, scores, lambda name, done, total: progress("report", name, done, total)
+            settings, root, scores, lambda name, done, total: progress("report", name, done, total), out
         )
     console.lines("warning", warnings, "yellow")
     return page
 
 
-def release_page(release: "Release", scores: Path) -> Path:
+def release_page(release: "Release", scores: Path | list[Path], out: Path | None = None) -> Path:
     """The page of the scores of a release alone."""
     from kinectbench import console
     from kinectbench.report.run import page_of_release
 
-    page, warnings = page_of_release(release, scores)
+    page, warnings = page_of_release(release, scores, out)
     console.lines("warning", warnings, "yellow")
     return page
 

@@ -12,12 +12,21 @@ from markupsafe import Markup
 
 from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings
-from kinectbench.report import tables
 from kinectbench.report.recording import RecordingPart, collect
+from kinectbench.report.scores_part import Beside, ScoresPart, scores_part
 from kinectbench.scoring.published import SOURCE
 from kinectbench.workspace import replaced_file
 
 Progress = Callable[[str, int, int], None]
+
+NOTHING_BESIDE = Beside()
+# What stands in the page as it is.
+OWN = {
+    "style": "page.css",
+    "page_script": "page.js",
+    "gallery_script": "gallery.js",
+    "three": "vendor/three/three.bundle.min.js",
+}
 
 
 @dataclass(frozen=True)
@@ -27,24 +36,17 @@ class Page:
     Attributes:
         settings: the benchmark's settings; `settings_yaml` is their text.
         package_version: of this package.
-        hashes: SHA-256 of the benchmark that the predictions were scored against; one, if all is well.
         recordings: a section each.
-        score_tables: one for each protocol, the primary first.
-        published: the paper's own figures; `published_source` is the paper.
-        details: every other figure of the scores.
-        methods: how each method was scored.
+        scores: tables, charts, gallery.
+        published_source: the paper whose own figures are shown.
     """
 
     settings: BenchmarkSettings
     settings_yaml: str
     package_version: str
-    hashes: tuple[str, ...]
     recordings: tuple[RecordingPart, ...]
-    score_tables: tuple[tables.Table, ...]
-    published: tables.Table
+    scores: ScoresPart
     published_source: str
-    details: tuple[tables.Detail, ...]
-    methods: tuple[tables.Method, ...]
 
     @property
     def n_pairs(self) -> int:
@@ -53,33 +55,33 @@ class Page:
 
 
 def make_page(
-    settings: BenchmarkSettings, recordings: Sequence[RecordingPart], scores: Sequence[Mapping[str, Any]]
+    settings: BenchmarkSettings,
+    recordings: Sequence[RecordingPart],
+    scores: Sequence[Mapping[str, Any]],
+    beside: Beside = NOTHING_BESIDE,
 ) -> str:
     """Lay out the page from its parts: HTML text, the same for the same input.
 
     Raises:
         StorageError: a score table is not what scores.json should hold.
     """
-    parsed = tables.parse_scores(scores)
     plain = settings.model_dump(mode="json", exclude_none=True)
     page = Page(
         settings=settings,
         settings_yaml=yaml.safe_dump(plain, sort_keys=False, allow_unicode=True),
         package_version=__version__,
-        hashes=tuple(sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256})),
         recordings=tuple(recordings),
-        score_tables=tuple(tables.score_table(parsed, p) for p in tables.protocols(parsed)),
-        published=tables.published_table(),
+        scores=scores_part(scores, beside),
         published_source=SOURCE,
-        details=tables.details(parsed),
-        methods=tables.methods(parsed),
     )
-    # Names and reasons come from strangers: all text is escaped but this style sheet of ours.
+    # Names and reasons come from strangers: all text is escaped but what is our own.
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    style = Markup(_packaged("page.css"))
-    return environment.from_string(_packaged("page.html")).render(page=page, style=style)
+    own = {name: Markup(_packaged(file)) for name, file in OWN.items()}
+    if page.scores.gallery is None:  # nothing to turn
+        own |= {"three": Markup(""), "gallery_script": Markup("")}
+    return environment.from_string(_packaged("page.html")).render(page=page, **own)
 
 
 def write_report(
@@ -88,6 +90,7 @@ def write_report(
     scores: Sequence[Mapping[str, Any]],
     out: Path,
     progress: Progress | None = None,
+    beside: Beside = NOTHING_BESIDE,
 ) -> Path:
     """Write the page of a benchmark.
 
@@ -97,6 +100,7 @@ def write_report(
         scores: score tables as in scores.json, one for each method; may be empty.
         out: the HTML file to write, in whole or not at all.
         progress: told (recording, done, total) before each recording, and ("", total, total) at the end.
+        beside: ranks and galleries of the score tables.
 
     Returns:
         The file written: `out`.
@@ -112,7 +116,7 @@ def write_report(
         report(recording.id, done, total)
         parts.append(collect(recording, build / recording.id))
     report("", total, total)
-    text = make_page(settings, parts, scores)
+    text = make_page(settings, parts, scores, beside)
     with replaced_file(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return out

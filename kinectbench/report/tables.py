@@ -2,11 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
-from kinectbench.errors import StorageError
+from kinectbench.report.score_model import OVERALL, CategoryScore, ScoreTable
 from kinectbench.report.stored import as_lines, text_of
 from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
 
@@ -15,59 +12,35 @@ PROTOCOL_NOTES = {
     "paper": "the paper's protocol: all voxels; plain mean over pairs",
     "occluded": "known voxels that the input view does not see; mean over objects",
 }
-OVERALL = "overall"
 DECIMALS = 3
-
-
-class CategoryScore(BaseModel):
-    """What scores.json holds of one protocol and category; a figure that was not made is None."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    iou: float | None = None
-    ce: float | None = None
-    precision: float | None = None
-    recall: float | None = None
-    f1: float | None = None
-    pairs: int | None = None
-    objects: int | None = None
-    coverage_voxels: float | None = None
-    coverage_shape: float | None = None
-    base_rate_ce: float | None = None
-    base_rate_source: str | None = None
-
-
-class ScoreTable(BaseModel):
-    """What the page shows of one scores.json; the tables are None if the set of predictions is incomplete."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    method: str
-    benchmark_sha256: str | None = None
-    package_version: str | None = None
-    thresholds: dict[str, float | None] | None = None
-    threshold_source: Any = None
-    by_category: dict[str, dict[str, CategoryScore | None] | None] | None = None
-    overall: dict[str, CategoryScore | None] | None = None
-    failures: Any = None
-    warnings: Any = None
-
-    def scores(self, protocol: str) -> dict[str, CategoryScore]:
-        """The scores of a protocol by category, and under `overall` over all categories."""
-        by_category = (self.by_category or {}).get(protocol) or {}
-        overall = (self.overall or {}).get(protocol)
-        found = {category: score for category, score in by_category.items() if score}
-        return {**found, OVERALL: overall} if overall else found
+Interval = tuple[float, float] | None
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One figure: its text, the number to sort by ("" if there is none), and what stands small beside it."""
+    """One figure: its text, the number to sort by ("" if there is none), and its interval as text or ""."""
 
     text: str
     sort: str
     best: bool
-    aside: str
+    interval: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method of a table.
+
+    Attributes:
+        method: its name.
+        rank: 1 + the number of methods that are better by a test, as text; "=" after it if it is shared.
+        iou: a cell for each category.
+        ce: likewise.
+    """
+
+    method: str
+    rank: str
+    iou: tuple[Cell, ...]
+    ce: tuple[Cell, ...]
 
 
 @dataclass(frozen=True)
@@ -78,18 +51,43 @@ class Table:
         title: heading.
         note: one line below it.
         categories: the columns under each of IoU and CE.
-        rows: (method, IoU cells, CE cells).
+        rows: best first.
+        base_rate: cross-entropy of a constant, the base rate, under each category; empty if not known.
+        ranked: whether rows have ranks.
     """
 
     title: str
     note: str
     categories: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Cell, ...], tuple[Cell, ...]], ...]
+    rows: tuple[Row, ...]
+    base_rate: tuple[str, ...]
+    ranked: bool
+
+
+DETAIL_NAMES = (
+    "IoU",
+    "ceiling",
+    "precision",
+    "recall",
+    "F1",
+    "CE",
+    "base-rate CE",
+    "Chamfer, mm",
+    "F-score 1 %",
+    "surface Dice",
+    "normals",
+    "voxels counted",
+    "shape counted",
+    "truth's IoU, estimated",
+    "repeatability",
+    "pairs",
+    "objects",
+)
 
 
 @dataclass(frozen=True)
 class Detail:
-    """One line of the table of details: method, protocol, category and the other figures as text."""
+    """One line of the table of details: method, protocol, category, and a text for each of `DETAIL_NAMES`."""
 
     method: str
     protocol: str
@@ -106,26 +104,8 @@ class Method:
     source: str
     failures: tuple[str, ...]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...]
     complete: bool
-
-
-def parse_scores(scores: Sequence[Mapping[str, Any]]) -> tuple[ScoreTable, ...]:
-    """Check the score tables.
-
-    Raises:
-        StorageError: one is not what scores.json should hold.
-    """
-    tables = []
-    for number, score in enumerate(scores, start=1):
-        try:
-            tables.append(ScoreTable.model_validate(score))
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise StorageError(
-                f"score table {number}: '{where}' {first['msg'].lower()}; score the predictions again"
-            ) from error
-    return tuple(tables)
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
@@ -135,17 +115,28 @@ def protocols(tables: Sequence[ScoreTable]) -> list[str]:
     return first + sorted(found - set(first))
 
 
-def score_table(tables: Sequence[ScoreTable], protocol: str) -> Table:
-    """The table of one protocol."""
-    scores = {table.method: table.scores(protocol) for table in tables}
+def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
+    """The tables by their overall IoU, falling; those without one last, in the order given."""
+
+    def key(table: ScoreTable) -> float:
+        iou = table.scores(protocol).get(OVERALL, CategoryScore()).iou
+        return 1.0 if iou is None else -iou
+
+    return sorted(tables, key=key)
+
+
+def score_table(tables: Sequence[ScoreTable], protocol: str, ranks: Mapping[str, int] | None = None) -> Table:
+    """The table of one protocol; `ranks` by method, where they are known."""
+    ordered = best_first(tables, protocol)
+    scores = {table.method: table.scores(protocol) for table in ordered}
     categories = {c for by_category in scores.values() for c in by_category}
-    columns = tuple(sorted(categories - {OVERALL})) + ((OVERALL,) if OVERALL in categories else ())
-    empty = CategoryScore()
+    columns = ((OVERALL,) if OVERALL in categories else ()) + tuple(sorted(categories - {OVERALL}))
     cells: dict[str, dict[str, CategoryScore]] = {
-        method: {c: by_category.get(c, empty) for c in columns} for method, by_category in scores.items()
+        method: {c: by_category.get(c, CategoryScore()) for c in columns}
+        for method, by_category in scores.items()
     }
     note = PROTOCOL_NOTES.get(protocol, "")
-    return _table(f"Protocol “{protocol}”", note, columns, cells)
+    return _table(f"Protocol “{protocol}”", note, columns, cells, ranks or {})
 
 
 def published_table() -> Table:
@@ -157,24 +148,40 @@ def published_table() -> Table:
         }
         for row in PUBLISHED
     }
-    return _table("The paper's real-world results", LABEL, CATEGORIES, cells)
+    return _table("The paper's real-world results", LABEL, CATEGORIES, cells, {})
 
 
 def _table(
-    title: str, note: str, columns: tuple[str, ...], cells: Mapping[str, Mapping[str, CategoryScore]]
+    title: str,
+    note: str,
+    columns: tuple[str, ...],
+    cells: Mapping[str, Mapping[str, CategoryScore]],
+    ranks: Mapping[str, int],
 ) -> Table:
+    best_iou = {c: _best(max, [row[c].iou for row in cells.values()]) for c in columns}
+    best_ce = {c: _best(min, [row[c].ce for row in cells.values()]) for c in columns}
     rows = tuple(
-        (
+        Row(
             method,
-            tuple(_cell(row[c].iou, _best(max, [r[c].iou for r in cells.values()]), None) for c in columns),
-            tuple(
-                _cell(row[c].ce, _best(min, [r[c].ce for r in cells.values()]), row[c].base_rate_ce)
-                for c in columns
-            ),
+            rank_text(ranks, method),
+            tuple(_cell(row[c].iou, best_iou[c], row[c].interval("iou")) for c in columns),
+            tuple(_cell(row[c].ce, best_ce[c], row[c].interval("ce")) for c in columns),
         )
         for method, row in cells.items()
     )
-    return Table(title, note, columns, rows)
+    rates = [
+        [row[c].base_rate_ce for row in cells.values() if row[c].base_rate_ce is not None] for c in columns
+    ]
+    base_rate = tuple(shown(of[0] if of else None) for of in rates) if any(rates) else ()
+    return Table(title, note, columns, rows, base_rate, bool(ranks))
+
+
+def rank_text(ranks: Mapping[str, int], method: str) -> str:
+    """`2`, or `2=` where other methods have the same rank; "" where there is none."""
+    if method not in ranks:
+        return ""
+    shared = list(ranks.values()).count(ranks[method]) > 1
+    return f"{ranks[method]}{'=' if shared else ''}"
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None]) -> float | None:
@@ -183,32 +190,39 @@ def _best(choose: Callable[[list[float]], float], values: list[float | None]) ->
     return choose(found) if found else None
 
 
-def _shown(value: float | None) -> str:
+def shown(value: float | None) -> str:
+    """A share or a cross-entropy as text."""
     return "–" if value is None else f"{value:.{DECIMALS}f}"
 
 
-def _cell(value: float | None, best: float | None, beside: float | None) -> Cell:
+def _cell(value: float | None, best: float | None, interval: Interval) -> Cell:
     if value is None:
         return Cell("–", "", False, "")
-    aside = "" if beside is None else _shown(beside)
-    return Cell(_shown(value), repr(value), round(value, DECIMALS) == best, aside)
+    between = "" if interval is None else f"{shown(interval[0])}–{shown(interval[1])}"
+    return Cell(shown(value), repr(value), round(value, DECIMALS) == best, between)
 
 
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
     """Every other figure, a line for each method, protocol and category."""
-    lines = []
-    for protocol in protocols(tables):
-        for table in tables:
-            for category, s in table.scores(protocol).items():
-                shares = (s.coverage_voxels, s.coverage_shape)
-                figures = (
-                    *(_shown(value) for value in (s.iou, s.precision, s.recall, s.f1, s.ce)),
-                    *("–" if share is None else f"{100 * share:.1f} %" for share in shares),
-                    " ".join(filter(None, (_shown(s.base_rate_ce), s.base_rate_source))),
-                    *(text_of(count) for count in (s.pairs, s.objects)),
-                )
-                lines.append(Detail(table.method, protocol, category, figures))
-    return tuple(lines)
+    return tuple(
+        Detail(table.method, protocol, category, _figures(score))
+        for protocol in protocols(tables)
+        for table in tables
+        for category, score in table.scores(protocol).items()
+    )
+
+
+def _figures(s: CategoryScore) -> tuple[str, ...]:
+    """The texts of one line, in the order of `DETAIL_NAMES`."""
+    return (
+        *(shown(value) for value in (s.iou, s.ceiling_iou, s.precision, s.recall, s.f1, s.ce)),
+        " ".join(filter(None, (shown(s.base_rate_ce), s.base_rate_source))),
+        "–" if s.chamfer_mm is None else f"{s.chamfer_mm:.2f}",
+        *(shown(value) for value in (s.f_score_1pct, s.surface_dice, s.normal_consistency)),
+        *("–" if x is None else f"{100 * x:.1f} %" for x in (s.coverage_voxels, s.coverage_shape)),
+        *(shown(value) for value in (s.truth_estimated_iou, s.truth_repeatability_iou)),
+        *(text_of(count) for count in (s.pairs, s.objects)),
+    )
 
 
 def methods(tables: Sequence[ScoreTable]) -> tuple[Method, ...]:
@@ -220,6 +234,7 @@ def methods(tables: Sequence[ScoreTable]) -> tuple[Method, ...]:
             source=text_of(table.threshold_source),
             failures=as_lines(table.failures),
             warnings=as_lines(table.warnings),
+            notes=as_lines(table.notes),
             complete=table.by_category is not None,
         )
         for table in tables

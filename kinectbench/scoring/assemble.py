@@ -15,6 +15,7 @@ from kinectbench.scoring.averages import (
 )
 from kinectbench.scoring.base_rate import BaseRate
 from kinectbench.scoring.counts import CE_CLIP, PRIMARY, THRESHOLDS, protocol_counts
+from kinectbench.scoring.curves import iou_by_threshold
 from kinectbench.scoring.intervals import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 from kinectbench.scoring.metrics import constant_cross_entropy, metrics
 from kinectbench.scoring.pair_result import Counting, PairResult
@@ -72,6 +73,7 @@ def make_table(
         warnings=tuple(warnings),
         notes=tuple(_few_objects(rows)),
         extremes=extremes(rows),
+        iou_by_threshold=None if failures else iou_by_threshold(results, settings["protocols"]),
         hashes={
             target.name: {"truth": target.sha256, "prediction": results[target].sha256}
             for target in sorted(results)

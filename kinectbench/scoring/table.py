@@ -86,6 +86,8 @@ class ScoreTable:
         warnings: one line each.
         notes: what to know of the numbers, one line each.
         extremes: {protocol: the best and the worst pairs by IoU}.
+        iou_by_threshold: {protocol: {category: mean IoU at thresholds k / 20, k = 2 to 18}}, or None if not
+            complete.
         hashes: {pair: SHA-256 of its truth and of the prediction's file}.
     """
 
@@ -105,6 +107,7 @@ class ScoreTable:
     warnings: tuple[str, ...]
     notes: tuple[str, ...] = ()
     extremes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    iou_by_threshold: Mapping[str, Mapping[str, list[float]]] | None = None
     hashes: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from report_fake_build import cameras_floor
 
-from kinectbench.report import recording, stored, tables
+from kinectbench.report import recording, stored
 from kinectbench.report.plan import PlanView, draw_plan, time_color
 
 
@@ -121,31 +121,3 @@ def test_figures_in_words(tmp_path: Path) -> None:
 )
 def test_messages_as_lines(value: object, lines: tuple[str, ...]) -> None:
     assert stored.as_lines(value) == lines
-
-
-def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
-    def made(method: str, iou: float | None, ce: float | None) -> dict:
-        return {"method": method, "by_category": {"known": {"chair": {"iou": iou, "ce": ce}}}}
-
-    parsed = tables.parse_scores([made("a", 0.41001, 12.5), made("b", 0.40999, 2.25), made("c", None, None)])
-    table = tables.score_table(parsed, "known")
-    assert table.categories == ("chair",)
-    assert [(row[1][0].text, row[1][0].best) for row in table.rows] == [
-        ("0.410", True),
-        ("0.410", True),
-        ("–", False),
-    ]
-    assert [(row[2][0].text, row[2][0].best) for row in table.rows] == [
-        ("12.500", False),
-        ("2.250", True),
-        ("–", False),
-    ]
-
-
-def test_published_table_marks_the_papers_best() -> None:
-    table = tables.published_table()
-    assert table.categories == ("bench", "chair", "couch", "table")
-    first = table.rows[0]
-    assert [cell.text for cell in first[1]] == ["0.177", "0.208", "0.540", "0.156"]
-    assert all(cell.best for cell in first[1])
-    assert [cell.text for cell in table.rows[1][2]] == ["0.065", "0.156", "0.318", "0.180"]

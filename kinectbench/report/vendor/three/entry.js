@@ -1,0 +1,4 @@
+export {
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, Mesh, MeshLambertMaterial, PerspectiveCamera,
+  Scene, SRGBColorSpace, Vector3, WebGLRenderer,
+} from "three";

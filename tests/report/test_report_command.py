@@ -1,0 +1,70 @@
+"""`kinectbench report` on several score files: one page of one truth, or one line why not."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_benchmark import Run
+
+from kinectbench.release.release import Release
+from kinectbench.report.run import write_galleries
+from kinectbench.scoring.run import score_methods
+
+Command = Callable[..., Run]
+
+
+@pytest.fixture(scope="module")
+def scored(release: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two submissions that were scored apart, in folders of their own, both called `net`."""
+    root = tmp_path_factory.mktemp("apart")
+    for team, value in (("ours", 1.0), ("theirs", 0.0)):
+        for target in release.split("test"):
+            path = root / team / "net" / target.recording / f"{target.view}.npy"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.save(path, np.full((2, 2, 2), value, np.float16))
+        tables = score_methods(release, root / team / "net", root / team / "scores", surface=False)
+        write_galleries(release, root / team / "net", tables, root / team / "scores", "half-pixel")
+    return root
+
+
+def test_several_merge_into_one_page(command: Command, release: Release, scored: Path) -> None:
+    done = command(
+        scored, "report", "--benchmark", str(release.folder), "--scores", "ours/scores/scores.json",
+        "--scores", "theirs/scores", "--out", "leaders.html", "--json",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    (page,) = json.loads(done.out)
+    assert Path(page) == (scored / "leaders.html").resolve()
+    text = Path(page).read_text(encoding="utf-8")
+    assert 'data-value="net"' in text and 'data-value="net #2"' in text
+    data = json.loads(text.partition('id="gallery-data">')[2].partition("</script>")[0])
+    assert [method["name"] for method in data["methods"]] == ["net", "net #2"]
+
+
+def test_without_names_it_is_the_folder_of_scores(command: Command, release: Release, scored: Path) -> None:
+    done = command(scored / "ours", "report", "--benchmark", str(release.folder))
+    assert done.status == 0 and (scored / "ours" / "scores" / "index.html").is_file()
+    done = command(scored, "report", "--benchmark", str(release.folder), "--scores", "theirs/scores")
+    assert done.status == 0 and (scored / "theirs" / "scores" / "index.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--scores", "other/scores.json"], "scored against benchmark"),
+        (["--scores", "ours/scores", "--scores", "nowhere"], "nowhere"),
+        (["--scores", "theirs/net"], "theirs/net: no scores.json there"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(
+    command: Command, release: Release, scored: Path, arguments: list[str], words: str
+) -> None:
+    (scored / "other").mkdir(exist_ok=True)
+    content = json.loads((scored / "ours" / "scores" / "scores.json").read_text())
+    (scored / "other" / "scores.json").write_text(json.dumps(content | {"benchmark_sha256": "f" * 64}))
+    done = command(scored, "report", "--benchmark", str(release.folder), "--out", "no.html", *arguments)
+    assert done.status != 0 and words in done.err
+    assert done.err.count("error:") == 1 and "Traceback" not in done.err
+    assert not (scored / "no.html").exists()

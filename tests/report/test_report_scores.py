@@ -1,0 +1,211 @@
+"""Tables, charts and merged score files: against numbers by hand."""
+
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from report_fake_build import score
+
+from kinectbench.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.report import charts, tables
+from kinectbench.report.extremes import extremes
+from kinectbench.report.ranks import rank
+from kinectbench.report.score_files import files_in, files_named
+from kinectbench.report.score_model import parse_scores
+from kinectbench.scoring.counts import THRESHOLDS
+
+
+def made(method: str, iou: float | None, ce: float | None, interval: list[float] | None = None) -> dict:
+    chair = {"iou": iou, "ce": ce, "base_rate_ce": 0.26, "intervals": {"iou": interval, "ce": None}}
+    return {"method": method, "by_category": {"known": {"chair": chair}}, "overall": {"known": chair}}
+
+
+def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None = None) -> dict:
+    """Pairs `chair_<n>/000`; coverage of `known` is 0.8, of `occluded` as given."""
+
+    def row(name: str, protocol: str, iou: float, coverage: float) -> dict:
+        recording, view = name.split("/")
+        return {"recording": recording, "view": view, "object": recording, "category": "chair",
+                "protocol": protocol, "iou": iou, "coverage_shape": coverage}  # fmt: skip
+
+    listed = [row(name, "known", iou, 0.8) for name, iou in ious.items()]
+    listed += [row(name, "occluded", 0.9, coverage) for name, coverage in (occluded or {}).items()]
+    return {"method": method, "rows": listed}
+
+
+def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
+    parsed = parse_scores([made("a", 0.41001, 12.5), made("c", None, None), made("b", 0.40999, 2.25)])
+    table = tables.score_table(parsed, "known")
+    assert table.categories == ("overall", "chair")
+    assert [row.method for row in table.rows] == ["a", "b", "c"]
+    assert [(row.iou[0].text, row.iou[0].best) for row in table.rows] == [
+        ("0.410", True),
+        ("0.410", True),
+        ("–", False),
+    ]
+    assert [(row.ce[1].text, row.ce[1].best) for row in table.rows] == [
+        ("12.500", False),
+        ("2.250", True),
+        ("–", False),
+    ]
+    assert table.base_rate == ("0.260", "0.260") and not table.ranked
+
+
+def test_intervals_and_tied_ranks() -> None:
+    parsed = parse_scores([made("a", 0.5, 1.0, [0.25, 0.7504]), made("b", 0.4, 1.0), made("c", 0.1, 1.0)])
+    table = tables.score_table(parsed, "known", {"a": 1, "b": 1, "c": 3})
+    assert [row.rank for row in table.rows] == ["1=", "1=", "3"] and table.ranked
+    assert [row.iou[0].interval for row in table.rows] == ["0.250–0.750", "", ""]
+
+
+def test_published_table_marks_the_papers_best() -> None:
+    table = tables.published_table()
+    assert table.categories == ("bench", "chair", "couch", "table")
+    first = table.rows[0]
+    assert [cell.text for cell in first.iou] == ["0.177", "0.208", "0.540", "0.156"]
+    assert all(cell.best for cell in first.iou)
+    assert [cell.text for cell in table.rows[1].ce] == ["0.065", "0.156", "0.318", "0.180"]
+    assert table.base_rate == () and table.note == "published, not comparable"
+
+
+def test_methods_of_one_name_are_told_apart() -> None:
+    parsed = parse_scores([made("net", 0.5, 1.0), made("net", 0.4, 1.0), made("hull", 0.1, 1.0)])
+    assert [table.method for table in parsed] == ["net", "net #2", "hull"]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_numbers_that_are_none_are_refused(value: float) -> None:
+    with pytest.raises(StorageError, match=r"score table 1: 'by_category.known.chair.iou'"):
+        parse_scores([made("a", value, 1.0)])
+
+
+def test_bars_by_hand() -> None:
+    parsed = parse_scores([made("a", 0.5, 1.0, [0.25, 0.78]), made("b", 0.2, 1.0), made("c", None, 1.0)])
+    (group,) = charts.iou_bars(parsed, "known")
+    assert group.category == "chair"
+    assert [(bar.method, bar.text) for bar in group.bars] == [("a", "0.500"), ("b", "0.200")]
+    # The axis ends at 0.8, the tenth above the highest interval.
+    assert group.bars[0].length == pytest.approx(62.5)
+    assert group.bars[0].interval == pytest.approx((31.25, 66.25))
+    assert group.bars[1].interval is None
+
+
+@pytest.mark.parametrize(
+    ("value", "top"), [(0.0, 0.1), (0.1, 0.1), (0.11, 0.2), (0.3, 0.3), (0.99, 1.0), (1.5, 1.0)]
+)
+def test_the_end_of_an_axis(value: float, top: float) -> None:
+    assert charts.nice_top(value) == pytest.approx(top)
+
+
+def svg(chart: charts.Chart) -> ElementTree.Element:
+    return ElementTree.fromstring(str(chart.svg))
+
+
+def test_curves_go_through_their_points() -> None:
+    curve = np.linspace(0.9, 0.1, 17).tolist()
+    table = made("a", 0.5, 1.0) | {"thresholds": {"chair": 0.4}}
+    table["iou_by_threshold"] = {"known": {"chair": curve, "odd": [0.1, 0.2]}}
+    (chart,) = charts.threshold_charts(parse_scores([table]), "known")
+    assert chart.title == "chair"
+    drawn = svg(chart)
+    line = next(e for e in drawn.iter("path") if e.get("class") == "line")
+    points = np.array(re.findall(r"[-\d.]+", line.get("d") or ""), float).reshape(-1, 2)
+    left, right = charts.LEFT, charts.WIDTH - charts.RIGHT
+    bottom, top = charts.HEIGHT - charts.BOTTOM, charts.TOP
+    across = (np.array(THRESHOLDS) - 0.1) / 0.8
+    np.testing.assert_allclose(points[:, 0], left + across * (right - left), atol=0.06)
+    np.testing.assert_allclose(points[:, 1], bottom - np.array(curve) / 0.9 * (bottom - top), atol=0.06)
+    dot = next(drawn.iter("circle"))
+    used = points[THRESHOLDS.index(0.4)]
+    assert [float(dot.get("cx") or 0), float(dot.get("cy") or 0)] == used.tolist()
+
+
+def test_visible_shares_by_hand() -> None:
+    table = rows("a", {"chair_1/000": 0.3, "chair_2/000": 0.2}, {"chair_1/000": 0.6, "chair_3/000": 0.1})
+    (parsed,) = parse_scores([table])
+    # 0.2 of the shape's 0.8 that are known are not among the occluded.
+    assert charts.visible_shares(parsed) == pytest.approx({"chair_1/000": 0.25})
+    (chart,) = charts.visible_charts([parsed], "known")
+    dots = next(e for e in svg(chart).iter("path") if e.get("class") == "dots")
+    assert (dots.get("d") or "").count("M") == 1
+    without = parse_scores([rows("a", {"chair_1/000": 0.3})])
+    assert charts.visible_charts(without, "known") == ()
+
+
+def test_many_methods_have_their_own_style() -> None:
+    styles = [charts.series_class(index) for index in range(24)]
+    assert len(set(styles)) == 24
+
+
+def test_best_and_worst_pairs() -> None:
+    ious = {f"chair_{n}/000": n / 10 for n in (3, 1, 4, 5, 9, 2, 6)}
+    (found,) = extremes(parse_scores([rows("a", ious), {"method": "b"}]), "known")
+    assert [(pair.name, pair.iou) for pair in found.best] == [
+        ("chair_9/000", "0.900"),
+        ("chair_6/000", "0.600"),
+        ("chair_5/000", "0.500"),
+    ]
+    assert [pair.name for pair in found.worst] == ["chair_1/000", "chair_2/000", "chair_3/000"]
+
+
+def put(folder: Path, name: str, sha256: str = "ab" * 32) -> Path:
+    (folder / name).mkdir(parents=True)
+    path = folder / name / "scores.json"
+    path.write_text(json.dumps(score(name, 0.4) | {"benchmark_sha256": sha256}))
+    return path
+
+
+def test_named_files_are_of_one_truth(tmp_path: Path) -> None:
+    first, other = put(tmp_path / "ours", "net"), put(tmp_path / "theirs", "net", "cd" * 32)
+    second = put(tmp_path / "ours", "hull")
+    files = files_named([tmp_path / "ours", first, first.parent], "ab" * 32)
+    assert [file.path for file in files] == [second, first]
+    with pytest.raises(
+        SettingsError, match=r"scored against benchmark cdcdcdcdcdcd, the page is of abab"
+    ) as caught:
+        files_named([first, other], "ab" * 32)
+    assert "\n" not in str(caught.value) and str(caught.value).startswith(str(other))
+    with pytest.raises(SettingsError, match="the page is of abab"):
+        files_named([first, other], None)
+    found, warnings = files_in(tmp_path / "theirs", "ab" * 32)
+    assert found == [] and len(warnings) == 1
+
+
+@pytest.mark.parametrize("content", [b"{", b"[]", b'{"method": "a", "x": NaN}', b"\xff"])
+def test_damaged_files_are_one_line(tmp_path: Path, content: bytes) -> None:
+    path = put(tmp_path, "net")
+    path.write_bytes(content)
+    with pytest.raises(KinectBenchError, match=re.escape(str(path))) as caught:
+        files_named([path], "ab" * 32)
+    assert "\n" not in str(caught.value)
+
+
+def ranked_file(folder: Path, name: str, gain: float, objects: int = 8) -> Path:
+    """A whole scores.json: one view of each object."""
+
+    def row(thing: int) -> dict:
+        iou = 0.4 + gain + (thing % 3) / 100
+        return {"recording": f"c{thing}", "object": f"c{thing}", "view": "000", "category": "chair",
+                "protocol": "known", "threshold": 0.5, "iou": iou, "ce": 0.1, "precision": 0.5, "recall": 0.5,
+                "f1": 0.5, "base_rate_ce": 0.3, "coverage_voxels": 1.0, "coverage_shape": 1.0}  # fmt: skip
+
+    path = put(folder, name)
+    content = json.loads(path.read_text()) | {"complete": True, "base_rate": {}, "truth_quality": {}}
+    path.write_text(json.dumps(content | {"rows": [row(thing) for thing in range(objects)]}))
+    return path
+
+
+def test_ranks_tie_what_cannot_be_told_apart(tmp_path: Path) -> None:
+    paths = [
+        ranked_file(tmp_path, name, gain) for name, gain in (("low", 0.0), ("top", 0.2), ("as-top", 0.2))
+    ]
+    paths.insert(1, put(tmp_path, "older"))  # has no rows to test
+    found = rank(paths, ("known", "occluded"))
+    assert found.of == {"known": {0: 3, 2: 1, 3: 1}}
+    assert any("occluded" in note for note in found.notes)
+    assert rank(paths[:2], ("known",)).of == {}
+    many = [ranked_file(tmp_path, name, 0.1, objects=31) for name in ("many", "more")]
+    assert "kinectbench compare" in rank(many, ("known",)).notes[0]
