@@ -38,6 +38,7 @@ from kinectbench.commands import (
 from kinectbench.commands_compare import compare
 from kinectbench.commands_exchange import export, import_
 from kinectbench.commands_formats import formats
+from kinectbench.commands_inspect import inspect
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
@@ -324,7 +325,7 @@ def init(
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
-for _command in (compare, simulate, synthesize, evaluate, export, formats):
+for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect):
     app.command()(_command)
 app.command("import")(import_)
 

@@ -1,0 +1,6 @@
+"""The doctor: what is wrong with a recording, said in seconds, before anything is built."""
+
+from kinectbench.doctor.examine import inspect
+from kinectbench.doctor.finding import Diagnosis, Finding
+
+__all__ = ["Diagnosis", "Finding", "inspect"]

@@ -1,0 +1,139 @@
+"""Checks of the clock: rate, dropped and doubled frames, jumps, resets, colour that finds no partner."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.look import Look
+from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults
+from kinectbench.ingest.stamps import NS_PER_S
+
+# Steps this far from whole periods are uneven, not frames that are missing in between.
+OFF_PERIOD = 0.2
+EVEN_SHARE = 0.8
+DROPPED_SHARE = 0.02
+DOUBLED_SHARE = 0.01
+MIN_FRAMES = 3
+PAIRED_SHARE = 0.9
+REGROUP = "record again at a rate that the computer keeps up with; gaps make tracking harder"
+
+
+def check_clock(look: Look) -> Iterator[Finding]:
+    """Judge the stamps of depth and of colour, in the order in which they were recorded."""
+    recording = look.recording
+    if len(recording) < MIN_FRAMES:
+        yield Finding(
+            "too_few_frames",
+            "stops",
+            f"{len(recording)} frames; at least {MIN_FRAMES} are needed",
+            look.where,
+        )
+        return
+    streams = zip(("depth", "colour"), recording.recorded_stamps_ns, strict=True)
+    for stream, stamps_ns in streams:
+        if len(stamps_ns) > 2:
+            yield from _stream(look, stream, stamps_ns)
+    yield from _doubled(look)
+    yield from _partners(look)
+
+
+def usual_period_ns(stamps_ns: NDArray[np.int64]) -> int:
+    """The step between frames where none is missing: the lower quartile of the steps forward; 0: unknown.
+
+    The median is that of two steps where every third frame is gone (own rule).
+    """
+    steps = np.diff(stamps_ns)
+    forward = steps[steps > 0]
+    return int(np.quantile(forward, 0.25, method="lower")) if len(forward) else 0
+
+
+def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
+    faults = find_stamp_faults(stamps_ns)
+    where = f"{look.where}: {stream}"
+    yield from _order(faults, stream, where)
+    period_ns = usual_period_ns(stamps_ns)
+    steps = np.diff(stamps_ns)
+    forward = steps[(steps > 0) & (steps < max(10 * period_ns, NS_PER_S))]
+    if not period_ns or not len(forward):
+        return
+    periods = forward / period_ns
+    even = np.abs(periods - np.rint(periods)) <= OFF_PERIOD
+    if even.mean() < EVEN_SHARE:
+        what = (
+            f"{stream} comes at uneven steps of {forward.min() / 1e6:.0f} to {forward.max() / 1e6:.0f} ms, as "
+            "keyframes do"
+        )
+        yield Finding("uneven_rate", "note", what, where)
+        return
+    dropped = int((np.rint(periods) - 1).sum())
+    share = dropped / (dropped + len(stamps_ns))
+    if share > 0:
+        severity, advice = ("warning", REGROUP) if share > DROPPED_SHARE else ("note", "")
+        pattern = np.rint(periods).astype(int)
+        every = f", one after every {_regular(pattern)} frames" if _regular(pattern) else ""
+        what = f"{dropped} {stream} frames are missing ({share:.1%}){every}"
+        yield Finding("dropped_frames", severity, what, where, advice)  # type: ignore[arg-type]
+
+
+def _regular(periods: NDArray[np.int64]) -> int:
+    """After how many frames one is missing, where that is always the same; else 0."""
+    gaps = np.diff(np.flatnonzero(periods == 2))
+    return int(gaps[0]) if len(gaps) > 3 and (gaps == gaps[0]).mean() > 0.9 else 0
+
+
+def _order(faults: StampFaults, stream: str, where: str) -> Iterator[Finding]:
+    if faults.repeated:
+        what = f"{faults.repeated} {stream} frames repeat the stamp of the frame before"
+        yield Finding("repeated_stamps", "warning", what, where, "they are left out; check the recorder")
+    if faults.backwards:
+        what = f"time runs backwards before {faults.backwards} {stream} frames"
+        advice = "frames are put in the order of their stamps; check that this is how they were taken"
+        yield Finding("time_backwards", "warning", what, where, advice)
+    if faults.resets:
+        what = f"the clock of {stream} begins anew before frame {faults.resets[0]}"
+        advice = (
+            "cut the recording there: both parts are mixed when they are put in the order of their stamps"
+        )
+        yield Finding("clock_reset", "stops", what, where, advice)
+    if faults.jumps:
+        what = f"the time of {stream} jumps ahead before frame {faults.jumps[0]} ({len(faults.jumps)} jumps)"
+        yield Finding("time_jump", "warning", what, where, "if it is two recordings in one, cut it there")
+
+
+def _doubled(look: Look) -> Iterator[Finding]:
+    frames = look.frames
+    doubled = [
+        frames[i]
+        for i in find_doubled([frame.digest for frame in frames])
+        if frames[i].index == frames[i - 1].index + 1 and frames[i].depth_m.any()
+    ]
+    if doubled:
+        share = len(doubled) / max(len(frames), 1)
+        what = (
+            f"{len(doubled)} of the {len(frames)} depth images looked at are those of the frame before, "
+            f"such as frame {doubled[0].index}"
+        )
+        advice = "the driver delivered them twice: record at the camera's own rate, or remove them"
+        severity = "warning" if share > DOUBLED_SHARE else "note"
+        yield Finding("doubled_frames", severity, what, look.where, advice)  # type: ignore[arg-type]
+
+
+def _partners(look: Look) -> Iterator[Finding]:
+    """Whether depth frames have colour, where there is colour at all."""
+    depth_ns, color_ns = look.recording.recorded_stamps_ns
+    without = [frame.index for frame in look.frames if frame.gray is None]
+    share = 1 - len(without) / max(len(look.frames), 1)
+    if not len(color_ns):
+        if share == 0 and look.frames:
+            yield Finding("no_color", "note", "there is no colour", look.where)
+        return
+    if share >= PAIRED_SHARE:
+        return
+    apart_s = (int(np.median(color_ns)) - int(np.median(depth_ns))) / 1e9
+    what = f"{len(without)} of the {len(look.frames)} frames looked at have no colour within 20 ms"
+    if not (depth_ns.min() <= color_ns.max() and color_ns.min() <= depth_ns.max()):
+        what += f"; the clocks of colour and depth are {apart_s:.3f} s apart"
+    advice = f"if colour is late, give `color_delay_s`, such as {apart_s:.3f}"
+    yield Finding("color_unpaired", "warning", what, look.where, advice)

@@ -1,0 +1,159 @@
+"""Offsets between clocks: of colour against depth, and of a given trajectory against depth."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.doctor.edges import color_edges, depth_jumps
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.fit import Pair, disagreement
+from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.doctor.readings import Reading
+from kinectbench.ingest.delay import estimate_delay, image_motion
+from kinectbench.sequence import GivenTrajectory
+from kinectbench.tracking.given import poses_at
+
+# Recordings that count their frames in seconds are taken to have this rate.
+ASSUMED_HZ = 30
+# Less is told apart badly, and hardly matters: 60 ms, or so many frames.
+LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
+LEAST_CORRELATION = 0.6
+LAGS_NS = np.arange(-500_000_000, 500_000_001, 25_000_000)
+# Poses that are moved in time must fit this much better before it is said.
+BETTER = 0.93
+EDGE_FRAMES, EDGE_LAGS, EDGE_SIZE = 40, 12, (160, 120)
+EDGE_BETTER = 1.15
+MAX_GAP_S = 0.2
+
+
+def check_color_delay(look: Look) -> Iterator[Finding]:
+    """Whether colour shows another time than the depth that it is paired with."""
+    run = tuple(frame for frame in look.longest_run() if frame.gray is not None)
+    if len(run) < 3:
+        return
+    stamps_ns = clock_ns(look, run)
+    period_ns = float(np.median(np.diff(stamps_ns)))
+    delay_ns = _color_delay_ns(look, run, stamps_ns)
+    if delay_ns is None or not _matters(delay_ns, period_ns):
+        return
+    late, frames = delay_ns / 1e9, delay_ns / period_ns
+    what = f"colour is {_offset(late)} against depth (about {abs(frames):.1f} frames), by the motion that both show"
+    advice = f"if both have stamps: `color_delay_s: {late:.3f}`; else pair the images anew"
+    yield Finding("color_delay", "warning", what, look.where, advice)
+
+
+def check_trajectory_delay(
+    look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
+) -> Iterator[Finding]:
+    """Whether given poses fit the depth better at other times."""
+    stamps_ns = clock_ns(look, look.frames)
+    period_ns = float(np.median(np.diff(stamps_ns)))
+    delay_ns = trajectory_delay_ns(look, given, reading, pairs)
+    if delay_ns is None or not _matters(delay_ns, period_ns):
+        return
+    what = f"the stamps of the given poses are {_offset(delay_ns / 1e9)}: so moved, they fit the depth best"
+    advice = f"`trajectory_delay_s: {delay_ns / 1e9:.3f}`"
+    if look.counts_frames:
+        what = f"the given poses are {abs(delay_ns) / period_ns:.0f} frames {'late' if delay_ns > 0 else 'early'}"
+        advice = "number them anew"
+    yield Finding("trajectory_delay", "warning", what, look.where, advice)
+
+
+def clock_ns(look: Look, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
+    """(n,) stamps of frames; at 30 a second where the recording only counts them."""
+    stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
+    return stamps_ns // ASSUMED_HZ if look.counts_frames else stamps_ns
+
+
+def on_clock(look: Look, given: GivenTrajectory) -> GivenTrajectory:
+    """The given trajectory on the clock of `clock_ns`."""
+    divisor = ASSUMED_HZ if look.counts_frames else 1
+    return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
+
+
+def trajectory_delay_ns(
+    look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
+) -> int | None:
+    """The delay of the poses' stamps at which they fit the depth best (own rule); None if none is clearly best.
+
+    Lags up to half a second are tried in steps of 25 ms, on the pairs for which all of them have poses.
+    """
+    poses = [_poses(look, given, pairs, int(lag)) for lag in LAGS_NS]
+    posed = np.all([np.isfinite(each[:, 0, 0]) for each in poses], axis=0)
+    usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
+    if len(usable) < 4:
+        return None
+    costs = np.array([disagreement(usable, _read(reading, each)) for each in poses])
+    best, still = int(np.argmin(costs)), len(LAGS_NS) // 2
+    if best in (0, len(LAGS_NS) - 1) or costs[best] > BETTER * costs[still]:
+        return 0 if best == still else None
+    before, here, after = costs[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    return round(float(LAGS_NS[best]) + shift * float(LAGS_NS[1] - LAGS_NS[0]))
+
+
+def _poses(look: Look, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
+    """Poses of the frames in pairs at stamps that are later by a lag: (n, 4, 4), NaN for all other frames."""
+    needed = np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
+    poses = np.full((len(look.frames), 4, 4), np.nan)
+    moved = on_clock(look, given)
+    poses[needed] = poses_at(moved, clock_ns(look, look.frames)[needed] + lag_ns, longest_gap_s(moved))
+    return poses
+
+
+def longest_gap_s(given: GivenTrajectory) -> float:
+    """How far apart two poses may be for one in between: coarse, as this is but a look (own rule)."""
+    usual_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
+    return max(MAX_GAP_S, 2.5 * usual_s)
+
+
+def _read(reading: Reading, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    known = np.isfinite(poses[:, 0, 0])
+    read = np.full_like(poses, np.nan)
+    read[known] = reading.apply(poses[known])
+    return read
+
+
+def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
+    """By motion, or where depth shows too little of it, by edges that coincide."""
+    grays = [frame.gray for frame in run if frame.gray is not None]
+    depths = [frame.depth_m for frame in run]
+    found = estimate_delay(image_motion(stamps_ns.tolist(), depths), image_motion(stamps_ns.tolist(), grays))
+    if found is not None and found.correlation > LEAST_CORRELATION:
+        return found.delay_ns
+    return _edge_delay_ns(run, stamps_ns) if look.recording.color_registered else None
+
+
+def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
+    """The lag in frames at which edges of colour coincide best with jumps of depth; registered colour only."""
+    edges = [_edges_of(frame) for frame in run]
+    inner = range(EDGE_LAGS, len(run) - EDGE_LAGS)
+    chosen = np.unique(np.linspace(inner.start, inner.stop - 1, EDGE_FRAMES).astype(int)) if inner else []
+    if not len(chosen):
+        return None
+    scores = np.zeros(2 * EDGE_LAGS + 1)
+    for index in chosen:
+        jumps = depth_jumps(run[index].depth_m, EDGE_SIZE)
+        for lag in range(-EDGE_LAGS, EDGE_LAGS + 1):
+            scores[lag + EDGE_LAGS] += float((jumps * edges[index + lag]).sum())
+    best = int(np.argmax(scores))
+    if best in (0, 2 * EDGE_LAGS) or scores[best] < EDGE_BETTER * scores[EDGE_LAGS]:
+        return None
+    # Colour that fits the depth of an earlier frame is late.
+    return round((best - EDGE_LAGS) * float(np.median(np.diff(stamps_ns))))
+
+
+def _edges_of(frame: SmallFrame) -> NDArray[np.float64]:
+    assert frame.gray is not None
+    edges = color_edges(frame.gray, EDGE_SIZE)
+    return edges - edges.mean()
+
+
+def _matters(delay_ns: float, period_ns: float) -> bool:
+    return abs(delay_ns) > max(LEAST_NS, LEAST_PERIODS * period_ns)
+
+
+def _offset(late_s: float) -> str:
+    return f"{abs(late_s) * 1000:.0f} ms {'late' if late_s > 0 else 'early'}"

@@ -1,0 +1,148 @@
+"""Checks of depth as numbers: unit, byte order, codes for nothing, how much is measured."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.look import Look
+from kinectbench.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
+
+# In between lies the depth of most rooms and of most cameras that record them, metres.
+LIKELY_MEDIAN_M = (0.45, 6.0)
+LIKELY_FAR_M = 12.0
+# In native units, neighbours in a picture with swapped bytes differ by this much more.
+SMOOTHER = 5.0
+# A highest value this frequent, and this far beyond all others, is a code.
+CODE_SHARE, CODE_BEYOND = 0.003, 1.3
+# Levels of 8 bits, evenly spaced: a Kinect has as few in a small room, but they lie wider with distance.
+FEW_LEVELS, EVEN_LEVELS = 256, 300
+SAMPLE_STEP_PX = 3
+VALID_SHARE = 0.35
+HARMLESS_DAMAGE = 0.05
+
+
+def check_depth(look: Look) -> Iterator[Finding]:
+    """Judge the values of depth images."""
+    yield from _readable(look)
+    if not look.whole:
+        return
+    measured = _measured(look)
+    if not len(measured):
+        yield Finding(
+            "no_depth", "stops", "no pixel of the frames looked at has a depth", look.where,
+            "check which stream or folder holds depth",
+        )  # fmt: skip
+        return
+    swapped = _byte_order(look)
+    yield from swapped
+    yield from _levels(look, measured)
+    yield from _codes(look, measured)
+    if not swapped:
+        yield from _unit(look, measured)
+    yield from _valid(look)
+
+
+def depth_quantiles_m(look: Look) -> NDArray[np.float64]:
+    """(3,) metres: 5 %, 50 % and 95 % of what is measured; NaN where nothing is."""
+    measured = _measured(look)
+    if not len(measured):
+        return np.full(3, np.nan)
+    return np.asarray(np.quantile(measured, [0.05, 0.5, 0.95]) / look.recording.depth_scale)
+
+
+def _measured(look: Look) -> NDArray[np.uint16]:
+    """Native values of some of the measured pixels of the whole frames."""
+    samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in look.whole]
+    return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
+
+
+def suggested_scale(native: float) -> float:
+    """The usual depth scale with which a median depth in native units is most like a room's."""
+    return min(COMMON_SCALES, key=lambda scale: abs(math.log(native / scale / TYPICAL_M)))
+
+
+def _readable(look: Look) -> Iterator[Finding]:
+    count = len(look.frames) + len(look.damaged) + len(look.refused)
+    if look.refused:
+        yield Finding("depth_format", "stops", look.refused[0], look.where, "export the depth again, raw")
+    if look.damaged:
+        share = len(look.damaged) / count
+        what = f"{len(look.damaged)} of {count} frames looked at are damaged; the first: {look.damaged[0]}"
+        severity = "stops" if share >= HARMLESS_DAMAGE else "warning"
+        yield Finding("damaged_frames", severity, what, look.where, "copy or export them again")  # type: ignore[arg-type]
+    sizes = {frame.depth.shape for frame in look.whole}
+    if len(sizes) > 1:
+        shown = " and ".join(f"{width}x{height}" for height, width in sorted(sizes))
+        what = f"depth images are {shown}: a recording must keep one size"
+        yield Finding("depth_sizes", "stops", what, look.where, "separate the two cameras or settings")
+
+
+def _byte_order(look: Look) -> list[Finding]:
+    """Surfaces are smooth: with its two bytes exchanged, a right image is rougher."""
+    as_is = np.mean([_roughness(frame.depth[::4]) for frame in look.whole])
+    exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in look.whole])
+    if not as_is > SMOOTHER * exchanged:
+        return []
+    what = "the two bytes of every depth value are exchanged (little-endian data in a big-endian PNG)"
+    advice = "write the depth again as 16-bit PNG by a library, or exchange the bytes"
+    return [Finding("byte_order", "stops", what, look.where, advice)]
+
+
+def _roughness(depth: NDArray[np.uint16]) -> float:
+    """The median step between measured neighbours in a row, as a share of the median depth."""
+    left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
+    both = (left > 0) & (right > 0)
+    if not both.any():
+        return 0.0
+    step = np.clip(np.abs(left - right)[both], 0, None)
+    return float((step.mean() + 1e-3) / np.median(left[both]))
+
+
+def _levels(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
+    levels = np.unique(measured)
+    spacing = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
+    even = (float(levels[-1]) - float(levels[0])) / spacing <= EVEN_LEVELS
+    if even and len(levels) <= FEW_LEVELS and len(measured) > 100 * len(levels):
+        what = f"depth has only {len(levels)} different values: it went through 8 bits, as a picture of depth"
+        yield Finding("depth_8_bit", "stops", what, look.where, "export the raw 16-bit depth")
+
+
+def _codes(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
+    """A value that stands for no measurement: the highest one, frequent, and far beyond all others."""
+    highest = int(measured.max())
+    rest = measured[measured < highest]
+    share = 1 - len(rest) / len(measured)
+    if share > CODE_SHARE and len(rest) and highest > CODE_BEYOND * float(np.quantile(rest, 0.999)):
+        what = f"{share:.1%} of the measured pixels have the value {highest}: it means none, but is read as depth"
+        severity = "stops" if share > 0.02 else "warning"
+        yield Finding("invalid_code", severity, what, look.where, "write 0 there")  # type: ignore[arg-type]
+
+
+def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
+    scale = look.recording.depth_scale
+    median, far = (float(each) for each in np.quantile(measured, [0.5, 0.95]))
+    likely = LIKELY_MEDIAN_M[0] <= median / scale <= LIKELY_MEDIAN_M[1] and far / scale <= LIKELY_FAR_M
+    if likely:
+        return
+    better = suggested_scale(median)
+    severity = "warning" if NEAREST_M <= median / scale <= FARTHEST_M else "stops"
+    what = (
+        f"half of the depth is nearer than {median / scale:.3g} m and 95 % nearer than {far / scale:.3g} m at "
+        f"{scale:g} units per metre, which is {'unlikely' if severity == 'warning' else 'no room'}"
+    )
+    advice = f"with `depth_scale: {better:g}` the median is {median / better:.2f} m"
+    yield Finding("depth_scale", severity, what, look.where, advice)  # type: ignore[arg-type]
+
+
+def _valid(look: Look) -> Iterator[Finding]:
+    shares = np.array([(frame.depth_m > 0).mean() for frame in look.frames])
+    empty = int((shares == 0).sum())
+    if empty:
+        yield Finding("empty_depth", "warning", f"{empty} depth images are empty", look.where)
+    if np.median(shares) < VALID_SHARE:
+        what = f"only {np.median(shares):.0%} of the pixels have a depth"
+        advice = "sun, black or shining surfaces, or a camera too near: record again where it sees more"
+        yield Finding("little_depth", "warning", what, look.where, advice)

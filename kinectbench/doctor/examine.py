@@ -1,0 +1,117 @@
+"""Looking a recording over, without building anything."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.config import CameraSettings
+from kinectbench.doctor.clocks import check_clock, usual_period_ns
+from kinectbench.doctor.delays import check_color_delay
+from kinectbench.doctor.depth import check_depth, depth_quantiles_m
+from kinectbench.doctor.edges import EdgeFit, check_edges, fit_edges
+from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
+from kinectbench.doctor.ground import camera_heights_m, check_floor
+from kinectbench.doctor.light import check_light
+from kinectbench.doctor.look import Look, take_look
+from kinectbench.doctor.opening import open_anyhow
+from kinectbench.doctor.optics import check_intrinsics
+from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
+from kinectbench.tracking.coverage import covered_arc_rad
+
+# Depth that is no depth: nothing that is computed from it says anything.
+HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
+
+
+def inspect(path: Path, settings: CameraSettings | None = None) -> tuple[Diagnosis, Look | None]:
+    """Look a recording over.
+
+    Args:
+        path: folder or file.
+        settings: of its camera, as under `camera:` in benchmark.yaml.
+
+    Returns:
+        What was found; and what was looked at, None if it cannot be opened.
+    """
+    recording, found = open_anyhow(path, settings)
+    if recording is None:
+        return Diagnosis({"path": str(path), "format": None}, gravest_first(found)), None
+    look = take_look(recording)
+    found += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
+    early = [*check_clock(look), *check_depth(look)]
+    if not any(finding.name == "intrinsics" for finding in found):
+        early += check_intrinsics(look)
+    found += early
+    facts = _facts(look)
+    if look.frames and not HOPELESS & {finding.name for finding in early}:
+        edges, poses, heights_m = fit_edges(look), fit_trajectory(look), camera_heights_m(look)
+        found += _late(look, edges, poses, heights_m)
+        facts |= _late_facts(edges, poses, heights_m)
+    return Diagnosis(facts, gravest_first(found)), look
+
+
+def _late(
+    look: Look, edges: EdgeFit | None, poses: PoseFit | None, heights_m: NDArray[np.float64]
+) -> Iterator[Finding]:
+    """What only depth that is depth can tell."""
+    yield from check_edges(look, edges)
+    yield from check_color_delay(look)
+    yield from check_trajectory(look, poses)
+    yield from check_floor(look, heights_m)
+    yield from check_light(look)
+
+
+def _facts(look: Look) -> dict[str, object]:
+    recording = look.recording
+    depth_ns, color_ns = recording.recorded_stamps_ns
+    period_ns = 0 if look.counts_frames else usual_period_ns(depth_ns)
+    stamps_ns = recording.stamps_ns
+    duration_s = float(stamps_ns[-1] - stamps_ns[0]) / 1e9 if period_ns else None
+    near_m, median_m, far_m = depth_quantiles_m(look).tolist()
+    shares = [float((frame.depth_m > 0).mean()) for frame in look.frames]
+    colors = [frame.bgr.shape for frame in look.whole if frame.bgr is not None]
+    given = recording.given_trajectory
+    return {
+        "path": str(recording.path),
+        "format": recording.format,
+        "frames": len(recording),
+        "frames_looked_at": len(look.frames),
+        "color_images": len(color_ns) or None,
+        "rate_hz": _rounded(1e9 / period_ns, 2) if period_ns else None,
+        "duration_s": None if duration_s is None else _rounded(duration_s, 3),
+        "camera": asdict(recording.camera),
+        "color_size_px": [colors[0][1], colors[0][0]] if colors else None,
+        "color_registered": recording.color_registered,
+        "color_calibrated": recording.color_calibration is not None,
+        "depth_scale": recording.depth_scale,
+        "depth_m": {"p05": _rounded(near_m, 3), "median": _rounded(median_m, 3), "p95": _rounded(far_m, 3)},
+        "valid_share": _rounded(float(np.median(shares)), 3) if shares else None,
+        "poses": None if given is None else len(given.stamps_ns),
+    }
+
+
+def _late_facts(
+    edges: EdgeFit | None, poses: PoseFit | None, heights_m: NDArray[np.float64]
+) -> dict[str, object]:
+    seen = heights_m[np.isfinite(heights_m)]
+    facts: dict[str, object] = {
+        "floor_seen_in": f"{len(seen)} of {len(heights_m)} frames",
+        "camera_height_m": _rounded(float(np.median(seen)), 2) if len(seen) else None,
+        "color_shift_px": edges.shift_px.tolist() if edges and edges.clear else None,
+    }
+    if poses is not None:
+        arc_rad = covered_arc_rad(poses.T_world_camera)
+        facts |= {
+            "poses_read_as": poses.reading.text(),
+            "pose_residual_mm": _rounded(1000 * poses.residual_m, 2),
+            "pose_disagreement": _rounded(poses.best, 3),
+            "arc_deg": None if arc_rad is None else round(math.degrees(arc_rad)),
+        }
+    return facts
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None

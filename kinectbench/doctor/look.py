@@ -1,0 +1,164 @@
+"""A look at a recording: some of its frames, small, and a few whole."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.errors import RecordingError
+from kinectbench.ingest.images import DamagedImageError, image_header
+from kinectbench.ingest.recording import RawFrame, Recording
+from kinectbench.ingest.stamps import NS_PER_S
+
+# A recording with more frames is looked at in runs: a long one in its middle, short ones elsewhere.
+ALL_FRAMES = 250
+LONG_RUN, SHORT_RUN, SHORT_RUNS = 150, 12, 8
+WHOLE_FRAMES = 16
+DEPTH_COLUMNS = 160
+GRAY_COLUMNS = 320
+
+
+@dataclass(frozen=True)
+class SmallFrame:
+    """A frame at low resolution.
+
+    Attributes:
+        index: in the recording.
+        stamp_ns: of depth.
+        depth_m: (height, width) float32, every n-th pixel of every n-th row; 0 = none.
+        gray: (height, width) uint8, about 320 wide, or None.
+        digest: of all its depth.
+    """
+
+    index: int
+    stamp_ns: int
+    depth_m: NDArray[np.float32]
+    gray: NDArray[np.uint8] | None
+    digest: bytes
+
+
+@dataclass(frozen=True)
+class WholeFrame:
+    """A frame as it was recorded.
+
+    Attributes:
+        index: in the recording.
+        depth: (height, width) uint16, native units, 0 = none.
+        bgr: (height, width, 3) uint8, or None.
+    """
+
+    index: int
+    depth: NDArray[np.uint16]
+    bgr: NDArray[np.uint8] | None
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the checks judge.
+
+    Attributes:
+        recording: that was opened.
+        frames: small, in order.
+        whole: some of them, evenly spread.
+        damaged: why frames could not be read, a line each.
+        refused: why frames are of the wrong kind, a line each.
+        depth_step_px: n of the small depth images.
+    """
+
+    recording: Recording
+    frames: tuple[SmallFrame, ...]
+    whole: tuple[WholeFrame, ...]
+    damaged: tuple[str, ...]
+    refused: tuple[str, ...]
+    depth_step_px: int
+
+    @property
+    def where(self) -> str:
+        """The recording's path."""
+        return str(self.recording.path)
+
+    @property
+    def counts_frames(self) -> bool:
+        """Whether the recording has no stamps of its own: they count frames in seconds."""
+        stamps_ns = self.recording.stamps_ns
+        return bool(len(stamps_ns)) and not (stamps_ns % NS_PER_S).any()
+
+    def neighbours(self) -> Iterator[tuple[SmallFrame, SmallFrame]]:
+        """Every two frames that follow each other in the recording."""
+        for first, second in zip(self.frames, self.frames[1:], strict=False):
+            if second.index == first.index + 1:
+                yield first, second
+
+    def longest_run(self) -> tuple[SmallFrame, ...]:
+        """The most frames that follow each other."""
+        indices = np.array([frame.index for frame in self.frames])
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(indices) != 1) + 1, [len(indices)]])
+        longest = int(np.argmax(np.diff(starts))) if len(indices) else 0
+        return self.frames[starts[longest] : starts[longest + 1]] if len(indices) else ()
+
+
+def take_look(recording: Recording) -> Look:
+    """Read some frames of a recording: all of up to 250, or else runs of frames evenly spread."""
+    indices = frames_to_read(len(recording))
+    whole_at = set(indices[np.linspace(0, len(indices) - 1, min(WHOLE_FRAMES, len(indices))).astype(int)])
+    step = max(1, round(recording.camera.width / DEPTH_COLUMNS))
+    frames, whole = [], []
+    damaged: list[str] = []
+    refused: list[str] = []
+    for index in indices.tolist():
+        try:
+            raw = recording.frame(index)
+            bgr = _color(raw) if index in whole_at else None
+            gray = _gray(raw)
+        except DamagedImageError as error:
+            damaged.append(str(error))
+            continue
+        except RecordingError as error:
+            refused.append(str(error))
+            continue
+        depth_m = raw.depth[::step, ::step].astype(np.float32) / np.float32(recording.depth_scale)
+        digest = hashlib.blake2b(np.ascontiguousarray(raw.depth), digest_size=16).digest()
+        frames.append(SmallFrame(index, raw.stamp_ns, depth_m, gray, digest))
+        if index in whole_at:
+            whole.append(WholeFrame(index, raw.depth, bgr))
+    return Look(recording, tuple(frames), tuple(whole), tuple(damaged), tuple(refused), step)
+
+
+def frames_to_read(count: int) -> NDArray[np.int64]:
+    """Indices of the frames that are read of so many, increasing."""
+    if count <= ALL_FRAMES:
+        return np.arange(count)
+    middle = (count - LONG_RUN) // 2
+    starts = np.linspace(0, count - SHORT_RUN, SHORT_RUNS).astype(np.int64)
+    runs = [np.arange(start, start + SHORT_RUN) for start in starts]
+    return np.unique(np.concatenate([*runs, np.arange(middle, middle + LONG_RUN)]))
+
+
+def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
+    """Colour in grey, decoded at a half, a quarter or an eighth of its size."""
+    import cv2
+
+    if raw.color is None:
+        return None
+    _, width, _ = image_header(raw.color[1], f"colour of {raw.name}")
+    flags = (cv2.IMREAD_REDUCED_GRAYSCALE_8, cv2.IMREAD_REDUCED_GRAYSCALE_4, cv2.IMREAD_REDUCED_GRAYSCALE_2)
+    fitting = (flag for flag, by in zip(flags, (8, 4, 2), strict=True) if width >= by * GRAY_COLUMNS)
+    return _decoded(raw, next(fitting, cv2.IMREAD_GRAYSCALE))
+
+
+def _color(raw: RawFrame) -> NDArray[np.uint8] | None:
+    import cv2
+
+    return None if raw.color is None else _decoded(raw, cv2.IMREAD_COLOR)
+
+
+def _decoded(raw: RawFrame, flag: int) -> NDArray[np.uint8]:
+    import cv2
+
+    assert raw.color is not None
+    image = cv2.imdecode(np.frombuffer(raw.color[1], np.uint8), flag)
+    if image is None:
+        raise DamagedImageError(f"colour of {raw.name}: cannot be decoded; the image is damaged")
+    return np.asarray(image, np.uint8)

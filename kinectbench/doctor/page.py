@@ -1,0 +1,79 @@
+"""The contact sheet: what was found beside frames to look at, one file that opens from disk."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from kinectbench.doctor.edges import depth_jumps
+from kinectbench.doctor.finding import Diagnosis
+from kinectbench.doctor.look import Look, WholeFrame
+from kinectbench.report.images import data_uri, depth_picture, shrunk
+from kinectbench.workspace import replaced_file
+
+FRAMES, WIDTH_PX = 8, 320
+EDGE_RGB = (255, 120, 20)
+TONES = {"stops": "bad", "warning": "warn", "note": ""}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of the sheet: index of the frame, what it shows, and the image as an address."""
+
+    index: int
+    what: str
+    uri: str
+
+
+def write_page(diagnosis: Diagnosis, look: Look | None, out: Path) -> None:
+    """Write the page.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    # What recordings say of themselves comes from strangers: all text is escaped but our own style sheet.
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    grave = {found.severity for found in diagnosis.findings}
+    text = environment.from_string(_packaged("kinectbench.doctor", "page.html")).render(
+        title=Path(str(diagnosis.facts["path"])).name or str(diagnosis.facts["path"]),
+        style=Markup(_packaged("kinectbench.report", "page.css")),
+        diagnosis=diagnosis,
+        tones=TONES,
+        tone="bad" if "stops" in grave else "warn" if "warning" in grave else "good",
+        pictures=[] if look is None else list(_pictures(look)),
+    )
+    with replaced_file(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _pictures(look: Look) -> Iterator[Picture]:
+    count = len(look.whole)
+    for index in np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)) if count else ():
+        frame = look.whole[index]
+        if frame.bgr is not None:
+            yield Picture(frame.index, "colour", data_uri(shrunk(frame.bgr[..., ::-1], WIDTH_PX)))
+        yield Picture(frame.index, "depth", data_uri(shrunk(depth_picture(frame.depth), WIDTH_PX)))
+        if frame.bgr is not None:
+            yield Picture(frame.index, "edges", data_uri(_edges(frame, frame.bgr)))
+
+
+def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colour (height, width, 3) RGB at the size of the sheet with the jumps of depth drawn on it."""
+    import cv2
+
+    height, width = frame.depth.shape
+    size = (WIDTH_PX, round(WIDTH_PX * height / width))
+    picture = np.array(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1], np.uint8)
+    picture[depth_jumps(frame.depth, size) > 0] = EDGE_RGB
+    return picture
+
+
+def _packaged(package: str, name: str) -> str:
+    return resources.files(package).joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,171 @@
+"""Checks of a given trajectory: its clock, how its poses are meant, whether they fit the depth, its arc."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_gap_s, on_clock
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.fit import Pair, choose_pairs, pair_disagreement, residual_m
+from kinectbench.doctor.look import Look
+from kinectbench.doctor.readings import Reading, all_readings
+from kinectbench.sequence import GivenTrajectory
+from kinectbench.tracking.coverage import covered_arc_rad
+from kinectbench.tracking.given import poses_at
+
+# Another reading is said to be right only if poses fit so much better by it.
+BETTER = 0.87
+# A reading that changes more must fit better than a simpler one by this.
+SIMPLER = 0.97
+# Pairs of frames that fit by no reading see different things.
+HOPELESS, LEAST_PAIRS = 0.6, 3
+# Poses that fit no better than if the camera had stood still fit badly, if it did not.
+MOVED, NO_BETTER = 0.15, 0.9
+FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
+           1e-3: "milliseconds read as seconds", 1e-6: "microseconds read as seconds",
+           1e-9: "nanoseconds read as seconds"}  # fmt: skip
+POSED_SHARE = 0.9
+SMALL_ARC_DEG = 270.0
+
+
+@dataclass(frozen=True)
+class PoseFit:
+    """What trying the readings showed.
+
+    Attributes:
+        reading: the simplest one that fits well.
+        given, best, still: disagreement of the poses as given, by that reading, and if nothing had moved.
+        residual_m: point to plane by that reading, metres.
+        pairs: of frames, compared.
+        T_world_camera: (m, 4, 4) of the frames looked at that have a pose, by that reading.
+    """
+
+    reading: Reading
+    given: float
+    best: float
+    still: float
+    residual_m: float
+    pairs: tuple[Pair, ...]
+    T_world_camera: NDArray[np.float64]
+
+
+def fit_trajectory(look: Look) -> PoseFit | None:
+    """Try the readings of the given trajectory; None if there is nothing to judge by."""
+    given = look.recording.given_trajectory
+    if given is None or not look.frames:
+        return None
+    moved = on_clock(look, given)
+    poses = poses_at(moved, clock_ns(look, look.frames), longest_gap_s(moved))
+    known = np.isfinite(poses[:, 0, 0])
+    pairs = choose_pairs(look, known)
+    if len(pairs) < LEAST_PAIRS:
+        return None
+    readings = list(all_readings())
+    rows = []
+    for reading in readings:
+        read = np.full_like(poses, np.nan)
+        read[known] = reading.apply(poses[known])
+        rows.append([pair_disagreement(pair, read) for pair in pairs])
+    table = np.array(rows)
+    fitting = table.min(axis=0) < HOPELESS
+    if fitting.sum() < LEAST_PAIRS:
+        return None
+    costs = table[:, fitting].mean(axis=1)
+    chosen = _simplest(readings, costs)
+    usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
+    standing = np.tile(np.eye(4), (len(poses), 1, 1))
+    still = float(np.mean([pair_disagreement(pair, standing) for pair in usable]))
+    read = np.full_like(poses, np.nan)
+    read[known] = readings[chosen].apply(poses[known])
+    return PoseFit(
+        readings[chosen],
+        float(costs[0]),
+        float(costs[chosen]),
+        still,
+        residual_m(usable, read),
+        usable,
+        read[known],
+    )
+
+
+def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
+    """Judge the trajectory that came with a recording."""
+    given = look.recording.given_trajectory
+    if given is None:
+        yield Finding("no_trajectory", "note", "no trajectory: the camera will be tracked", look.where)
+        return
+    stamps_ns = look.recording.stamps_ns
+    if given.stamps_ns[0] > stamps_ns[-1] or given.stamps_ns[-1] < stamps_ns[0]:
+        yield _other_time(look, given, stamps_ns)
+        return
+    inside = (stamps_ns >= given.stamps_ns[0]) & (stamps_ns <= given.stamps_ns[-1])
+    if inside.mean() < POSED_SHARE:
+        what = f"the given trajectory covers the time of {inside.mean():.0%} of the frames only"
+        yield Finding("trajectory_short", "warning", what, look.where, "the others get no pose")
+    if fit is None:
+        what = "too few frames with poses see the same surface: the given trajectory could not be checked"
+        yield Finding("trajectory_unchecked", "note", what, look.where)
+        return
+    yield from _reading(look, fit)
+    yield from check_trajectory_delay(look, given, fit.reading, fit.pairs)
+    yield from _arc(look, fit)
+
+
+def _simplest(readings: list[Reading], costs: NDArray[np.float64]) -> int:
+    """Index of the reading to believe: as given unless another is much better, then the simplest as good."""
+    if costs.min() > BETTER * costs[0]:
+        return 0
+    good = np.flatnonzero(costs * SIMPLER <= costs.min())
+    return int(min(good, key=lambda i: (readings[i].changes, costs[i])))
+
+
+def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]) -> Finding:
+    first_s, last_s = (float(given.stamps_ns[i]) / 1e9 for i in (0, -1))
+    start_s, end_s = (float(stamps_ns[i]) / 1e9 for i in (0, -1))
+    what = (
+        f"the poses ({first_s:.10g} to {last_s:.10g} s) share no time with the frames ({start_s:.10g} to "
+        f"{end_s:.10g} s)"
+    )
+    for factor, said in FACTORS.items():
+        if first_s * factor <= end_s and last_s * factor >= start_s:
+            what = f"{what}: their stamps are {said}"
+            return Finding("trajectory_time_unit", "stops", what, look.where, f"multiply them by {factor:g}")
+    advice = f"give `trajectory_delay_s` ({first_s - start_s:.3f} if both begin together), or remove them"
+    return Finding("trajectory_time", "stops", what, look.where, advice)
+
+
+def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
+    if fit.reading.changes:
+        what = (
+            f"the given poses do not fit the depth as they are, but do if read as: {fit.reading.text()} "
+            f"(residual {1000 * fit.residual_m:.1f} mm)"
+        )
+        only_unit = fit.reading.changes == 1 and fit.reading.unit_m != 1
+        name, advice = "trajectory_reading", "write them anew so, or `trajectory: ignore`"
+        if only_unit:
+            name = "trajectory_or_depth_scale"
+            scale = look.recording.depth_scale / fit.reading.unit_m
+            advice = f"either that, or depth is wrong: `depth_scale: {scale:g}`"
+        if fit.reading.images == "mirrored":
+            name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
+        yield Finding(name, "stops", what, look.where, advice)
+    elif fit.still > MOVED and fit.best > NO_BETTER * fit.still:
+        what = (
+            "the given poses fit the depth no better than if the camera had stood still, by any reading that was "
+            "tried"
+        )
+        advice = "they are of another recording, camera or clock: `trajectory: ignore`"
+        yield Finding("trajectory_wrong", "stops", what, look.where, advice)
+
+
+def _arc(look: Look, fit: PoseFit) -> Iterator[Finding]:
+    arc_rad = covered_arc_rad(fit.T_world_camera)
+    if arc_rad is None:
+        what = "the cameras do not look at one thing: there is no arc around an object"
+        yield Finding("arc", "note", what, look.where, "go round one object for a full shape")
+    elif math.degrees(arc_rad) < SMALL_ARC_DEG:
+        what = f"the cameras see what they look at from an arc of {math.degrees(arc_rad):.0f} degrees"
+        yield Finding("arc", "note", what, look.where, "go round: sides never seen stay unknown")
