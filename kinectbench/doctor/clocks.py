@@ -62,8 +62,8 @@ def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[F
     even = np.abs(periods - np.rint(periods)) <= OFF_PERIOD
     if even.mean() < EVEN_SHARE:
         what = (
-            f"{stream} comes at uneven steps of {forward.min() / 1e6:.0f} to {forward.max() / 1e6:.0f} ms, as "
-            "keyframes do"
+            f"{stream} comes at uneven steps of {forward.min() / 1e6:.0f} to "
+            f"{forward.max() / 1e6:.0f} ms, as keyframes do"
         )
         yield Finding("uneven_rate", "note", what, where)
         return

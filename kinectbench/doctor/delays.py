@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.doctor.edges import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.fit import Pair, disagreement
+from kinectbench.doctor.fit import Pair, disagreement, frames_of
 from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.doctor.readings import Reading
 from kinectbench.ingest.delay import estimate_delay, image_motion
@@ -38,7 +38,7 @@ def check_color_delay(look: Look) -> Iterator[Finding]:
     if delay_ns is None or not _matters(delay_ns, period_ns):
         return
     late, frames = delay_ns / 1e9, delay_ns / period_ns
-    what = f"colour is {_offset(late)} against depth (about {abs(frames):.1f} frames), by the motion that both show"
+    what = f"colour is {_offset(late)} against depth (about {abs(frames):.1f} frames), by what both show"
     advice = f"if both have stamps: `color_delay_s: {late:.3f}`; else pair the images anew"
     yield Finding("color_delay", "warning", what, look.where, advice)
 
@@ -55,7 +55,8 @@ def check_trajectory_delay(
     what = f"the stamps of the given poses are {_offset(delay_ns / 1e9)}: so moved, they fit the depth best"
     advice = f"`trajectory_delay_s: {delay_ns / 1e9:.3f}`"
     if look.counts_frames:
-        what = f"the given poses are {abs(delay_ns) / period_ns:.0f} frames {'late' if delay_ns > 0 else 'early'}"
+        which = "late" if delay_ns > 0 else "early"
+        what = f"the given poses are {abs(delay_ns) / period_ns:.0f} frames {which}"
         advice = "number them anew"
     yield Finding("trajectory_delay", "warning", what, look.where, advice)
 
@@ -75,7 +76,7 @@ def on_clock(look: Look, given: GivenTrajectory) -> GivenTrajectory:
 def trajectory_delay_ns(
     look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
 ) -> int | None:
-    """The delay of the poses' stamps at which they fit the depth best (own rule); None if none is clearly best.
+    """The delay of the poses' stamps at which they fit the depth best (own rule); None: not clear.
 
     Lags up to half a second are tried in steps of 25 ms, on the pairs for which all of them have poses.
     """
@@ -96,7 +97,7 @@ def trajectory_delay_ns(
 
 def _poses(look: Look, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
     """Poses of the frames in pairs at stamps that are later by a lag: (n, 4, 4), NaN for all other frames."""
-    needed = np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
+    needed = frames_of(pairs)
     poses = np.full((len(look.frames), 4, 4), np.nan)
     moved = on_clock(look, given)
     poses[needed] = poses_at(moved, clock_ns(look, look.frames)[needed] + lag_ns, longest_gap_s(moved))
@@ -127,12 +128,11 @@ def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[
 
 
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The lag in frames at which edges of colour coincide best with jumps of depth; registered colour only."""
+    """The lag in frames at which edges of colour coincide best with jumps of depth; for registered colour."""
     edges = [_edges_of(frame) for frame in run]
-    inner = range(EDGE_LAGS, len(run) - EDGE_LAGS)
-    chosen = np.unique(np.linspace(inner.start, inner.stop - 1, EDGE_FRAMES).astype(int)) if inner else []
-    if not len(chosen):
+    if len(run) <= 2 * EDGE_LAGS:
         return None
+    chosen = np.unique(np.linspace(EDGE_LAGS, len(run) - EDGE_LAGS - 1, EDGE_FRAMES).astype(int))
     scores = np.zeros(2 * EDGE_LAGS + 1)
     for index in chosen:
         jumps = depth_jumps(run[index].depth_m, EDGE_SIZE)
@@ -148,7 +148,7 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 def _edges_of(frame: SmallFrame) -> NDArray[np.float64]:
     assert frame.gray is not None
     edges = color_edges(frame.gray, EDGE_SIZE)
-    return edges - edges.mean()
+    return np.asarray(edges - edges.mean())
 
 
 def _matters(delay_ns: float, period_ns: float) -> bool:

@@ -116,7 +116,7 @@ def _codes(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     rest = measured[measured < highest]
     share = 1 - len(rest) / len(measured)
     if share > CODE_SHARE and len(rest) and highest > CODE_BEYOND * float(np.quantile(rest, 0.999)):
-        what = f"{share:.1%} of the measured pixels have the value {highest}: it means none, but is read as depth"
+        what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
         severity = "stops" if share > 0.02 else "warning"
         yield Finding("invalid_code", severity, what, look.where, "write 0 there")  # type: ignore[arg-type]
 
@@ -130,8 +130,8 @@ def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     better = suggested_scale(median)
     severity = "warning" if NEAREST_M <= median / scale <= FARTHEST_M else "stops"
     what = (
-        f"half of the depth is nearer than {median / scale:.3g} m and 95 % nearer than {far / scale:.3g} m at "
-        f"{scale:g} units per metre, which is {'unlikely' if severity == 'warning' else 'no room'}"
+        f"half of the depth is nearer than {median / scale:.3g} m and 95 % nearer than {far / scale:.3g} m "
+        f"at {scale:g} units per metre, which is {'unlikely' if severity == 'warning' else 'no room'}"
     )
     advice = f"with `depth_scale: {better:g}` the median is {median / better:.2f} m"
     yield Finding("depth_scale", severity, what, look.where, advice)  # type: ignore[arg-type]

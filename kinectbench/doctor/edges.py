@@ -112,7 +112,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Size of the gradient of a grey image, limited so that a few strong edges do not decide, at a size (w, h)."""
+    """Gradient of a grey image, limited so that a few strong edges do not decide, at a size (w, h)."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)

@@ -14,7 +14,7 @@ Float64 = NDArray[np.float64]
 ANCHORS = 12
 # A frame is held against the frames so many places after it, if they are among those looked at.
 AHEAD = (1, 4, 12, 40)
-POINT_STEP = 5
+POINT_STEP = 7
 # Farther off than this share of the distance is as wrong as can be.
 WRONG_SHARE = 0.1
 BEYOND_PX = 1e6
@@ -66,16 +66,21 @@ def choose_pairs(look: Look, has_pose: NDArray[np.bool_]) -> tuple[Pair, ...]:
     return tuple(pairs)
 
 
+def frames_of(pairs: Sequence[Pair]) -> NDArray[np.int64]:
+    """The frames in pairs, increasing."""
+    return np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
+
+
 def disagreement(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
-    """How badly poses fit: the mean of `pair_disagreement`, T_world_camera (n, 4, 4) of the frames looked at."""
+    """How badly poses (n, 4, 4) of the frames looked at fit: the mean of `pair_disagreement`."""
     return float(np.mean([pair_disagreement(pair, T_world_camera) for pair in pairs]))
 
 
 def pair_disagreement(pair: Pair, T_world_camera: Float64) -> float:
     """How badly poses fit two frames: 0 to 1, the mean over points of how far off each is (own rule).
 
-    A point is off by the difference of its distance and the one measured at its pixel, as a share of a tenth of
-    the distance, at most 1. Points without a partner count as 1: wrong poses often leave none.
+    A point is off by the difference of its distance and the one measured at its pixel, as a share of a tenth
+    of the distance, at most 1. Points without a partner count as 1: wrong poses often leave none.
 
     Args:
         pair: what is compared.
@@ -108,7 +113,7 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
 def _fall(
     pair: Pair, T_world_camera: Float64
 ) -> tuple[Float64, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Points of the first frame in the second's axes; rows and columns of those in its image; which those are."""
+    """Points of the first frame in the second's axes; rows and columns in its image; which are inside it."""
     T_second_first = invert_rigid(T_world_camera[pair.second]) @ T_world_camera[pair.first]
     points = transform_points(T_second_first, pair.points)
     before = points[:, 2] > 1e-3

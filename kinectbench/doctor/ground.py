@@ -25,7 +25,7 @@ def camera_heights_m(look: Look) -> NDArray[np.float64]:
     A frame's floor is a plane that faces up and has nothing below it, if the camera is held upright.
     """
     count = len(look.frames)
-    indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)) if count else []
+    indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
     camera = small_camera(look)
     return np.array([_height_m(look.frames[i], camera) for i in indices])
 
@@ -53,7 +53,7 @@ def _height_m(frame: SmallFrame, camera: Camera) -> float:
     if len(points) < MIN_POINTS:
         return float("nan")
     # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
-    unit = FOCUS_CAMERA[2] / float(np.median(points[:, 2]))
+    unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
     try:
         floor = find_floor(points * unit, normals, np.eye(4)[None], FOCUS_CAMERA, 0)
     except SegmentationError:
@@ -71,7 +71,7 @@ def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.f
     normals = np.cross(down, across)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = normals / np.where(length > 0, length, np.nan)
-    chosen = np.isfinite(normals).all(axis=-1) & np.isfinite(known).all(axis=-1)
+    chosen = np.isfinite(np.concatenate([normals, known], axis=-1)).all(axis=-1)
     keep = np.zeros_like(chosen)
     keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
     return surface[keep], normals[keep]

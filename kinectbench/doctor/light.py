@@ -62,7 +62,7 @@ def _blur(look: Look) -> Iterator[Finding]:
     )
     blurred = np.flatnonzero(blurs > BLURRED)
     if len(blurred) > MANY_BLURRED * max(int(np.isfinite(blurs).sum()), 1):
-        what = f"{len(blurred)} of {len(blurs)} frames are blurred (less than {1 / BLURRED:.0%} of the usual detail)"
+        what = f"{len(blurred)} of {len(blurs)} frames have under {1 / BLURRED:.0%} of the usual detail: blur"
         yield Finding("blur", "note", what, look.where, "move more slowly, or give it more light")
 
 

@@ -119,7 +119,7 @@ def take_look(recording: Recording) -> Look:
             refused.append(str(error))
             continue
         depth_m = raw.depth[::step, ::step].astype(np.float32) / np.float32(recording.depth_scale)
-        digest = hashlib.blake2b(np.ascontiguousarray(raw.depth), digest_size=16).digest()
+        digest = hashlib.blake2b(raw.depth.tobytes(), digest_size=16).digest()
         frames.append(SmallFrame(index, raw.stamp_ns, depth_m, gray, digest))
         if index in whole_at:
             whole.append(WholeFrame(index, raw.depth, bgr))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_gap_s, on_clock
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.fit import Pair, choose_pairs, pair_disagreement, residual_m
+from kinectbench.doctor.fit import Pair, choose_pairs, frames_of, pair_disagreement, residual_m
 from kinectbench.doctor.look import Look
 from kinectbench.doctor.readings import Reading, all_readings
 from kinectbench.sequence import GivenTrajectory
@@ -63,11 +63,11 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     pairs = choose_pairs(look, known)
     if len(pairs) < LEAST_PAIRS:
         return None
-    readings = list(all_readings())
+    readings, needed = list(all_readings()), frames_of(pairs)
     rows = []
     for reading in readings:
         read = np.full_like(poses, np.nan)
-        read[known] = reading.apply(poses[known])
+        read[needed] = reading.apply(poses[needed])
         rows.append([pair_disagreement(pair, read) for pair in pairs])
     table = np.array(rows)
     fitting = table.min(axis=0) < HOPELESS
@@ -154,8 +154,8 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
         yield Finding(name, "stops", what, look.where, advice)
     elif fit.still > MOVED and fit.best > NO_BETTER * fit.still:
         what = (
-            "the given poses fit the depth no better than if the camera had stood still, by any reading that was "
-            "tried"
+            "the given poses fit the depth no better than if the camera had stood still, by any reading that "
+            "was tried"
         )
         advice = "they are of another recording, camera or clock: `trajectory: ignore`"
         yield Finding("trajectory_wrong", "stops", what, look.where, advice)
