@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
 from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults
 from kinectbench.ingest.stamps import NS_PER_S
@@ -53,8 +53,11 @@ def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[F
     faults = find_stamp_faults(stamps_ns)
     where = f"{look.where}: {stream}"
     yield from _order(faults, stream, where)
-    period_ns = usual_period_ns(stamps_ns)
-    steps = np.diff(stamps_ns)
+    if faults.resets:
+        return
+    ordered_ns = np.unique(stamps_ns)
+    period_ns = usual_period_ns(ordered_ns)
+    steps = np.diff(ordered_ns)
     forward = steps[(steps > 0) & (steps < max(10 * period_ns, NS_PER_S))]
     if not period_ns or not len(forward):
         return
@@ -68,13 +71,13 @@ def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[F
         yield Finding("uneven_rate", "note", what, where)
         return
     dropped = int((np.rint(periods) - 1).sum())
-    share = dropped / (dropped + len(stamps_ns))
+    share = dropped / (dropped + len(ordered_ns))
     if share > 0:
-        severity, advice = ("warning", REGROUP) if share > DROPPED_SHARE else ("note", "")
+        many = share > DROPPED_SHARE
         pattern = np.rint(periods).astype(int)
         every = f", one after every {_regular(pattern)} frames" if _regular(pattern) else ""
         what = f"{dropped} {stream} frames are missing ({share:.1%}){every}"
-        yield Finding("dropped_frames", severity, what, where, advice)  # type: ignore[arg-type]
+        yield Finding("dropped_frames", "warning" if many else "note", what, where, REGROUP if many else "")
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
@@ -116,8 +119,8 @@ def _doubled(look: Look) -> Iterator[Finding]:
             f"such as frame {doubled[0].index}"
         )
         advice = "the driver delivered them twice: record at the camera's own rate, or remove them"
-        severity = "warning" if share > DOUBLED_SHARE else "note"
-        yield Finding("doubled_frames", severity, what, look.where, advice)  # type: ignore[arg-type]
+        severity: Severity = "warning" if share > DOUBLED_SHARE else "note"
+        yield Finding("doubled_frames", severity, what, look.where, advice)
 
 
 def _partners(look: Look) -> Iterator[Finding]:

@@ -16,7 +16,7 @@ from kinectbench.tracking.given import poses_at
 
 # Recordings that count their frames in seconds are taken to have this rate.
 ASSUMED_HZ = 30
-# Less is told apart badly, and hardly matters: 60 ms, or so many frames.
+# Less is told apart badly, and hardly matters: 60 ms, and of colour so many frames.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
 LEAST_CORRELATION = 0.6
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 25_000_000)
@@ -35,7 +35,7 @@ def check_color_delay(look: Look) -> Iterator[Finding]:
     stamps_ns = clock_ns(look, run)
     period_ns = float(np.median(np.diff(stamps_ns)))
     delay_ns = _color_delay_ns(look, run, stamps_ns)
-    if delay_ns is None or not _matters(delay_ns, period_ns):
+    if delay_ns is None or abs(delay_ns) < max(LEAST_NS, LEAST_PERIODS * period_ns):
         return
     late, frames = delay_ns / 1e9, delay_ns / period_ns
     what = f"colour is {_offset(late)} against depth (about {abs(frames):.1f} frames), by what both show"
@@ -47,16 +47,14 @@ def check_trajectory_delay(
     look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
 ) -> Iterator[Finding]:
     """Whether given poses fit the depth better at other times."""
-    stamps_ns = clock_ns(look, look.frames)
-    period_ns = float(np.median(np.diff(stamps_ns)))
     delay_ns = trajectory_delay_ns(look, given, reading, pairs)
-    if delay_ns is None or not _matters(delay_ns, period_ns):
+    if delay_ns is None or abs(delay_ns) < LEAST_NS:
         return
     what = f"the stamps of the given poses are {_offset(delay_ns / 1e9)}: so moved, they fit the depth best"
     advice = f"`trajectory_delay_s: {delay_ns / 1e9:.3f}`"
     if look.counts_frames:
         which = "late" if delay_ns > 0 else "early"
-        what = f"the given poses are {abs(delay_ns) / period_ns:.0f} frames {which}"
+        what = f"the given poses are {abs(delay_ns) * ASSUMED_HZ / 1e9:.0f} frames {which}"
         advice = "number them anew"
     yield Finding("trajectory_delay", "warning", what, look.where, advice)
 
@@ -149,10 +147,6 @@ def _edges_of(frame: SmallFrame) -> NDArray[np.float64]:
     assert frame.gray is not None
     edges = color_edges(frame.gray, EDGE_SIZE)
     return np.asarray(edges - edges.mean())
-
-
-def _matters(delay_ns: float, period_ns: float) -> bool:
-    return abs(delay_ns) > max(LEAST_NS, LEAST_PERIODS * period_ns)
 
 
 def _offset(late_s: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
 from kinectbench.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
 
@@ -59,6 +59,11 @@ def _measured(look: Look) -> NDArray[np.uint16]:
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
 
+def is_likely(median_m: float, far_m: float) -> bool:
+    """Whether depth of this median and 95 % quantile, metres, may be that of a room."""
+    return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
+
+
 def suggested_scale(native: float) -> float:
     """The usual depth scale with which a median depth in native units is most like a room's."""
     return min(COMMON_SCALES, key=lambda scale: abs(math.log(native / scale / TYPICAL_M)))
@@ -71,8 +76,8 @@ def _readable(look: Look) -> Iterator[Finding]:
     if look.damaged:
         share = len(look.damaged) / count
         what = f"{len(look.damaged)} of {count} frames looked at are damaged; the first: {look.damaged[0]}"
-        severity = "stops" if share >= HARMLESS_DAMAGE else "warning"
-        yield Finding("damaged_frames", severity, what, look.where, "copy or export them again")  # type: ignore[arg-type]
+        severity: Severity = "stops" if share >= HARMLESS_DAMAGE else "warning"
+        yield Finding("damaged_frames", severity, what, look.where, "copy or export them again")
     sizes = {frame.depth.shape for frame in look.whole}
     if len(sizes) > 1:
         shown = " and ".join(f"{width}x{height}" for height, width in sorted(sizes))
@@ -117,24 +122,23 @@ def _codes(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     share = 1 - len(rest) / len(measured)
     if share > CODE_SHARE and len(rest) and highest > CODE_BEYOND * float(np.quantile(rest, 0.999)):
         what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
-        severity = "stops" if share > 0.02 else "warning"
-        yield Finding("invalid_code", severity, what, look.where, "write 0 there")  # type: ignore[arg-type]
+        severity: Severity = "stops" if share > 0.02 else "warning"
+        yield Finding("invalid_code", severity, what, look.where, "write 0 there")
 
 
 def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     scale = look.recording.depth_scale
     median, far = (float(each) for each in np.quantile(measured, [0.5, 0.95]))
-    likely = LIKELY_MEDIAN_M[0] <= median / scale <= LIKELY_MEDIAN_M[1] and far / scale <= LIKELY_FAR_M
-    if likely:
+    if is_likely(median / scale, far / scale):
         return
     better = suggested_scale(median)
-    severity = "warning" if NEAREST_M <= median / scale <= FARTHEST_M else "stops"
+    severity: Severity = "warning" if NEAREST_M <= median / scale <= FARTHEST_M else "stops"
     what = (
         f"half of the depth is nearer than {median / scale:.3g} m and 95 % nearer than {far / scale:.3g} m "
         f"at {scale:g} units per metre, which is {'unlikely' if severity == 'warning' else 'no room'}"
     )
     advice = f"with `depth_scale: {better:g}` the median is {median / better:.2f} m"
-    yield Finding("depth_scale", severity, what, look.where, advice)  # type: ignore[arg-type]
+    yield Finding("depth_scale", severity, what, look.where, advice)
 
 
 def _valid(look: Look) -> Iterator[Finding]:

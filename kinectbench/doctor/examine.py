@@ -48,7 +48,10 @@ def inspect(path: Path, settings: CameraSettings | None = None) -> tuple[Diagnos
     facts = _facts(look)
     if look.frames and not HOPELESS & {finding.name for finding in early}:
         edges, poses, heights_m = fit_edges(look), fit_trajectory(look), camera_heights_m(look)
-        found += _late(look, edges, poses, heights_m)
+        late = list(_late(look, edges, poses, heights_m))
+        # Poses do not fit depth that is wrong: only the cause is said.
+        explained = any(finding.severity == "stops" for finding in found)
+        found += [finding for finding in late if not (explained and finding.name == "trajectory_wrong")]
         facts |= _late_facts(edges, poses, heights_m)
     return Diagnosis(facts, gravest_first(found)), look
 
@@ -57,8 +60,11 @@ def _late(
     look: Look, edges: EdgeFit | None, poses: PoseFit | None, heights_m: NDArray[np.float64]
 ) -> Iterator[Finding]:
     """What only depth that is depth can tell."""
-    yield from check_edges(look, edges)
-    yield from check_color_delay(look)
+    of_color = list(check_edges(look, edges))
+    yield from of_color
+    # Edges that lie elsewhere say nothing of when they were seen.
+    if not any(finding.severity == "warning" for finding in of_color):
+        yield from check_color_delay(look)
     yield from check_trajectory(look, poses)
     yield from check_floor(look, heights_m)
     yield from check_light(look)

@@ -11,6 +11,8 @@ NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
 # A principal point farther from the middle, as a share of width or height, is not that of a whole image.
 OFF_CENTRE = 0.15
 SAME_RATIO = 0.08
+USUAL_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
+NEARLY = 0.04
 MAX_ASPECT = 1.1
 
 
@@ -23,11 +25,13 @@ def check_intrinsics(look: Look) -> Iterator[Finding]:
     advice = "give those of the depth images under `camera:`"
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
     if off > OFF_CENTRE and abs(across / down - 1) < SAME_RATIO:
+        ratio = min(USUAL_RATIOS, key=lambda usual: abs(usual / across - 1))
+        ratio = ratio if abs(ratio / across - 1) < NEARLY else across
         what = (
-            f"the intrinsics ({shown}) are those of {camera.width / across:.0f}x{camera.height / down:.0f} "
+            f"the intrinsics ({shown}) are those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
             f"images, but depth is {size}"
         )
-        yield Finding("intrinsics_resolution", "stops", what, look.where, f"multiply them by {across:.3g}")
+        yield Finding("intrinsics_resolution", "stops", what, look.where, f"multiply them by {ratio:.3g}")
         return
     if off > OFF_CENTRE:
         what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"

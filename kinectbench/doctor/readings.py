@@ -27,7 +27,7 @@ SAID_AXES = {
     "robot": "robot axes (x forward, z up)",
 }
 IMAGES: dict[str, Float64] = {"upright": np.eye(3), "mirrored": np.diag([-1.0, 1.0, 1.0])}
-UNITS = (1.0, 0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
+OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 
 
 @dataclass(frozen=True)
@@ -83,15 +83,24 @@ class Reading:
         return np.asarray(mirror @ T @ mirror)
 
 
-def all_readings() -> Iterator[Reading]:
-    """Every reading that is tried, "as given" first."""
-    for unit_m in UNITS:
-        for inverse in (False, True):
-            for wxyz in (False, True):
-                for axes in AXES:
-                    yield Reading(inverse, axes, wxyz, "upright", unit_m)
+def likely_readings() -> Iterator[Reading]:
+    """The readings that are tried first, "as given" before all."""
+    yield from _of_unit(1.0)
+    yield from (Reading(unit_m=unit_m) for unit_m in OTHER_UNITS)
+    yield from (Reading(inverse, images="mirrored") for inverse in (False, True))
+
+
+def further_readings() -> Iterator[Reading]:
+    """The readings that are tried where none of the likely ones fits."""
+    for unit_m in OTHER_UNITS:
+        yield from (reading for reading in _of_unit(unit_m) if reading.changes > 1)
+
+
+def _of_unit(unit_m: float) -> Iterator[Reading]:
     for inverse in (False, True):
-        yield Reading(inverse, images="mirrored")
+        for wxyz in (False, True):
+            for axes in AXES:
+                yield Reading(inverse, axes, wxyz, "upright", unit_m)
 
 
 def _rolled(pose: Float64) -> Float64:

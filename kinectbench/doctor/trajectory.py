@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_gap_s, on_clock
+from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.fit import Pair, choose_pairs, frames_of, pair_disagreement, residual_m
 from kinectbench.doctor.look import Look
-from kinectbench.doctor.readings import Reading, all_readings
+from kinectbench.doctor.readings import Reading, further_readings, likely_readings
 from kinectbench.sequence import GivenTrajectory
 from kinectbench.tracking.coverage import covered_arc_rad
 from kinectbench.tracking.given import poses_at
@@ -22,6 +23,8 @@ BETTER = 0.87
 SIMPLER = 0.97
 # Pairs of frames that fit by no reading see different things.
 HOPELESS, LEAST_PAIRS = 0.6, 3
+# If none of the likely readings fits so much better than standing still, further ones are tried.
+CLEARLY_BETTER = 0.8
 # Poses that fit no better than if the camera had stood still fit badly, if it did not.
 MOVED, NO_BETTER = 0.15, 0.9
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
@@ -63,32 +66,43 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     pairs = choose_pairs(look, known)
     if len(pairs) < LEAST_PAIRS:
         return None
-    readings, needed = list(all_readings()), frames_of(pairs)
-    rows = []
-    for reading in readings:
-        read = np.full_like(poses, np.nan)
-        read[needed] = reading.apply(poses[needed])
-        rows.append([pair_disagreement(pair, read) for pair in pairs])
-    table = np.array(rows)
+    standing = np.tile(np.eye(4), (len(poses), 1, 1))
+    unmoved = np.array([pair_disagreement(pair, standing) for pair in pairs])
+    readings = list(likely_readings())
+    table = _disagreements(readings, pairs, poses)
+    if table.mean(axis=1).min() > CLEARLY_BETTER * unmoved.mean():
+        further = list(further_readings())
+        table = np.concatenate([table, _disagreements(further, pairs, poses)])
+        readings += further
     fitting = table.min(axis=0) < HOPELESS
     if fitting.sum() < LEAST_PAIRS:
         return None
     costs = table[:, fitting].mean(axis=1)
     chosen = _simplest(readings, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
-    standing = np.tile(np.eye(4), (len(poses), 1, 1))
-    still = float(np.mean([pair_disagreement(pair, standing) for pair in usable]))
     read = np.full_like(poses, np.nan)
     read[known] = readings[chosen].apply(poses[known])
     return PoseFit(
-        readings[chosen],
-        float(costs[0]),
-        float(costs[chosen]),
-        still,
-        residual_m(usable, read),
-        usable,
-        read[known],
+        reading=readings[chosen],
+        given=float(costs[0]),
+        best=float(costs[chosen]),
+        still=float(unmoved[fitting].mean()),
+        residual_m=residual_m(usable, read),
+        pairs=usable,
+        T_world_camera=read[known],
     )
+
+
+def _disagreements(
+    readings: list[Reading], pairs: tuple[Pair, ...], poses: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(readings, pairs)."""
+    needed, rows = frames_of(pairs), []
+    for reading in readings:
+        read = np.full_like(poses, np.nan)
+        read[needed] = reading.apply(poses[needed])
+        rows.append([pair_disagreement(pair, read) for pair in pairs])
+    return np.array(rows)
 
 
 def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
@@ -143,12 +157,13 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
             f"the given poses do not fit the depth as they are, but do if read as: {fit.reading.text()} "
             f"(residual {1000 * fit.residual_m:.1f} mm)"
         )
-        only_unit = fit.reading.changes == 1 and fit.reading.unit_m != 1
         name, advice = "trajectory_reading", "write them anew so, or `trajectory: ignore`"
-        if only_unit:
-            name = "trajectory_or_depth_scale"
-            scale = look.recording.depth_scale / fit.reading.unit_m
-            advice = f"either that, or depth is wrong: `depth_scale: {scale:g}`"
+        if fit.reading.changes == 1 and fit.reading.unit_m != 1:
+            _, median_m, far_m = depth_quantiles_m(look).tolist()
+            scale = look.recording.depth_scale * fit.reading.unit_m
+            name, advice = "depth_scale", f"or else depth is in another unit: `depth_scale: {scale:g}`"
+            if is_likely(median_m, far_m):
+                name, advice = "trajectory_scale", "write the poses in metres"
         if fit.reading.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
         yield Finding(name, "stops", what, look.where, advice)

@@ -29,7 +29,9 @@ def change_rows(name: str, change: Callable[[Rows], Rows]) -> Callable[[Path], N
     return lambda folder: write_rows(folder, name, change(rows_of(folder, name)))
 
 
-def change_images(name: str, change: Callable[[NDArray[np.generic]], NDArray[np.generic]]) -> Callable[[Path], None]:
+def change_images(
+    name: str, change: Callable[[NDArray[np.generic]], NDArray[np.generic]]
+) -> Callable[[Path], None]:
     def mutate(folder: Path) -> None:
         for _, file in rows_of(folder, name):
             image = cv2.imread(str(folder / file), cv2.IMREAD_UNCHANGED)
@@ -43,7 +45,9 @@ def change_camera(**factors: float) -> Callable[[Path], None]:
     def mutate(folder: Path) -> None:
         file = folder / "camera.json"
         said = json.loads(file.read_text())
-        file.write_text(json.dumps({k: v * factors.get(k, 1) for k, v in said.items() if not isinstance(v, bool)}))
+        file.write_text(
+            json.dumps({k: v * factors.get(k, 1) for k, v in said.items() if not isinstance(v, bool)})
+        )
 
     return mutate
 
@@ -80,6 +84,12 @@ def _to_8_bit(depth: NDArray[np.generic]) -> NDArray[np.generic]:
     return np.rint(depth.astype(float) / 100).clip(0, 255).astype(np.uint8)
 
 
+def _doubled_values(depth: NDArray[np.generic]) -> NDArray[np.generic]:
+    """10000 units a metre; farther than 6.5 m there is none."""
+    twice = depth.astype(np.uint32) * 2
+    return np.where(twice > 65000, 0, twice).astype(np.uint16)
+
+
 def _other_scene(folder: Path) -> None:
     _, file = rows_of(folder, "depth")[20]
     depth = cv2.imread(str(folder / file), cv2.IMREAD_UNCHANGED)
@@ -111,6 +121,13 @@ def _reset(rows: Rows) -> Rows:
     return [*rows[:half], *([repr(float(row[0]) - 1000), *row[1:]] for row in rows[half:])]
 
 
+def _cut_off(folder: Path) -> None:
+    for _, file in rows_of(folder, "depth")[::4]:
+        data = (folder / file).read_bytes()
+        (folder / file).unlink()
+        (folder / file).write_bytes(data[:-100])
+
+
 def _every(rows: Rows, keep: Callable[[int], bool]) -> Rows:
     return [row for i, row in enumerate(rows) if keep(i)]
 
@@ -118,56 +135,102 @@ def _every(rows: Rows, keep: Callable[[int], bool]) -> Rows:
 DROP = change_rows("depth", lambda rows: _every(rows, lambda i: i % 3 != 2))
 # name -> (what makes it wrong, the finding that names it, words of that finding)
 WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
-    "scale x 10 in the images": (
-        change_images("depth", lambda d: np.minimum(d.astype(np.uint32) * 10, 65000).astype(np.uint16)),
-        "depth_scale", ""),
+    "millimetres x 10 in the images": (
+        _all(change_images("depth", _doubled_values), change_camera(depth_scale=0.2)),
+        "depth_scale",
+        "depth_scale: 10000",
+    ),
     "scale x 10": (change_camera(depth_scale=0.1), "depth_scale", "depth_scale: 5000"),
     "scale / 10": (change_camera(depth_scale=10), "depth_scale", "depth_scale: 5000"),
-    "millimetres read as 1/5000 m": (change_camera(depth_scale=5), "trajectory_or_depth_scale", "depth_scale: 5000"),
-    "poses in millimetres": (change_poses(lambda T: _scaled(T, 1000)), "trajectory_or_depth_scale", "0.001 times"),
+    "millimetres read as 1/5000 m": (change_camera(depth_scale=5), "depth_scale", "depth_scale: 5000"),
+    "poses in millimetres": (change_poses(lambda T: _scaled(T, 1000)), "trajectory_scale", "0.001 times"),
     "inverse trajectory": (change_poses(invert_rigid), "trajectory_reading", "inverse"),
     "OpenGL axes": (change_poses(lambda T: T @ rigid(FLIP, np.zeros(3))), "trajectory_reading", "OpenGL"),
     "inverse and OpenGL": (
-        change_poses(lambda T: invert_rigid(T @ rigid(FLIP, np.zeros(3)))), "trajectory_reading", "inverse), OpenGL"),
+        change_poses(lambda T: invert_rigid(T @ rigid(FLIP, np.zeros(3)))),
+        "trajectory_reading",
+        "inverse), OpenGL",
+    ),
     "wxyz quaternions": (
-        change_rows("groundtruth", lambda rows: [_wxyz(row) for row in rows]), "trajectory_reading", "w x y z"),
+        change_rows("groundtruth", lambda rows: [_wxyz(row) for row in rows]),
+        "trajectory_reading",
+        "w x y z",
+    ),
     "half-resolution intrinsics": (
-        change_camera(fx=0.5, fy=0.5, cx=0.5, cy=0.5, width=1), "intrinsics_resolution", "multiply them by 2"),
+        change_camera(fx=0.5, fy=0.5, cx=0.5, cy=0.5, width=1),
+        "intrinsics_resolution",
+        "multiply them by 2",
+    ),
     "intrinsics of twice the size": (
-        change_camera(fx=2, fy=2, cx=2, cy=2), "intrinsics", "another image size"),
-    "intrinsics with their own other size": (change_camera(width=2, height=2), "intrinsics", "the intrinsics are for"),
+        change_camera(fx=2, fy=2, cx=2, cy=2),
+        "intrinsics_resolution",
+        "multiply them by 0.5",
+    ),
+    "intrinsics with their own other size": (
+        change_camera(width=2, height=2),
+        "intrinsics",
+        "the intrinsics are for",
+    ),
     "no intrinsics": (lambda folder: (folder / "camera.json").unlink(), "intrinsics", "does not say"),
     "poses 200 ms late": (stamps("groundtruth", lambda t: t + 0.2), "trajectory_delay", "late"),
-    "colour three frames late": (change_rows("rgb", lambda rows: _frames_late(rows, 3)), "color_delay", "late"),
+    "colour three frames late": (
+        change_rows("rgb", lambda rows: _frames_late(rows, 3)),
+        "color_delay",
+        "late",
+    ),
     "poses of an hour ago": (stamps("groundtruth", lambda t: t - 3600), "trajectory_time", "share no time"),
-    "swapped byte order": (change_images("depth", lambda d: d.astype(np.uint16).byteswap()), "byte_order", ""),
+    "poses' seconds taken as nanoseconds": (
+        stamps("groundtruth", lambda t: t * 1e-9),
+        "trajectory_time_unit",
+        "seconds read as nanoseconds",
+    ),
+    "swapped byte order": (
+        change_images("depth", lambda d: d.astype(np.uint16).byteswap()),
+        "byte_order",
+        "",
+    ),
     "8-bit depth": (change_images("depth", _to_8_bit), "depth_format", "8-bit"),
     "8 bits in 16": (
-        change_images("depth", lambda d: _to_8_bit(d).astype(np.uint16) * 100), "depth_8_bit", "different values"),
+        change_images("depth", lambda d: _to_8_bit(d).astype(np.uint16) * 100),
+        "depth_8_bit",
+        "different values",
+    ),
     "65535 for none": (
-        change_images("depth", lambda d: np.where(d == 0, 65535, d).astype(np.uint16)), "invalid_code", "65535"),
+        change_images("depth", lambda d: np.where(d == 0, 65535, d).astype(np.uint16)),
+        "invalid_code",
+        "65535",
+    ),
     "every third frame dropped": (DROP, "dropped_frames", "one after every 2"),
     "doubled frames": (change_rows("depth", _doubled), "doubled_frames", "the frame before"),
     "a frame of another scene": (_other_scene, "odd_frames", "frame 20"),
     "mirrored images": (
         _all(change_images("depth", lambda d: d[:, ::-1]), change_images("rgb", lambda c: c[:, ::-1])),
-        "mirrored_images", "mirrored"),
+        "mirrored_images",
+        "mirrored",
+    ),
     "mirrored colour": (change_images("rgb", lambda c: c[:, ::-1]), "color_mirrored", ""),
     "colour beside depth": (change_images("rgb", _moved_colour), "color_not_registered", "right"),
     "colour of another clock": (stamps("rgb", lambda t: t + 5000), "color_unpaired", "5000"),
     "stamps of poses in nanoseconds": (
-        stamps("groundtruth", lambda t: round(t * 1e9)), "unreadable", "not a time stamp in seconds"),
+        stamps("groundtruth", lambda t: round(t * 1e9)),
+        "unreadable",
+        "not a time stamp in seconds",
+    ),
     "stamps of poses in milliseconds": (
-        stamps("groundtruth", lambda t: round(t * 1e3)), "unreadable", "time stamp"),
+        stamps("groundtruth", lambda t: round(t * 1e3)),
+        "unreadable",
+        "time stamp",
+    ),
     "time running backwards": (
-        change_rows("depth", lambda rows: [*rows[:9], rows[10], rows[9], *rows[11:]]), "time_backwards", "1 depth"),
+        change_rows("depth", lambda rows: [*rows[:9], rows[10], rows[9], *rows[11:]]),
+        "time_backwards",
+        "1 depth",
+    ),
     "a clock that begins anew": (change_rows("depth", _reset), "clock_reset", "begins anew"),
     "an empty list": (change_rows("depth", lambda rows: []), "unreadable", "lists no images"),
     "empty depth": (change_images("depth", lambda d: d * 0), "no_depth", ""),
-    "quarter of the depth images cut off": (
-        lambda folder: [(folder / file).write_bytes((folder / file).read_bytes()[:-100])  # type: ignore[func-returns-value]
-                        for _, file in rows_of(folder, "depth")[::4]], "damaged_frames", "cut off"),
-}  # fmt: skip
+    "quarter of the depth images cut off": (_cut_off, "damaged_frames", "cut off"),
+}
 
 
 def make_wrong(right: Path, name: str, folder: Path) -> Path:

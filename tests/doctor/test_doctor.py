@@ -1,0 +1,125 @@
+"""The doctor on the sample recordings, which are right, and on copies of them with one thing wrong."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_benchmark import Run
+from wrong_recordings import WRONG, make_wrong, rows_of
+
+from kinectbench.config import CameraSettings
+from kinectbench.doctor import Finding, inspect
+from kinectbench.doctor.finding import Diagnosis, gravest_first
+from kinectbench.doctor.look import frames_to_read
+
+sys.path.append(str(Path(__file__).parents[1] / "ingest"))
+from ingest_writers import BagWriter
+
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+CHAIR = RECORDINGS / "chair_01"
+
+
+def names(diagnosis: Diagnosis) -> list[str]:
+    return [found.name for found in diagnosis.findings]
+
+
+@pytest.mark.parametrize("name", ["chair_01", "table_01.bag"])
+def test_no_alarm_on_the_samples(name: str) -> None:
+    diagnosis, look = inspect(RECORDINGS / name)
+    assert diagnosis.findings == () and diagnosis.verdict == "usable"
+    assert look is not None and len(look.frames) == diagnosis.facts["frames"] == 72
+    assert diagnosis.facts["rate_hz"] == pytest.approx(5.0, abs=0.01)
+    assert diagnosis.facts["poses_read_as"] == "as given"
+    assert diagnosis.facts["arc_deg"] > 300  # type: ignore[operator]
+    assert diagnosis.facts["pose_residual_mm"] < 5  # type: ignore[operator]
+
+
+def test_camera_height_is_that_of_the_truth() -> None:
+    rows = np.array([[float(word) for word in row] for row in rows_of(CHAIR, "groundtruth")])
+    truth = json.loads((RECORDINGS / "chair_01.truth/floor.json").read_text())
+    plane = np.array(truth["plane_world"])
+    heights_m = rows[:, 1:4] @ plane[:3] + plane[3]
+    diagnosis, _ = inspect(CHAIR)
+    assert diagnosis.facts["camera_height_m"] == pytest.approx(np.median(heights_m), abs=0.15)
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_named(name: str, tmp_path: Path) -> None:
+    _, finding, words = WRONG[name]
+    diagnosis, _ = inspect(make_wrong(CHAIR, name, tmp_path / "wrong"))
+    said = [f"{found.what}; {found.advice}" for found in diagnosis.findings if found.name == finding]
+    assert said and any(words in text for text in said), diagnosis.findings
+    assert diagnosis.verdict != "usable"
+    assert all("\n" not in found.what for found in diagnosis.findings)
+
+
+def write_bag(path: Path, cameras: tuple[str, ...], info: bool) -> Path:
+    said = json.loads((CHAIR / "camera.json").read_text())
+    with BagWriter(path) as bag:
+        for index, (stamp, file) in enumerate(rows_of(CHAIR, "depth")[:12]):
+            stamp_ns = int(stamp.replace(".", "")) * 1000
+            depth = cv2.imread(str(CHAIR / file), cv2.IMREAD_UNCHANGED) // 5
+            for place, name in enumerate(cameras):
+                if index < 12 - place:
+                    bag.image(f"/{name}/depth/image_raw", stamp_ns, depth, "16UC1", frame_id=name)
+                    if info:
+                        bag.info(f"/{name}/depth/camera_info", stamp_ns, said, frame_id=name)
+    return path
+
+
+def test_two_cameras_in_one_bag(tmp_path: Path) -> None:
+    diagnosis, _ = inspect(write_bag(tmp_path / "two.bag", ("left", "right"), info=True))
+    said = [found.what for found in diagnosis.findings if found.name == "reader"]
+    assert any("depth is read from /left/depth/image_raw, not from /right/depth" in text for text in said)
+
+
+def test_no_camera_info(tmp_path: Path) -> None:
+    diagnosis, look = inspect(write_bag(tmp_path / "bare.bag", ("camera",), info=False))
+    assert names(diagnosis)[0] == "intrinsics" and "does not say" in diagnosis.findings[0].what
+    # All else is judged all the same.
+    assert look is not None and diagnosis.facts["frames"] == 12
+    settings = CameraSettings(fx=262.5, fy=262.5, cx=159.5, cy=119.5)
+    assert "intrinsics" not in names(inspect(tmp_path / "bare.bag", settings)[0])
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00" * 100, b"#ROSBAG V2.0\n" + b"\xff" * 200, b"text\n"])
+def test_what_is_no_recording_is_said_in_one_line(content: bytes, tmp_path: Path) -> None:
+    for path in (tmp_path / "missing", tmp_path / "file.bag", tmp_path):
+        (tmp_path / "file.bag").write_bytes(content)
+        diagnosis, look = inspect(path)
+        assert look is None and names(diagnosis) == ["unreadable"] and diagnosis.stops
+
+
+def test_frames_are_read_evenly() -> None:
+    assert frames_to_read(7).tolist() == list(range(7))
+    for count in (251, 1000, 30_000):
+        indices = frames_to_read(count)
+        assert len(indices) <= 250 and (np.diff(indices) > 0).all()
+        assert indices[0] == 0 and indices[-1] == count - 1
+        runs = np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1)
+        assert max(map(len, runs)) >= 150  # long enough to find delays
+
+
+def test_the_gravest_comes_first_and_decides() -> None:
+    found = [Finding("a", "note", "", ""), Finding("b", "warning", "", ""), Finding("c", "stops", "", "")]
+    assert [f.name for f in gravest_first([*found, found[0]])] == ["c", "b", "a"]
+    assert Diagnosis({}, gravest_first(found)).verdict == "not usable as it is: c"
+    assert Diagnosis({}, tuple(found[:2])).verdict == "usable with care: b"
+    assert Diagnosis({}, tuple(found[:1])).verdict == "usable"
+
+
+def test_the_command(command: Callable[..., Run], tmp_path: Path) -> None:
+    right = command(tmp_path, "inspect", str(CHAIR), "--page", "sheet.html")
+    assert right.status == 0 and right.out.splitlines()[-2] == "verdict: usable"
+    page = (tmp_path / "sheet.html").read_text()
+    assert page.count("data:image/jpeg") == 24 and "http" not in page.replace("http-equiv", "")
+    wrong = command(tmp_path, "inspect", str(CHAIR), "--json", "--set", "depth_scale=500")
+    said = json.loads(wrong.out)
+    assert wrong.status == 1 and said["verdict"].startswith("not usable") and said["depth_scale"] == 500
+    assert said["findings"][0]["name"] == "depth_scale" and "5000" in said["findings"][0]["advice"]
+    unknown = command(tmp_path, "inspect", str(CHAIR), "--set", "fz=1")
+    assert unknown.status == 2 and "fz: unknown" in unknown.err
