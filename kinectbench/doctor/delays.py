@@ -19,7 +19,7 @@ ASSUMED_HZ = 30
 # Less is told apart badly, and hardly matters: 60 ms, and of colour so many frames.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
 LEAST_CORRELATION = 0.6
-LAGS_NS = np.arange(-500_000_000, 500_000_001, 25_000_000)
+LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
 # Poses that are moved in time must fit this much better before it is said.
 BETTER = 0.93
 EDGE_FRAMES, EDGE_LAGS, EDGE_SIZE = 40, 12, (160, 120)
@@ -76,7 +76,7 @@ def trajectory_delay_ns(
 ) -> int | None:
     """The delay of the poses' stamps at which they fit the depth best (own rule); None: not clear.
 
-    Lags up to half a second are tried in steps of 25 ms, on the pairs for which all of them have poses.
+    Lags up to half a second are tried in steps of 50 ms, on the pairs for which all of them have poses.
     """
     poses = [_poses(look, given, pairs, int(lag)) for lag in LAGS_NS]
     posed = np.all([np.isfinite(each[:, 0, 0]) for each in poses], axis=0)

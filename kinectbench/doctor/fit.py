@@ -17,7 +17,7 @@ AHEAD = (1, 4, 12, 40)
 POINT_STEP = 7
 # Farther off than this share of the distance is as wrong as can be.
 WRONG_SHARE = 0.1
-BEYOND_PX = 1e6
+NEAREST_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -116,12 +116,14 @@ def _fall(
     """Points of the first frame in the second's axes; rows and columns in its image; which are inside it."""
     T_second_first = invert_rigid(T_world_camera[pair.second]) @ T_world_camera[pair.first]
     points = transform_points(T_second_first, pair.points)
-    before = points[:, 2] > 1e-3
-    pixels = np.full((len(points), 2), -1.0)
-    pixels[before] = np.clip(pair.camera.project(points[before]), -BEYOND_PX, BEYOND_PX)
-    u, v = np.rint(pixels).astype(np.int64).T
-    inside = before & (u >= 0) & (v >= 0) & (u < pair.camera.width) & (v < pair.camera.height)
-    return points, v[inside], u[inside], inside
+    camera, z = pair.camera, np.maximum(points[:, 2], NEAREST_M)
+    u = camera.fx * points[:, 0] / z + camera.cx
+    v = camera.fy * points[:, 1] / z + camera.cy
+    inside = (
+        (points[:, 2] > NEAREST_M) & (u >= 0) & (v >= 0) & (u < camera.width - 1) & (v < camera.height - 1)
+    )
+    rows, columns = (np.rint(each[inside]).astype(np.int64) for each in (v, u))
+    return points, rows, columns, inside
 
 
 def _normals(surface: Float64, depth_m: NDArray[np.float32]) -> Float64:

@@ -11,7 +11,7 @@ from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import Camera
 
-FRAMES, STEP_PX = 8, 2
+FRAMES, STEP_PX = 6, 4
 FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
 # Of a person's camera above the floor, metres.
 LOWEST_M, HIGHEST_M = 0.25, 2.5
@@ -62,7 +62,7 @@ def _height_m(frame: SmallFrame, camera: Camera) -> float:
 
 
 def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every second pixel."""
+    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel."""
     surface = camera.backproject(depth_m)
     known = np.where((depth_m > 0)[..., None], surface, np.nan)
     across, down = np.full(surface.shape, np.nan), np.full(surface.shape, np.nan)

@@ -70,11 +70,12 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     unmoved = np.array([pair_disagreement(pair, standing) for pair in pairs])
     readings = list(likely_readings())
     table = _disagreements(readings, pairs, poses)
-    if table.mean(axis=1).min() > CLEARLY_BETTER * unmoved.mean():
+    fitting = table.min(axis=0) < HOPELESS
+    if not fitting.any() or table[:, fitting].mean(axis=1).min() > CLEARLY_BETTER * unmoved[fitting].mean():
         further = list(further_readings())
         table = np.concatenate([table, _disagreements(further, pairs, poses)])
         readings += further
-    fitting = table.min(axis=0) < HOPELESS
+        fitting = table.min(axis=0) < HOPELESS
     if fitting.sum() < LEAST_PAIRS:
         return None
     costs = table[:, fitting].mean(axis=1)
