@@ -64,10 +64,13 @@ class Stage:
 
 
 def _ingest(job: Job, folder: Path, progress: Progress) -> None:
+    from kinectbench.doctor.hopeless import refuse_hopeless
     from kinectbench.ingest.registry import open_recording
     from kinectbench.ingest.sequence_folder import write_sequence
 
-    write_sequence(open_recording(job.source, job.recording.camera), folder, progress)
+    recording = open_recording(job.source, job.recording.camera)
+    refuse_hopeless(recording)
+    write_sequence(recording, folder, progress)
 
 
 def _track(job: Job, folder: Path, progress: Progress) -> None:

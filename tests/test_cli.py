@@ -18,7 +18,7 @@ pytestmark = pytest.mark.xdist_group("commands")
 
 Command = Callable[..., Run]
 METHODS = ("empty", "hull")
-COMMANDS = (*STAGES, "publish", "verify", "check", "baseline", "score", "report", "simulate", "init")
+COMMANDS = (*STAGES, "publish", "verify", "check", "baseline", "score", "report", "simulate", "init", "inspect")
 
 
 @pytest.mark.parametrize("name", ["", *COMMANDS])

@@ -18,7 +18,7 @@ SMOOTHER = 5.0
 # A highest value this frequent, and this far beyond all others, is a code.
 CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 # Levels of 8 bits, evenly spaced: a Kinect has as few in a small room, but they lie wider with distance.
-FEW_LEVELS, EVEN_LEVELS = 256, 300
+FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
 VALID_SHARE = 0.35
 HARMLESS_DAMAGE = 0.05
@@ -109,7 +109,9 @@ def _roughness(depth: NDArray[np.uint16]) -> float:
 def _levels(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     levels = np.unique(measured)
     spacing = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
-    even = (float(levels[-1]) - float(levels[0])) / spacing <= EVEN_LEVELS
+    # A flat scene has few levels too, one unit apart.
+    coarse = spacing >= LEAST_SPACING or levels[-1] < FEW_LEVELS
+    even = coarse and (float(levels[-1]) - float(levels[0])) / spacing <= EVEN_LEVELS
     if even and len(levels) <= FEW_LEVELS and len(measured) > 100 * len(levels):
         what = f"depth has only {len(levels)} different values: it went through 8 bits, as a picture of depth"
         yield Finding("depth_8_bit", "stops", what, look.where, "export the raw 16-bit depth")

@@ -15,7 +15,7 @@ REACH_PX = 24
 # Shifts are in pixels of images 320 wide.
 OFF_PX = 4.0
 # The best place must stand out of all places by so many of their standard deviations.
-CLEAR = 4.0
+CLEAR = 5.0
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
 
 

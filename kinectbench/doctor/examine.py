@@ -50,7 +50,7 @@ def inspect(path: Path, settings: CameraSettings | None = None) -> tuple[Diagnos
         edges, poses, heights_m = fit_edges(look), fit_trajectory(look), camera_heights_m(look)
         late = list(_late(look, edges, poses, heights_m))
         # Poses do not fit depth that is wrong: only the cause is said.
-        explained = any(finding.severity == "stops" for finding in found)
+        explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
         found += [finding for finding in late if not (explained and finding.name == "trajectory_wrong")]
         facts |= _late_facts(edges, poses, heights_m)
     return Diagnosis(facts, gravest_first(found)), look

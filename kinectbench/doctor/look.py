@@ -15,7 +15,7 @@ from kinectbench.ingest.stamps import NS_PER_S
 # A recording with more frames is looked at in runs: a long one in its middle, short ones elsewhere.
 ALL_FRAMES = 250
 LONG_RUN, SHORT_RUN, SHORT_RUNS = 150, 12, 8
-WHOLE_FRAMES = 16
+WHOLE_FRAMES, FEW_FRAMES = 16, 8
 DEPTH_COLUMNS = 160
 GRAY_COLUMNS = 320
 
@@ -99,9 +99,12 @@ class Look:
         return self.frames[starts[longest] : starts[longest + 1]] if len(indices) else ()
 
 
-def take_look(recording: Recording) -> Look:
-    """Read some frames of a recording: all of up to 250, or else runs of frames evenly spread."""
-    indices = frames_to_read(len(recording))
+def take_look(recording: Recording, few: bool = False) -> Look:
+    """Read some frames of a recording: all of up to 250, or else runs of frames; or only eight."""
+    count = len(recording)
+    indices = (
+        np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)
+    )
     whole_at = set(indices[np.linspace(0, len(indices) - 1, min(WHOLE_FRAMES, len(indices))).astype(int)])
     step = max(1, round(recording.camera.width / DEPTH_COLUMNS))
     frames, whole = [], []

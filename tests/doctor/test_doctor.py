@@ -14,7 +14,10 @@ from wrong_recordings import WRONG, make_wrong, rows_of
 from kinectbench.config import CameraSettings
 from kinectbench.doctor import Finding, inspect
 from kinectbench.doctor.finding import Diagnosis, gravest_first
+from kinectbench.doctor.hopeless import refuse_hopeless
 from kinectbench.doctor.look import frames_to_read
+from kinectbench.errors import RecordingError
+from kinectbench.ingest.registry import open_recording
 
 sys.path.append(str(Path(__file__).parents[1] / "ingest"))
 from ingest_writers import BagWriter
@@ -123,3 +126,14 @@ def test_the_command(command: Callable[..., Run], tmp_path: Path) -> None:
     assert said["findings"][0]["name"] == "depth_scale" and "5000" in said["findings"][0]["advice"]
     unknown = command(tmp_path, "inspect", str(CHAIR), "--set", "fz=1")
     assert unknown.status == 2 and "fz: unknown" in unknown.err
+
+
+@pytest.mark.parametrize("name", ["swapped byte order", "65535 for none", "half-resolution intrinsics"])
+def test_a_build_does_not_begin_with_it(name: str, tmp_path: Path, command: Callable[..., Run]) -> None:
+    refuse_hopeless(open_recording(CHAIR))
+    with pytest.raises(RecordingError, match=f"{WRONG[name][2]}.*kinectbench inspect"):
+        refuse_hopeless(open_recording(make_wrong(CHAIR, name, tmp_path / "wrong")))
+    yaml = "name: x\nrecordings: [{id: a, path: wrong, category: chair}]\n"
+    (tmp_path / "benchmark.yaml").write_text(yaml)
+    built = command(tmp_path, "build", "--jobs", "1")
+    assert built.status == 1 and len(built.err.splitlines()) == 1 and "kinectbench inspect" in built.err

@@ -45,6 +45,8 @@ def change_camera(**factors: float) -> Callable[[Path], None]:
     def mutate(folder: Path) -> None:
         file = folder / "camera.json"
         said = json.loads(file.read_text())
+        if "depth_factor" in said:
+            said["depth_scale"] = said.pop("depth_factor")
         file.write_text(
             json.dumps({k: v * factors.get(k, 1) for k, v in said.items() if not isinstance(v, bool)})
         )
