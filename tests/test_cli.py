@@ -18,7 +18,18 @@ pytestmark = pytest.mark.xdist_group("commands")
 
 Command = Callable[..., Run]
 METHODS = ("empty", "hull")
-COMMANDS = (*STAGES, "publish", "verify", "check", "baseline", "score", "report", "simulate", "init", "inspect")
+COMMANDS = (
+    *STAGES,
+    "publish",
+    "verify",
+    "check",
+    "baseline",
+    "score",
+    "report",
+    "simulate",
+    "init",
+    "inspect",
+)
 
 
 @pytest.mark.parametrize("name", ["", *COMMANDS])

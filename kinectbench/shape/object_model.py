@@ -87,10 +87,7 @@ def build_object(
     together = merge(*halves)
     excluded = chosen.excluded(grid, given_box)
     cut_layers = max(1, round(segmentation.floor_cut_m / fusion.voxel_size_m))
-    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
-    away_m = np.linalg.norm(trajectory.T_world_camera[frames, :3, 3] - middle_world, axis=1)
-    pixel_m = float(np.median(away_m)) / sequence.camera.fx
-    whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers, pixel_m) for o in (together, *halves))
+    whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
     quality = measure_quality(
         chosen, (whole, odd, even), sigma_m, witness(sequence, trajectory, scene, chosen)

@@ -43,13 +43,15 @@ HOLLOW_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32(0.02), np.float32(0.01)
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
 # Logistic fit, over voxels near the true surface, of being inside against the signed distance (in voxels, no
-# more than three) and the share of frames that saw through the voxel. Wide pixels see through a surface's
-# own voxels: the share counts in full up to the first width (in voxels), and by this part from the second on.
+# more than three) and the share of frames that saw through the voxel.
 CLIPPED_VOXELS = 3.0
 LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 8.0, 0.1
 # Through a surface that faces them so many frames seem to see, by their noise.
 FREE_BY_NOISE = 0.05
-NARROW_PIXEL, WIDE_PIXEL, PART_WHERE_WIDE = 0.9, 1.1, 0.45
+# Where pixels are wide or poses are off, frames seem to see through any surface. By the share that sees
+# through half of the well measured surface, what frames saw through counts in full, in part, or not at all.
+AT_SURFACE_VOXELS = 0.6
+USUALLY_SEEN_THROUGH, TRUST_IN_VOTES = [0.08, 0.11, 0.17], [1.0, 0.45, 0.0]
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
@@ -65,8 +67,7 @@ METHOD = {
     "clipped_voxels": CLIPPED_VOXELS,
     "free_by_noise": FREE_BY_NOISE,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
-    "logit_pixel_widths": [NARROW_PIXEL, WIDE_PIXEL],
-    "logit_part_where_wide": PART_WHERE_WIDE,
+    "logit_trust": [USUALLY_SEEN_THROUGH, TRUST_IN_VOTES],
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
 
@@ -113,9 +114,7 @@ class _Evidence:
     contact: slice
 
 
-def solidify(
-    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, pixel_m: float = 0.0
-) -> SolidShape:
+def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> SolidShape:
     """Decide for every voxel whether it is occupied, and how that is known.
 
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
@@ -129,12 +128,11 @@ def solidify(
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
         floor_layers: cells along z below the floor.
         cut_layers: cells along z above it that count as floor.
-        pixel_m: width of a depth pixel at the object, metres; 0 = narrow.
 
     Raises:
         ShapeError: nothing is left.
     """
-    evidence = _weigh(observation, excluded, floor_layers, cut_layers, pixel_m)
+    evidence = _weigh(observation, excluded, floor_layers, cut_layers)
     solid = (evidence.behind & ~excluded) | (
         evidence.unseen & ~evidence.shadow & (evidence.enclosed >= ENCLOSED)
     )
@@ -154,19 +152,19 @@ def solidify(
     return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
 
 
-def _weigh(
-    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, pixel_m: float
-) -> _Evidence:
+def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> _Evidence:
     """Carving and enclosure."""
     voxel_m = observation.grid.voxel_size_m
     near = np.abs(observation.tsdf) < voxel_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed = observation.weight > least
-    signed_m = _corrected(observation, pixel_m)
+    contact = slice(floor_layers, floor_layers + cut_layers)
+    candidate = ~excluded
+    candidate[:, :, : contact.stop] = False
+    signed_m = _corrected(observation, candidate)
     carved = np.where(observed, signed_m > 0, observation.free >= MIN_FREE_VOTES)
     behind = observed & ~carved
-    contact = slice(floor_layers, floor_layers + cut_layers)
 
     state = np.full(observation.grid.shape, UNSEEN, np.uint8)
     state[behind] = INSIDE
@@ -186,7 +184,7 @@ def _weigh(
     )
 
 
-def _corrected(observation: Observation, pixel_m: float) -> NDArray[np.float32]:
+def _corrected(observation: Observation, candidate: Bools) -> NDArray[np.float32]:
     """The signed distance at which being inside is as likely as not is 0, metres.
 
     The mean of projective distances makes thin parts thick: where some frames see the surface and others
@@ -197,10 +195,22 @@ def _corrected(observation: Observation, pixel_m: float) -> NDArray[np.float32]:
     votes = observation.free.astype(np.float32) + observation.surface
     seen_through = observation.free / np.maximum(votes, np.float32(1))
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
-    told = np.interp(pixel_m / voxel_m, [NARROW_PIXEL, WIDE_PIXEL], [1, PART_WHERE_WIDE])
+    trust = _trust_in_votes(observation, seen_through, candidate)
     through = np.maximum(seen_through - np.float32(FREE_BY_NOISE), np.float32(0))
-    shift = (told * LOGIT_PER_FREE * through - LOGIT) / LOGIT_PER_VOXEL
+    shift = (trust * LOGIT_PER_FREE * through - LOGIT) / LOGIT_PER_VOXEL
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
+
+
+def _trust_in_votes(
+    observation: Observation, seen_through: NDArray[np.float32], candidate: Bools
+) -> np.float32:
+    """What part of the votes is believed: less, the more frames see through what was measured well."""
+    near = candidate & (observation.weight > 0)
+    near &= np.abs(observation.tsdf) < AT_SURFACE_VOXELS * observation.grid.voxel_size_m
+    if not near.any():
+        return np.float32(0)
+    well = near & (observation.weight >= np.median(observation.weight[near]))
+    return np.float32(np.interp(np.median(seen_through[well]), USUALLY_SEEN_THROUGH, TRUST_IN_VOTES))
 
 
 def _label(

@@ -234,17 +234,22 @@ def test_sigma_without_a_common_surface():
 
 
 @pytest.mark.parametrize(
-    ("pixel_voxels", "expected_voxels"),
-    # Log odds of being inside, one voxel behind the surface, where one frame of four saw through.
-    [
-        (0.5, (8 * 0.2 - 1.4 - 0.1) / 1.4),
-        (1.0, (8 * 0.2 * 0.725 - 1.4 - 0.1) / 1.4),
-        (1.5, (8 * 0.2 * 0.45 - 1.4 - 0.1) / 1.4),
-    ],
+    ("usual_votes", "trust"),
+    # Of 100 frames so many see through the surface; then 25 % more than by noise count that much.
+    [(6, 1.0), (11, 0.45), (14, 0.225), (30, 0.0)],
 )
-def test_frames_that_saw_through_move_the_surface(pixel_voxels: float, expected_voxels: float) -> None:
+def test_frames_that_saw_through_move_the_surface(usual_votes: int, trust: float) -> None:
     every = np.full(SHAPE, 1.0, np.float32)
-    one, three = (np.full(SHAPE, votes, np.uint16) for votes in (1, 3))
-    seen = Observation(GRID, -np.float32(VOXEL_M) * every, every, free=one, surface=three)
-    moved_m = _corrected(seen, pixel_voxels * VOXEL_M)
-    np.testing.assert_allclose(moved_m, expected_voxels * VOXEL_M, rtol=1e-5)
+    free = np.full(SHAPE, usual_votes, np.uint16)
+    free[0, 0, 0] = 30
+    seen = Observation(GRID, -np.float32(0.25 * VOXEL_M) * every, every, free=free, surface=100 - free)
+    moved_m = _corrected(seen, np.ones(SHAPE, bool))
+    expected_voxels = -0.25 + (8 * trust * (0.30 - 0.05) - 0.1) / 1.4
+    np.testing.assert_allclose(moved_m[0, 0, 0], expected_voxels * VOXEL_M, rtol=1e-4)
+
+
+def test_without_a_surface_nothing_is_seen_through():
+    every = np.full(SHAPE, 1.0, np.float32)
+    votes = np.full(SHAPE, 50, np.uint16)
+    seen = Observation(GRID, np.float32(VOXEL_M) * every, every, free=votes, surface=votes)
+    np.testing.assert_allclose(_corrected(seen, np.ones(SHAPE, bool)), VOXEL_M * (1 - 0.1 / 1.4), rtol=1e-5)
