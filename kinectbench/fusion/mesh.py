@@ -45,7 +45,7 @@ def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = 
 
 
 def without_fringe(
-    tsdf: NDArray[np.float32], votes: NDArray[np.uint32], voxel_size_m: float
+    tsdf: NDArray[np.float32], votes: NDArray[np.uint32], voxel_size_m: float, trust: float = 1.0
 ) -> NDArray[np.float32]:
     """The TSDF, raised where more frames saw through than a surface there explains (own rule).
 
@@ -57,16 +57,17 @@ def without_fringe(
         tsdf: signed distances, metres, positive in front of the surface.
         votes: of the same shape, as in `BlockVolume`.
         voxel_size_m: edge of a voxel.
+        trust: what part of the votes is believed, `trust_in_votes`.
     """
     free = (votes & 0xFFFF).astype(np.float32)
     share = free / np.maximum(free + (votes >> 16), np.float32(1))
     in_front = np.maximum(tsdf, np.float32(0)) / np.float32(voxel_size_m)
     excess = share - np.float32(USUAL_FREE_SHARE) - np.float32(USUAL_FREE_SHARE_PER_VOXEL) * in_front
-    step = np.float32(VOXELS_PER_FREE_SHARE * voxel_size_m)
+    step = np.float32(trust * VOXELS_PER_FREE_SHARE * voxel_size_m)
     return np.asarray(tsdf + step * np.maximum(excess, np.float32(0)), np.float32)
 
 
-def extract_mesh(volume: BlockVolume, min_weight: float) -> TriangleMesh:
+def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> TriangleMesh:
     """The zero surface of a block volume in the world, brick by brick, joined without seams.
 
     It is that of the TSDF `without_fringe`.
@@ -74,6 +75,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float) -> TriangleMesh:
     Args:
         volume: fused blocks.
         min_weight: voxels of less weight (1/mm^2) count as not observed.
+        trust: what part of the votes is believed, `trust_in_votes`.
     """
     bricks = np.unique(volume.blocks // BRICK_BLOCKS, axis=0)
     parts, offset = [], 0
@@ -85,7 +87,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float) -> TriangleMesh:
         tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         votes = volume.dense(volume.votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        part = isosurface(without_fringe(tsdf, votes, volume.voxel_size_m), weight > min_weight)
+        part = isosurface(without_fringe(tsdf, votes, volume.voxel_size_m, trust), weight > min_weight)
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinectbench.errors import ShapeError
 from kinectbench.fusion.mesh import isosurface
 from kinectbench.fusion.reconstruction import Observation
+from kinectbench.fusion.vote_trust import TRUST_IN_VOTES, USUALLY_SEEN_THROUGH, trust_in_votes
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import (
     EMPTY_BESIDE,
@@ -48,10 +49,6 @@ CLIPPED_VOXELS = 3.0
 LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 8.0, 0.1
 # Through a surface that faces them so many frames seem to see, by their noise.
 FREE_BY_NOISE = 0.05
-# Where pixels are wide or poses are off, frames seem to see through any surface. By the share that sees
-# through half of the well measured surface, what frames saw through counts in full, in part, or not at all.
-AT_SURFACE_VOXELS = 0.6
-USUALLY_SEEN_THROUGH, TRUST_IN_VOTES = [0.08, 0.11, 0.17], [1.0, 0.45, 0.0]
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
@@ -195,22 +192,11 @@ def _corrected(observation: Observation, candidate: Bools) -> NDArray[np.float32
     votes = observation.free.astype(np.float32) + observation.surface
     seen_through = observation.free / np.maximum(votes, np.float32(1))
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
-    trust = _trust_in_votes(observation, seen_through, candidate)
+    weight = np.where(candidate, observation.weight, np.float32(0))
+    trust = trust_in_votes(observation.tsdf, weight, seen_through, observation.grid.voxel_size_m)
     through = np.maximum(seen_through - np.float32(FREE_BY_NOISE), np.float32(0))
-    shift = (trust * LOGIT_PER_FREE * through - LOGIT) / LOGIT_PER_VOXEL
+    shift = (np.float32(trust * LOGIT_PER_FREE) * through - LOGIT) / LOGIT_PER_VOXEL
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
-
-
-def _trust_in_votes(
-    observation: Observation, seen_through: NDArray[np.float32], candidate: Bools
-) -> np.float32:
-    """What part of the votes is believed: less, the more frames see through what was measured well."""
-    near = candidate & (observation.weight > 0)
-    near &= np.abs(observation.tsdf) < AT_SURFACE_VOXELS * observation.grid.voxel_size_m
-    if not near.any():
-        return np.float32(0)
-    well = near & (observation.weight >= np.median(observation.weight[near]))
-    return np.float32(np.interp(np.median(seen_through[well]), USUALLY_SEEN_THROUGH, TRUST_IN_VOTES))
 
 
 def _label(

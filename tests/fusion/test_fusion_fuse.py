@@ -23,6 +23,7 @@ from analytic_scenes import (
 from kinectbench.config import FusionSettings
 from kinectbench.errors import TrackingError
 from kinectbench.fusion import fuse
+from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.reconstruction import merge, observe
 from kinectbench.fusion.reconstruction_folder import write_reconstruction
 from kinectbench.geometry import Grid, rigid, rotation_from_quaternion_xyzw
@@ -108,7 +109,8 @@ def test_slats_are_no_thicker_than_they_are():
     half = np.array([0.2, 0.02, 0.01])
     centers = np.array([[0, 0, -0.04], [0, 0, 0.04]])
     boxes = [box(tuple(c - half), tuple(c + half)) for c in centers]
-    mesh = fuse(*scene_of(boxes, ring(24, 0.9, elevations_rad=(0.2, -0.3, 0.8, -0.9))), SETTINGS).mesh
+    fused = fuse(*scene_of(boxes, ring(24, 0.9, elevations_rad=(0.2, -0.3, 0.8, -0.9))), SETTINGS)
+    mesh = extract_mesh(fused.volume, min_weight=0.01, trust=1.0)
     nearest = np.where(mesh.vertices[:, 2:] < 0, centers[0], centers[1])
     beyond_m = np.abs(mesh.vertices - nearest) - half
     outside_mm = 1000 * np.linalg.norm(np.maximum(beyond_m, 0), axis=1)
