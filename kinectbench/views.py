@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from kinectbench.alignment import UNCHECKED_SIGMA_M, Alignment, align_view
 from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.geometry import Camera
 from kinectbench.segmentation.masks import object_mask, override_mask, stray_masks
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.sequence import Sequence
@@ -102,7 +101,7 @@ def sample_views(
         )
         T_world_camera = alignment.T_world_camera
         rendered_m = renderer.depth_m(sequence.camera, T_world_camera)
-        heights_m = _heights_m(depth_m, sequence.camera, model.floor.T_floor_world @ T_world_camera)
+        heights_m = model.floor.heights_m(depth_m, sequence.camera, T_world_camera)
         mask = object_mask(depth_m, rendered_m, heights_m, segmentation.mask_tolerance_m)
         fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
         reason = refusal(fit, settings, pairs)
@@ -124,16 +123,6 @@ def sample_views(
     if masks is not None:
         warnings += stray_masks(masks, [view.name for view in views])
     return Views(views, refused, warnings)
-
-
-def _heights_m(
-    depth_m: NDArray[np.float32], camera: Camera, T_floor_camera: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    """Height of each pixel's point above the floor, metres; (height, width) float32."""
-    up = T_floor_camera[2]
-    across = up[0] * (np.arange(camera.width) - camera.cx) / camera.fx
-    down = up[1] * (np.arange(camera.height) - camera.cy) / camera.fy
-    return np.asarray(depth_m * (across[None] + down[:, None] + up[2]) + up[3], np.float32)
 
 
 def _health_figures(row: Mapping[str, Any]) -> tuple[float | None, float | None]:

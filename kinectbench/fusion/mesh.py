@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
+from kinectbench.fusion.vote_trust import seen_through_share
 from kinectbench.geometry import TriangleMesh, transform_points
 
 BRICK_BLOCKS = 16
@@ -59,8 +60,7 @@ def without_fringe(
         voxel_size_m: edge of a voxel.
         trust: what part of the votes is believed, `trust_in_votes`.
     """
-    free = (votes & 0xFFFF).astype(np.float32)
-    share = free / np.maximum(free + (votes >> 16), np.float32(1))
+    share = seen_through_share(votes & 0xFFFF, votes >> 16)
     in_front = np.maximum(tsdf, np.float32(0)) / np.float32(voxel_size_m)
     excess = share - np.float32(USUAL_FREE_SHARE) - np.float32(USUAL_FREE_SHARE_PER_VOXEL) * in_front
     step = np.float32(trust * VOXELS_PER_FREE_SHARE * voxel_size_m)

@@ -21,7 +21,7 @@ from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.pixel_weights import MAX_SLANT
 from kinectbench.fusion.visible_blocks import cubes_near_surface
-from kinectbench.fusion.vote_trust import trust_in_votes
+from kinectbench.fusion.vote_trust import seen_through_share, trust_in_votes
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
@@ -89,7 +89,7 @@ def fuse(
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
     near = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
     least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[near])) if near.any() else 0.0
-    seen_through = volume.free / np.maximum(volume.free.astype(np.float32) + volume.surface, 1)
+    seen_through = seen_through_share(volume.free, volume.surface)
     trust = trust_in_votes(volume.tsdf, volume.weight, seen_through, voxel_size_m)
     mesh = extract_mesh(volume, min_weight=least, trust=trust)
     return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))

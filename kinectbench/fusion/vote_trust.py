@@ -10,6 +10,17 @@ AT_SURFACE_VOXELS = 0.6
 USUALLY_SEEN_THROUGH, TRUST_IN_VOTES = [0.08, 0.11, 0.17], [1.0, 0.45, 0.0]
 
 
+def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Of the frames with a vote on each voxel, the share that saw through it; 0 without votes.
+
+    Args:
+        free: votes for `free`.
+        surface: votes for `surface`, of the same shape.
+    """
+    through = free.astype(np.float32)
+    return np.asarray(through / np.maximum(through + surface, np.float32(1)), np.float32)
+
+
 def trust_in_votes(
     tsdf: NDArray[np.float32],
     weight: NDArray[np.float32],
@@ -23,7 +34,7 @@ def trust_in_votes(
     Args:
         tsdf: signed distances of voxels, metres.
         weight: of the same shape; voxels without weight do not count.
-        seen_through: of the same shape, share of the frames with a vote that saw through.
+        seen_through: of the same shape, `seen_through_share`.
         voxel_size_m: edge of a voxel.
 
     Returns:

@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
-from kinectbench.geometry import Camera
 from kinectbench.ingest.images import JPEG_MAGIC, DamagedImageError, decode_color_bgr, encode_png
 from kinectbench.ingest.intrinsics import Intrinsics
-from kinectbench.ingest.recording import ColorCalibration, RawFrame, Recording
+from kinectbench.ingest.recording import RawFrame, Recording
 from kinectbench.ingest.stamps import first_by_stamp
-from kinectbench.sequence import GivenTrajectory
 
 COUNT, HEAD = struct.Struct("<i"), struct.Struct("<qii")
 DEPTH_SCALE = 1000.0
@@ -41,7 +39,7 @@ class KlgFrame(NamedTuple):
     color_bytes: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KlgRecording(Recording):
     """An ElasticFusion log; colour is registered to depth, as ElasticFusion requires it.
 
@@ -53,16 +51,9 @@ class KlgRecording(Recording):
     format: ClassVar[str] = "klg"
     looks_for: ClassVar[str] = "a .klg file of ElasticFusion"
 
-    path: Path
     places: tuple[KlgFrame, ...]
     recorded: tuple[int, ...]
     swap_red_blue: bool
-    camera: Camera
-    depth_scale: float
-    color_registered: bool
-    color_calibration: ColorCalibration | None
-    given_trajectory: GivenTrajectory | None
-    warnings: tuple[str, ...]
 
     @classmethod
     def recognises(cls, path: Path) -> bool:

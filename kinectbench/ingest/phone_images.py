@@ -14,7 +14,7 @@ from kinectbench.ingest.recording import FileRecording, read_image_file
 COLOR_PX = (1920, 1440)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PhoneRecording(FileRecording):
     """Images of a phone: colour is brought to the size of depth, and depth of low confidence left out.
 

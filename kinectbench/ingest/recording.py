@@ -67,6 +67,7 @@ class ColorCalibration:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
 class Recording(ABC):
     """A recording that was opened: its camera is known, its frames are read when asked for.
 
@@ -91,9 +92,9 @@ class Recording(ABC):
     camera: Camera
     depth_scale: float
     color_registered: bool
-    color_calibration: ColorCalibration | None
-    given_trajectory: GivenTrajectory | None
-    warnings: tuple[str, ...]
+    color_calibration: ColorCalibration | None = None
+    given_trajectory: GivenTrajectory | None = None
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     @abstractmethod
@@ -161,18 +162,11 @@ class FrameFiles:
     mask: Path | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FileRecording(Recording):
     """A recording whose every image is a file; the folder formats derive from it."""
 
-    path: Path
     files: tuple[FrameFiles, ...]
-    camera: Camera
-    depth_scale: float
-    color_registered: bool
-    given_trajectory: GivenTrajectory | None
-    warnings: tuple[str, ...]
-    color_calibration: ColorCalibration | None = None
     # Stamps of depth and of colour in the order of their lists, where the format has lists.
     recorded: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 

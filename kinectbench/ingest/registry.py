@@ -95,7 +95,7 @@ def _with_delay(recording: Recording, delay_ns: int) -> Recording:
     if given is None or not delay_ns:
         return recording
     moved = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
-    return replace(recording, given_trajectory=moved)  # type: ignore[type-var]
+    return replace(recording, given_trajectory=moved)
 
 
 def _walk(folder: Path) -> Iterator[Path]:

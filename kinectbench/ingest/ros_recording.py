@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
-from kinectbench.geometry import Camera
 from kinectbench.ingest.association import associate
 from kinectbench.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
 from kinectbench.ingest.recording import ColorCalibration, RawFrame, Recording
@@ -36,13 +35,12 @@ from kinectbench.ingest.ros_topics import (
 from kinectbench.ingest.ros_transforms import TransformTree, read_transforms
 from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp
 from kinectbench.ingest.undistortion import Undistortion
-from kinectbench.sequence import GivenTrajectory
 
 COLOR_WORDS = ("rgb", "color", "colour")
 NO_SETTINGS = CameraSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RosRecording(Recording):
     """A ROS bag; integer depth is taken as millimetres, float depth as metres.
 
@@ -61,19 +59,12 @@ class RosRecording(Recording):
     # Images of one frame_id share their pixels.
     frame_ids_tell: ClassVar[bool] = True
 
-    path: Path
     depth: ImageTopic
     color_topic: ImageTopic | None
     pairs: tuple[tuple[int, int | None], ...]
     float_units_per_m: float
     undistortion: Undistortion | None
     messages: BagMessages
-    camera: Camera
-    depth_scale: float
-    color_registered: bool
-    color_calibration: ColorCalibration | None
-    given_trajectory: GivenTrajectory | None
-    warnings: tuple[str, ...]
 
     @classmethod
     @abstractmethod

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
-from kinectbench.geometry import Camera
 from kinectbench.ingest.images import encode_png
 from kinectbench.ingest.intrinsics import Intrinsics
 from kinectbench.ingest.klg import inflated
@@ -65,7 +64,7 @@ class SensHead(NamedTuple):
     frames: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SensRecording(Recording):
     """A .sens file; its intrinsics and extrinsics say how colour lies to depth.
 
@@ -78,16 +77,9 @@ class SensRecording(Recording):
     format: ClassVar[str] = "sens"
     looks_for: ClassVar[str] = "a .sens file of ScanNet (version 4)"
 
-    path: Path
     head: SensHead
     places: tuple[SensFrame, ...]
     frame_stamps_ns: tuple[int, ...]
-    camera: Camera
-    depth_scale: float
-    color_registered: bool
-    color_calibration: ColorCalibration | None
-    given_trajectory: GivenTrajectory | None
-    warnings: tuple[str, ...]
 
     @classmethod
     def recognises(cls, path: Path) -> bool:

@@ -47,7 +47,7 @@ class _Video:
         return None if first is None else (first.shape[1], first.shape[0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StrayScannerRecording(PhoneRecording):
     """A StrayScanner folder; its poses are taken as camera to world in optical axes, as its own tools do.
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import SegmentationError
-from kinectbench.geometry import invert_rigid
+from kinectbench.geometry import Camera, invert_rigid
 from kinectbench.tracking.coverage import from_above
 
 CANDIDATES = 6
@@ -57,6 +57,20 @@ class Floor:
     def T_world_floor(self) -> NDArray[np.float64]:
         """(4, 4), maps the floor frame to the world."""
         return invert_rigid(self.T_floor_world)
+
+    def heights_m(
+        self, depth_m: NDArray[np.floating], camera: Camera, T_world_camera: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Height above the floor of what each pixel measured, metres: (height, width).
+
+        Args:
+            depth_m: (height, width) metres along z; 0 = none, its height is the camera's.
+            camera: of the image.
+            T_world_camera: (4, 4).
+        """
+        up = (self.T_floor_world @ T_world_camera)[2]
+        heights: NDArray[np.float64] = depth_m * (camera.rays() @ up[:3]) + up[3]
+        return heights
 
 
 def find_floor(

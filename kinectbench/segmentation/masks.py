@@ -34,7 +34,9 @@ def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float) -> 
     return agrees
 
 
-def object_mask(measured_m: Depth, rendered_m: Depth, heights_m: Depth, tolerance_m: float) -> Bools:
+def object_mask(
+    measured_m: Depth, rendered_m: Depth, heights_m: NDArray[np.floating], tolerance_m: float
+) -> Bools:
     """The object in a view: where depth agrees with it rendered, and its fringe (own rule).
 
     A solid made of noisy depth is often a pixel too narrow in the image. So pixels beside the silhouette

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, TriangleMesh, transform_points
+from kinectbench.geometry import Camera, TriangleMesh
 from kinectbench.geometry.depth_noise import depth_sigma_m
 from kinectbench.segmentation.floor import Floor
 from kinectbench.segmentation.render import DepthRenderer
@@ -60,9 +60,7 @@ def moving_frames(sequence: Sequence, trajectory: Trajectory, scene: TriangleMes
     for frame in map(int, judged):
         measured_m = sequence.depth_m(frame)[::step_px, ::step_px]
         T_world_camera = trajectory.T_world_camera[frame]
-        heights_m = transform_points(floor.T_floor_world @ T_world_camera, camera.backproject(measured_m))[
-            ..., 2
-        ]
+        heights_m = floor.heights_m(measured_m, camera, T_world_camera)
         scene_m = renderer.depth_m(camera, T_world_camera)
         least_m = np.maximum(NEARER_SIGMAS * depth_sigma_m(scene_m), NEARER_M)
         nearer = (measured_m > 0) & (scene_m > 0) & (scene_m - measured_m > least_m)

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 from kinectbench.errors import ShapeError
 from kinectbench.fusion.mesh import isosurface
 from kinectbench.fusion.reconstruction import Observation
-from kinectbench.fusion.vote_trust import TRUST_IN_VOTES, USUALLY_SEEN_THROUGH, trust_in_votes
+from kinectbench.fusion.vote_trust import (
+    AT_SURFACE_VOXELS,
+    TRUST_IN_VOTES,
+    USUALLY_SEEN_THROUGH,
+    seen_through_share,
+    trust_in_votes,
+)
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import (
     EMPTY_BESIDE,
@@ -64,6 +70,7 @@ METHOD = {
     "clipped_voxels": CLIPPED_VOXELS,
     "free_by_noise": FREE_BY_NOISE,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
+    "logit_trust_at_surface_voxels": AT_SURFACE_VOXELS,
     "logit_trust": [USUALLY_SEEN_THROUGH, TRUST_IN_VOTES],
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
@@ -95,8 +102,7 @@ class _Evidence:
     """What the frames say of each voxel, in the grid's shape.
 
     `signed_m` is the signed distance of the surface, corrected by the frames that saw through; `shadow` is
-    unseen, but hardly enclosed; `doubtful` may be a hollow; `contact` is the zone above the
-    floor.
+    unseen, but hardly enclosed; `doubtful` may be a hollow; `contact` lies right above the floor.
     """
 
     signed_m: NDArray[np.float32]
@@ -115,10 +121,10 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
     """Decide for every voxel whether it is occupied, and how that is known.
 
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
-    hollow behind an apron. It is occupied if it lies just behind a measured surface, or was never seen
-    but is enclosed by such voxels in 15 of 26 directions. Near the floor, where floor and object cannot be
-    told apart, the lowest occupied layer is extruded down to the floor. The signed field of this solid is
-    smoothed by a Gaussian of 0.7 voxels, and specks are dropped.
+    hollow behind an apron or in a shadow of the object. It is occupied if it lies just behind a measured
+    surface, or was never seen but is enclosed by such voxels in 15 of 26 directions. Near the floor, where
+    floor and object cannot be told apart, the lowest occupied layer is extruded down to the floor. The
+    signed field of this solid is smoothed by a Gaussian of 0.7 voxels, and specks are dropped.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -189,8 +195,7 @@ def _corrected(observation: Observation, candidate: Bools) -> NDArray[np.float32
     inside fall with the signed distance and with the share of frames that saw through.
     """
     voxel_m = np.float32(observation.grid.voxel_size_m)
-    votes = observation.free.astype(np.float32) + observation.surface
-    seen_through = observation.free / np.maximum(votes, np.float32(1))
+    seen_through = seen_through_share(observation.free, observation.surface)
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
     weight = np.where(candidate, observation.weight, np.float32(0))
     trust = trust_in_votes(observation.tsdf, weight, seen_through, observation.grid.voxel_size_m)

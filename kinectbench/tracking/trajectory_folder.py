@@ -68,4 +68,6 @@ def _read_calibration(path: Path) -> DepthCalibration:
     coefficients = np.array(content["coefficients_per_m"], np.float64)
     if content["terms"] != [list(term) for term in TERMS] or coefficients.shape != (len(TERMS),):
         raise ValueError(f"{path.name} has other terms")
+    if not np.isfinite(coefficients).all():
+        raise ValueError(f"{path.name} has coefficients that are no numbers")
     return DepthCalibration(coefficients)

@@ -1,6 +1,7 @@
 """The tracker's depth calibration is stored, read back, and applied by what reads a tracked recording."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -74,7 +75,10 @@ def test_an_older_trajectory_has_no_calibration(build):
     assert trajectory.depth_calibration is NO_CALIBRATION and sequence.depth_correction_per_m is None
 
 
-@pytest.mark.parametrize("change", [{"terms": [[0, 1]]}, {"coefficients_per_m": [1.0]}])
+@pytest.mark.parametrize(
+    "change",
+    [{"terms": [[0, 1]]}, {"coefficients_per_m": [1.0]}, {"coefficients_per_m": [math.nan] * len(TERMS)}],
+)
 def test_another_calibration_is_refused(build, change):
     path = build / "trajectory" / CALIBRATION
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
