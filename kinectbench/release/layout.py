@@ -1,9 +1,11 @@
 """The files of a release, and how their checksums hang together.
 
 benchmark.json   name, licence, versions, settings, recordings with their quality, `benchmark_sha256`
-targets.csv      one line per pair          splits.json   split -> recordings
-README.md        the card                   SHA256SUMS    one line per file
-pairs/<recording>/<view>.npz   views/<recording>/   objects/<recording>/
+targets.csv      one line per pair          targets/<split>.csv   those of one split
+splits.json      split -> recordings        SHA256SUMS            one line per file
+README.md        the card                   croissant.json        metadata for machines
+pairs/<recording>/<view>.npz   views/<recording>/   objects/<recording>/   schemas/
+LICENSE   CITATION.cff   CHANGELOG.md   datasheet.md   lineage.json   privacy.json   index.html   thresholds.json
 
 SHA256SUMS has a line for every file but itself, in the format of `sha256sum -c`, sorted by path.
 `benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, which can therefore hold
@@ -23,6 +25,17 @@ BENCHMARK_JSON = "benchmark.json"
 TARGETS_CSV = "targets.csv"
 SPLITS_JSON = "splits.json"
 CARD = "README.md"
+CROISSANT = "croissant.json"
+DATASHEET = "datasheet.md"
+LINEAGE_JSON = "lineage.json"
+PRIVACY_JSON = "privacy.json"
+THRESHOLDS_JSON = "thresholds.json"
+PREVIEW = "index.html"
+SCHEMAS = "schemas"
+SPLIT_TARGETS = "targets"
+LICENSE = "LICENSE"
+CITATION = "CITATION.cff"
+CHANGELOG = "CHANGELOG.md"
 SHA256SUMS = "SHA256SUMS"
 
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
