@@ -67,6 +67,7 @@ def _top_level(folder_name: str) -> list[str]:
     return [
         _commented(f"name: {_text(_safe(folder_name, 'benchmark'))}", fields["name"].description),
         _commented(f"license: {_text(fields['license'].default)}", fields["license"].description),
+        _commented(f"source: {_text(fields['source'].default)}", fields["source"].description),
     ]
 
 
@@ -103,7 +104,9 @@ def _section(name: str, defaults: Settings) -> list[str]:
     for key, field in type(defaults).model_fields.items():
         limits = field_range(field)
         words = f"{field.description} ({limits})" if limits else field.description
-        lines.append(_commented(f"  # {key}: {_text(getattr(defaults, key))}", words))
+        value = getattr(defaults, key)
+        shown = value.model_dump() if isinstance(value, Settings) else value
+        lines.append(_commented(f"  # {key}: {_text(shown)}", words))
     return lines
 
 
@@ -116,7 +119,9 @@ def _text(value: Any) -> str:
     """A value on one line of YAML, in quotes where it needs them."""
     if isinstance(value, str) and not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*", value):
         return yaml.dump(value, default_style='"', allow_unicode=True, width=10**9).strip()
-    return yaml.dump(value, default_flow_style=True).removesuffix("...\n").strip()
+    return (
+        yaml.dump(value, default_flow_style=True, sort_keys=False, width=10**9).removesuffix("...\n").strip()
+    )
 
 
 def _safe(text: str, otherwise: str) -> str:

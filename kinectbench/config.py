@@ -3,7 +3,7 @@
 import re
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from kinectbench.geometry import OrientedBox
 
@@ -14,6 +14,12 @@ PartialRule = Literal["any", "majority"]
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
 Size3 = Annotated[tuple[float, float, float], Field(strict=False)]
 
+CITED = {
+    "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
+    "doi": (r"10\.\S+/\S+", "a DOI such as 10.5281/zenodo.1234, without https://doi.org/"),
+    "url": (r"https?://\S+", "an address that begins with https://"),
+    "date_released": (r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])", "a date as year-month-day"),
+}
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 
 
@@ -83,6 +89,10 @@ class RecordingSettings(Settings):
     camera: CameraSettings | None = Field(None, description="only what the recording does not say")
     box: BoxSettings | None = Field(None, description="only where objects touch")
     masks: str | None = Field(None, description="folder of per-view PNG masks, relative to benchmark.yaml")
+    license: str | None = Field(None, description="of this recording's data; default: the benchmark's")
+    source: str | None = Field(
+        None, description="who recorded it, or where it is from; default: the benchmark's"
+    )
 
     _names = field_validator("id", "category", "object")(
         lambda value: value if value is None else check_name(value)
@@ -142,10 +152,52 @@ class PairSettings(Settings):
     min_visible_share: float = Field(0.25, ge=0, le=1, description="less of the outline with depth: refused")
 
 
+class CitationSettings(Settings):
+    """How the benchmark wants to be cited."""
+
+    title: str | None = Field(None, description="default: the benchmark's name")
+    authors: list[str] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
+    version: str | None = Field(None, description="such as 1.0.0")
+    doi: str | None = Field(None, description="such as 10.5281/zenodo.1234")
+    url: str | None = Field(None, description="where it can be had")
+    date_released: str | None = Field(None, description="year-month-day")
+
+    @field_validator("version", "doi", "url", "date_released")
+    @classmethod
+    def _formed(cls, value: str | None, info: ValidationInfo) -> str | None:
+        pattern, wanted = CITED[str(info.field_name)]
+        if value is not None and not re.fullmatch(pattern, value):
+            raise ValueError(f"wanted {wanted}")
+        return value
+
+
+class DatasheetSettings(Settings):
+    """What only a person can tell of the data; each a sentence or more."""
+
+    motivation: str | None = Field(None, description="why was it made, and for which task?")
+    creators: str | None = Field(None, description="who made it, for whom, and who paid for it?")
+    collection: str | None = Field(None, description="who recorded what, where and when, with which camera?")
+    consent: str | None = Field(None, description="can people be seen or told from it, and did they agree?")
+    uses_to_avoid: str | None = Field(None, description="what should it not be used for?")
+    maintenance: str | None = Field(None, description="who keeps it, and where are faults reported?")
+
+
+class ChangeSettings(Settings):
+    """What is new in one version of the data."""
+
+    version: str = Field(description="such as 1.0.0")
+    changes: list[str] = Field(min_length=1, description="a line each")
+
+
 class PublishSettings(Settings):
     """The release."""
 
     color: bool = Field(False, description="publish colour images (faces and people cannot be ruled out)")
+    citation: CitationSettings = Field(CitationSettings(), description="how to cite it")
+    datasheet: DatasheetSettings = Field(DatasheetSettings(), description="what only a person can tell")
+    changelog: list[ChangeSettings] | None = Field(
+        None, description="versions of the data, newest first, each {version: …, changes: […]}"
+    )
 
 
 class BenchmarkSettings(Settings):
@@ -153,6 +205,7 @@ class BenchmarkSettings(Settings):
 
     name: str = Field(description="name of the benchmark")
     license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
+    source: str = Field("unspecified", description="who recorded the data, or where it is from")
     recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
     tracking: TrackingSettings = TrackingSettings()
     fusion: FusionSettings = FusionSettings()
@@ -182,3 +235,11 @@ class BenchmarkSettings(Settings):
     def recording(self, recording_id: str) -> RecordingSettings:
         """The recording of that id; KeyError if there is none."""
         return {r.id: r for r in self.recordings}[recording_id]
+
+    def license_of(self, recording: RecordingSettings) -> str:
+        """The licence of a recording: its own, or else the benchmark's; "unspecified" if nobody said."""
+        return recording.license or self.license
+
+    def source_of(self, recording: RecordingSettings) -> str:
+        """Where a recording is from: its own words, or else the benchmark's; "unspecified" if nobody said."""
+        return recording.source or self.source

@@ -38,6 +38,7 @@ def made(result: Run) -> tuple[str, ...]:
 SETTINGS = {
     "name=other": (),
     "license=CC0-1.0": (),
+    "source=simulated": (),
     "recordings.chair.category=seat": (),
     "recordings.chair.object=red_chair": (),
     "recordings.chair.split=train": (),
@@ -45,6 +46,8 @@ SETTINGS = {
     "recordings.chair.camera={fx: 131.0}": ALL,
     "recordings.chair.box={center_m: [0, 0, 0.5], size_m: [1, 1, 0.99]}": FROM_SEGMENT,
     "recordings.chair.masks=masks": FROM_VIEWS,
+    "recordings.chair.license=CC0-1.0": (),
+    "recordings.chair.source=simulated": (),
     "tracking.check_stride_px=3": FROM_TRACK,
     "tracking.check_neighbours=5": FROM_TRACK,
     "tracking.max_disagreement_m=0.03": FROM_TRACK,
@@ -67,6 +70,9 @@ SETTINGS = {
     "pairs.max_residual_m=0.02": FROM_VIEWS,
     "pairs.min_visible_share=0.3": FROM_VIEWS,
     "publish.color=true": (),
+    "publish.citation={title: Chairs, authors: ['Doe, Jo'], version: 1.0.0}": (),
+    "publish.datasheet={motivation: to try it}": (),
+    "publish.changelog=[{version: 1.0.0, changes: [first]}]": (),
 }
 
 

@@ -5,7 +5,8 @@ targets.csv      one line per pair          targets/<split>.csv   those of one s
 splits.json      split -> recordings        SHA256SUMS            one line per file
 README.md        the card                   croissant.json        metadata for machines
 pairs/<recording>/<view>.npz   views/<recording>/   objects/<recording>/   schemas/
-LICENSE   CITATION.cff   CHANGELOG.md   datasheet.md   lineage.json   privacy.json   index.html   thresholds.json
+LICENSE   CITATION.cff   CHANGELOG.md   datasheet.md   lineage.json   privacy.json
+thresholds.json   index.html
 
 SHA256SUMS has a line for every file but itself, in the format of `sha256sum -c`, sorted by path.
 `benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, which can therefore hold
