@@ -24,7 +24,6 @@ from kinectbench.commands import (
     Predictions,
     Set,
     build_recordings,
-    built,
     exit_for,
     find_release,
     open_benchmark,
@@ -39,6 +38,7 @@ from kinectbench.commands_compare import compare
 from kinectbench.commands_exchange import export, import_
 from kinectbench.commands_formats import formats
 from kinectbench.commands_inspect import inspect
+from kinectbench.commands_publish import publish
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
@@ -103,41 +103,6 @@ for _name, _text in STAGES.items():
         app.command(_name, help=_text)(OWN_COMMANDS[_name])
     else:
         _add_stage(_name, _text)
-
-
-@app.command()
-def publish(
-    ids: Ids = None,
-    config: Config = DEFAULT_CONFIG,
-    overrides: Set = None,
-    jobs: Jobs = None,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Write the release to benchmark/, from everything that can be built."""
-    from kinectbench import console
-    from kinectbench.release.current import publish_if_stale
-
-    settings, root = open_benchmark(config, overrides)
-    rows = build_recordings(settings, root, ids, "pairs", jobs)
-    if not built(rows):
-        exit_for(rows)
-    summary = publish_if_stale(settings, root, built(rows), force)
-    console.lines("warning", summary.warnings, "yellow")
-    if as_json:
-        result = {
-            "release": str(summary.folder),
-            "recordings": list(summary.recordings),
-            "pairs": summary.pairs,
-            "benchmark_sha256": summary.benchmark_sha256,
-        }
-        typer.echo(json.dumps(result))
-    else:
-        typer.echo(
-            f"published {summary.pairs} pairs of {len(summary.recordings)} recordings: {summary.folder}"
-        )
-        typer.echo(f"benchmark_sha256 {summary.benchmark_sha256}")
-    exit_for(rows)
 
 
 @app.command()
@@ -325,7 +290,7 @@ def init(
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
-for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect):
+for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect, publish):
     app.command()(_command)
 app.command("import")(import_)
 

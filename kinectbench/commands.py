@@ -137,7 +137,7 @@ def find_release(
     rows = build_recordings(settings, root, None, "pairs", jobs)
     if not built(rows):
         exit_for(rows)
-    return open_release(publish_if_stale(settings, root, built(rows)).folder), rows
+    return open_release(publish_if_stale(settings, root, built(rows)).scoring), rows
 
 
 def write_page(

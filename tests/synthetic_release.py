@@ -2,7 +2,9 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,16 @@ RECORDINGS = (
     ("table_01", "table", "old_table", "test", 1),
     ("table_02", "table", "val_table", "validation", 1),
 )
+CAMERA = {"width": 8, "height": 6, "fx": 5.0, "fy": 5.0, "cx": 3.5, "cy": 2.5}
+FLOOR = {
+    "format_version": 1,
+    "plane_world": [0.0, 0.0, 1.0, 0.5],
+    "T_floor_world": [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]],
+    "noise_m": 0.001,
+    "inlier_share": 0.9,
+    "tilt_rad": 0.1,
+    "found": True,
+}
 CENTRES = np.arange(256) + 0.5
 
 
@@ -62,35 +74,54 @@ def synthetic_pair(number: int, category: str) -> Pair:
     )
 
 
-def synthetic_settings() -> BenchmarkSettings:
+def synthetic_settings(**more: Any) -> BenchmarkSettings:
     """Settings of the benchmark that the synthetic release is published from."""
     recordings = [
         {"id": name, "path": f"/home/someone/{name}", "category": category, "object": thing, "split": split}
         for name, category, thing, split, _ in RECORDINGS
     ]
-    return BenchmarkSettings.model_validate(
-        {"name": "synthetic", "license": "CC0-1.0", "recordings": recordings}
-    )
+    content = {"name": "synthetic", "license": "CC0-1.0", "source": "made up", "recordings": recordings}
+    return BenchmarkSettings.model_validate(content | more)
 
 
 def write_build(build: Path) -> None:
     """Write what publish reads of every recording."""
     for index, (name, category, _, _, count) in enumerate(RECORDINGS):
         views = [f"{view:03d}" for view in range(count)]
-        for folder in ("pairs", "views", "object"):
+        for folder in ("sequence", "trajectory", "reconstruction", "object", "views", "pairs"):
             (build / name / folder).mkdir(parents=True)
+            manifest = {"package_version": "0.1.0", "settings": {"box": None}, "fingerprint": "0" * 64}
+            (build / name / folder / "manifest.json").write_text(json.dumps(manifest))
+        rows = []
         for view in views:
             pair = synthetic_pair(index + int(view), category)
             (build / name / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
-            for suffix in ("depth.png", "mask.png", "color.jpg"):
-                (build / name / "views" / f"{view}.{suffix}").write_bytes(f"{name} {view} {suffix}".encode())
+            write_images(build / name / "views", view)
+            pose = pair.T_world_camera.tolist()
+            rows.append({"view": view, "frame": 7, "stamp_ns": 70, "T_world_camera": pose, "pixels": 12})
         listed = {"pairs": [{"view": view, "frame": 7, "containment": 1.0} for view in views], "refused": []}
-        (build / name / "pairs" / "pairs.json").write_text(json.dumps(listed))
-        (build / name / "views" / "views.json").write_text('{"views": [], "refused": []}')
-        (build / name / "object" / "floor.json").write_text('{"plane_world": [0, 0, 1, 0]}')
+        write_json(build / name / "pairs" / "pairs.json", listed)
+        write_json(build / name / "views" / "views.json", {"format_version": 1, "views": rows, "refused": []})
+        write_json(build / name / "object" / "floor.json", FLOOR)
         for file in ("mesh.ply", "volume.npz"):
             (build / name / "object" / file).write_bytes(f"{name} {file}".encode())
-        (build / name / "object" / "quality.json").write_text('{"repeatability_iou": 0.93}')
+        write_json(build / name / "object" / "quality.json", {"repeatability_iou": 0.93})
+        write_json(build / name / "sequence" / "camera.json", CAMERA)
+        write_json(build / name / "sources.json", {"depth/0.png": [10, 20, "ab" * 32]})
+
+
+def write_images(views: Path, view: str) -> None:
+    """Depth of 8 x 6 pixels at 1.5 m, its middle the object, and a grey colour image."""
+    depth_mm = np.full((6, 8), 1500, np.uint16)
+    mask = np.zeros((6, 8), np.uint8)
+    mask[2:4, 2:6] = 255
+    grey = np.full((6, 8, 3), 128, np.uint8)
+    for suffix, image in (("depth.png", depth_mm), ("mask.png", mask), ("color.jpg", grey)):
+        cv2.imwrite(str(views / f"{view}.{suffix}"), image)
+
+
+def write_json(path: Path, content: Any) -> None:
+    path.write_text(json.dumps(content))
 
 
 def publish_synthetic(root: Path) -> PublishSummary:

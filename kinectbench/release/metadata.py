@@ -10,6 +10,8 @@ from kinectbench.config import Framing, PartialRule, Split
 from kinectbench.errors import ReleaseError
 from kinectbench.release.layout import BENCHMARK_JSON, FORMAT_VERSION
 
+SHA256 = "^[0-9a-f]{64}$"
+
 
 class _Open(BaseModel):
     """Typed where this package reads it; other keys are kept as they are."""
@@ -25,7 +27,9 @@ class RecordingInfo(_Open):
     split: Split = Field(description="train, validation or test")
     pairs: int = Field(description="pairs published")
     refused: int = Field(description="frames that were refused as views, and views whose pair was refused")
-    quality: dict[str, Any] = Field(description="quality.json of the recording's object")
+    quality: dict[str, Any] = Field(description="quality.json of the recording's object; empty if held back")
+    license: str = Field("unspecified", description="of the recording's data")
+    source: str = Field("unspecified", description="who recorded it, or where it is from")
 
 
 class PairChecks(_Open):
@@ -40,6 +44,13 @@ class SettingsInfo(_Open):
     pairs: PairChecks
 
 
+class Distribution(_Open):
+    """Whether the release may be given away."""
+
+    allowed: bool = Field(description="licence and source of every recording are stated")
+    reasons: tuple[str, ...] = Field(description="why it may not, one line each")
+
+
 class ReleaseInfo(_Open):
     """All of benchmark.json."""
 
@@ -47,12 +58,17 @@ class ReleaseInfo(_Open):
     license: str = Field(description="of the data")
     format_version: int = Field(description="of the release's layout")
     package_version: str = Field(description="kinectbench that published it")
-    benchmark_sha256: str = Field(pattern="^[0-9a-f]{64}$", description="see layout.py")
+    benchmark_sha256: str = Field(pattern=SHA256, description="see layout.py")
     framing: Framing = Field(description="of every pair")
     partial_rule: PartialRule = Field(description="of every pair")
     settings: SettingsInfo
     packages: dict[str, str] = Field(description="versions of what the data was computed with")
     recordings: dict[str, RecordingInfo]
+    version: str | None = Field(None, description="of the data")
+    distribution: Distribution | None = Field(None, description="null: published before it was asked for")
+    held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")
+    private_benchmark_sha256: str | None = Field(None, pattern=SHA256, description="the part that scores")
+    public_benchmark_sha256: str | None = Field(None, pattern=SHA256, description="the part for everybody")
 
 
 def read_metadata(folder: Path) -> ReleaseInfo:

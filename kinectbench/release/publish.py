@@ -1,20 +1,48 @@
 """Publish what was built as a release: one folder that is enough to predict, to score and to check."""
 
-import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kinectbench.config import BenchmarkSettings, RecordingSettings
-from kinectbench.errors import PairError, ReleaseError
-from kinectbench.release.metadata import RecordingInfo, read_text, strict_json
+from kinectbench import __version__
+from kinectbench.config import BenchmarkSettings
+from kinectbench.errors import ReleaseError
+from kinectbench.release.citation import changelog_text
+from kinectbench.release.datasheet import datasheet, unanswered
+from kinectbench.release.held_back import hold_back_warnings
+from kinectbench.release.layout import (
+    BENCHMARK_JSON,
+    CHANGELOG,
+    DATASHEET,
+    LINEAGE_JSON,
+    PRIVACY_JSON,
+    THRESHOLDS_JSON,
+)
+from kinectbench.release.metadata import RecordingInfo, strict_json
+from kinectbench.release.origins import Origin, common_license, reasons_against_distribution
+from kinectbench.release.preview import write_preview
+from kinectbench.release.privacy import Found, privacy_json, removed_lines, scrubbed
+from kinectbench.release.publish_recording import Built, Published, publish_recording
 from kinectbench.release.release import Target
-from kinectbench.release.small_files import Head, write_small_files
-from kinectbench.voxels.pair_file import read_pair
-from kinectbench.workspace import replaced_folder, sha256_file
+from kinectbench.release.small_files import Head, note_in_benchmark_json, write_small_files
+from kinectbench.workspace import pretty_json, replaced_folder
 
-OBJECT_FILES = ("floor.json", "mesh.ply", "volume.npz", "quality.json")
+PRIVATE = "-private"
+
+
+@dataclass(frozen=True)
+class PublishOptions:
+    """What is asked for beyond the settings.
+
+    Attributes:
+        hold_back: splits of which the public part has inputs only.
+        thresholds: content of a threshold file that is part of the release, or None.
+    """
+
+    hold_back: tuple[str, ...] = ()
+    thresholds: str | None = None
 
 
 @dataclass(frozen=True)
@@ -22,11 +50,15 @@ class PublishSummary:
     """What was published.
 
     Attributes:
-        folder: the release.
+        folder: the release, or its public part.
         benchmark_sha256: its identity.
         pairs: number of pairs.
         recordings: those published, in the order given.
         warnings: one line each; they are on the card too.
+        private: the part that scores, where something is held back.
+        private_sha256: its identity.
+        removed: what was removed for privacy, one line each.
+        unanswered: questions of the datasheet, by key.
     """
 
     folder: Path
@@ -34,49 +66,164 @@ class PublishSummary:
     pairs: int
     recordings: tuple[str, ...]
     warnings: tuple[str, ...]
+    private: Path | None = None
+    private_sha256: str | None = None
+    removed: tuple[str, ...] = ()
+    unanswered: tuple[str, ...] = ()
+
+    @property
+    def scoring(self) -> Path:
+        """The folder that has the truth."""
+        return self.private or self.folder
 
 
-def publish(settings: BenchmarkSettings, build: Path, out: Path, recordings: Sequence[str]) -> PublishSummary:
-    """Write a release from the build folders of some recordings; it takes the place of what `out` held.
+NO_OPTIONS = PublishOptions()
+
+
+def publish(
+    settings: BenchmarkSettings,
+    build: Path,
+    out: Path,
+    recordings: Sequence[str],
+    options: PublishOptions = NO_OPTIONS,
+) -> PublishSummary:
+    """Write a release from the build folders of some recordings; it takes the place of an earlier one.
 
     Args:
         settings: the benchmark's.
         build: holds a folder per recording.
-        out: the release's folder.
+        out: the release's folder; with `hold_back` its public part, beside which `<out>-private` is written.
         recordings: ids, all of them built; one without a single pair is left out with a warning.
+        options: thresholds, and what is held back.
 
     Raises:
-        ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule, or
-            there is no pair at all.
+        ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule,
+            there is no pair at all or none to be held back, or a folder holds something else.
         StorageError: the disk is full or read-only.
     """
-    with replaced_folder(out) as folder:
-        targets: list[Target] = []
-        infos: dict[str, RecordingInfo] = {}
-        warnings = _warnings(settings)
-        for name in recordings:
-            recording = settings.recording(name)
-            here = _publish_pairs(settings, recording, build / name, folder)
-            if not here:
-                warnings.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
-                continue
-            targets += here
-            infos[name] = _recording_info(recording, build / name, len(here))
-            _copy_views(build / name, folder / "views" / name, here, color=settings.publish.color)
-            for file in OBJECT_FILES:
-                _copy(build / name / "object" / file, folder / "objects" / name / file)
-        if not targets:
-            raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
-        targets.sort()
-        identity = _write_small_files(settings, folder, tuple(targets), infos, warnings)
-    return PublishSummary(out, identity, len(targets), tuple(infos), tuple(warnings))
+    private = out.with_name(out.name + PRIVATE)
+    for folder in (out, private) if options.hold_back else (out,):
+        _refuse_other(folder)
+    _refuse_empty_split(settings, recordings, options.hold_back)
+    complete = replace(options, hold_back=())
+    if not options.hold_back:
+        with replaced_folder(out) as folder:
+            return replace(_write(settings, build, folder, recordings, complete), folder=out)
+    with contextlib.ExitStack() as folders:
+        hidden = folders.enter_context(replaced_folder(private))
+        folder = folders.enter_context(replaced_folder(out))
+        whole = _write(settings, build, hidden, recordings, complete)
+        public = _write(settings, build, folder, recordings, options)
+        note_in_benchmark_json(hidden, {"public_benchmark_sha256": public.benchmark_sha256})
+        note_in_benchmark_json(folder, {"private_benchmark_sha256": whole.benchmark_sha256})
+    return replace(public, folder=out, private=private, private_sha256=whole.benchmark_sha256)
+
+
+def _refuse_other(out: Path) -> None:
+    """Refuse to replace a folder that is not a release."""
+    if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
+        raise ReleaseError(f"{out}: holds something else than a release; move it away, then publish again")
+
+
+def _refuse_empty_split(
+    settings: BenchmarkSettings, recordings: Sequence[str], hold_back: Sequence[str]
+) -> None:
+    """Refuse to hold back a split that has no recording."""
+    there = {settings.recording(name).split for name in recordings}
+    for split in hold_back:
+        if split not in there:
+            raise ReleaseError(f"--hold-back {split}: no recording of this split was built; check the splits")
+
+
+def _write(
+    settings: BenchmarkSettings,
+    build: Path,
+    folder: Path,
+    recordings: Sequence[str],
+    options: PublishOptions,
+) -> PublishSummary:
+    """Fill one folder."""
+    found, made = Found(), dict[str, Published]()
+    warnings = [*_warnings(settings), *hold_back_warnings(settings.pairs.framing, options.hold_back)]
+    for name in recordings:
+        recording = settings.recording(name)
+        hidden = recording.split in options.hold_back
+        published = publish_recording(Built(settings, recording, build / name, hidden), folder, found)
+        if published is None:
+            warnings.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
+        else:
+            made[name] = published
+    if not made:
+        raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
+    infos = {name: published.info for name, published in made.items()}
+    reasons = reasons_against_distribution(_origins(infos))
+    warnings = [*reasons, *warnings]
+    targets = tuple(sorted(target for published in made.values() for target in published.targets))
+    _write_texts(settings, folder, made, targets, warnings, options, found)
+    public = _public_settings(settings, options.hold_back, found)
+    (folder / PRIVACY_JSON).write_text(pretty_json(privacy_json(_color(settings, made), found)))
+    pairs = settings.pairs
+    head = Head(
+        settings.name,
+        settings.license,
+        pairs.framing,
+        pairs.partial_rule,
+        public,
+        citation=settings.publish.citation,
+        held_back=options.hold_back,
+    )
+    write_preview(folder, settings, targets, infos, warnings, options.hold_back)
+    identity = write_small_files(head, folder, targets, infos, warnings)
+    return PublishSummary(
+        folder,
+        identity,
+        len(targets),
+        tuple(made),
+        tuple(warnings),
+        removed=tuple(removed_lines(found.rows)),
+        unanswered=tuple(unanswered(settings)),
+    )
+
+
+def _write_texts(
+    settings: BenchmarkSettings,
+    folder: Path,
+    made: Mapping[str, Published],
+    targets: Sequence[Target],
+    warnings: Sequence[str],
+    options: PublishOptions,
+    found: Found,
+) -> None:
+    """Write datasheet, changelog, lineage and thresholds."""
+    infos = {name: published.info for name, published in made.items()}
+    origins = _origins(infos)
+    sheet = datasheet(
+        settings,
+        targets,
+        infos,
+        common_license(origins, settings.license),
+        reasons_against_distribution(origins),
+        _color(settings, made),
+        warnings,
+        options.hold_back,
+    )
+    (folder / DATASHEET).write_text(sheet)
+    (folder / CHANGELOG).write_text(changelog_text(settings.publish.changelog, settings.name))
+    lineage = {
+        "format_version": 1,
+        "package_version": __version__,
+        "packages": f"{BENCHMARK_JSON}: packages",
+        "recordings": {name: published.lineage for name, published in made.items()},
+    }
+    (folder / LINEAGE_JSON).write_text(pretty_json(lineage))
+    if options.thresholds is not None:
+        content = scrubbed(strict_json(options.thresholds, THRESHOLDS_JSON), THRESHOLDS_JSON, found)
+        (folder / THRESHOLDS_JSON).write_text(pretty_json(content))
 
 
 def _warnings(settings: BenchmarkSettings) -> list[str]:
     """What a user of the release should know from the settings alone."""
     warnings = []
-    if settings.license == "unspecified":
-        warnings.append("no licence is stated: set `license` in benchmark.yaml before giving the data away")
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
     if not any(recording.split == "validation" for recording in settings.recordings):
@@ -84,104 +231,25 @@ def _warnings(settings: BenchmarkSettings) -> list[str]:
     return warnings
 
 
-def _publish_pairs(
-    settings: BenchmarkSettings, recording: RecordingSettings, build: Path, folder: Path
-) -> list[Target]:
-    """Copy the pairs of one recording."""
-    listed = _json(build / "pairs" / "pairs.json").get("pairs", [])
-    targets = []
-    for view in sorted(f"{int(entry['view']):03d}" for entry in listed):
-        source = build / "pairs" / f"{view}.npz"
-        _check_pair(settings, source)
-        file = f"pairs/{recording.id}/{view}.npz"
-        _copy(source, folder / file)
-        targets.append(
-            Target(
-                recording=recording.id,
-                object=recording.object_name,
-                view=view,
-                category=recording.category,
-                split=recording.split,
-                file=file,
-                sha256=sha256_file(folder / file),
-            )
-        )
-    return targets
+def _origins(infos: Mapping[str, RecordingInfo]) -> dict[str, Origin]:
+    return {name: Origin(info.license, info.source) for name, info in infos.items()}
 
 
-def _check_pair(settings: BenchmarkSettings, path: Path) -> None:
-    """One benchmark has one framing and one partial rule."""
-    try:
-        pair = read_pair(path)
-    except PairError as error:
-        raise ReleaseError(str(error)) from error
-    for key in ("framing", "partial_rule"):
-        found, wanted = getattr(pair, key), getattr(settings.pairs, key)
-        if found != wanted:
-            raise ReleaseError(f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again")
+def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> str:
+    """What became of colour."""
+    if not any(published.has_color for published in made.values()):
+        return "none"
+    return "published" if settings.publish.color else "left out"
 
 
-def _recording_info(recording: RecordingSettings, build: Path, pairs: int) -> RecordingInfo:
-    """What benchmark.json says of a recording."""
-    return RecordingInfo(
-        object=recording.object_name,
-        category=recording.category,
-        split=recording.split,
-        pairs=pairs,
-        refused=sum(
-            len(_json(build / file).get("refused", [])) for file in ("views/views.json", "pairs/pairs.json")
-        ),
-        quality=_json(build / "object" / "quality.json"),
-    )
-
-
-def _copy_views(build: Path, out: Path, targets: Sequence[Target], color: bool) -> None:
-    """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any."""
-    views = build / "views"
-    _copy(views / "views.json", out / "views.json")
-    for target in targets:
-        for suffix in (".depth.png", ".mask.png"):
-            _copy(views / f"{target.view}{suffix}", out / f"{target.view}{suffix}")
-        image = f"{target.view}.color.jpg"
-        if color and (views / image).is_file():
-            _copy(views / image, out / image)
-
-
-def _write_small_files(
-    settings: BenchmarkSettings,
-    folder: Path,
-    targets: tuple[Target, ...],
-    infos: dict[str, RecordingInfo],
-    warnings: Sequence[str],
-) -> str:
-    """Write targets, splits, card, benchmark.json and the checksums; return the release's identity."""
-    pairs = settings.pairs
-    head = Head(
-        settings.name, settings.license, pairs.framing, pairs.partial_rule, _public_settings(settings)
-    )
-    return write_small_files(head, folder, targets, infos, warnings)
-
-
-def _public_settings(settings: BenchmarkSettings) -> dict[str, Any]:
-    """The settings without the paths of the machine they were used on."""
-    public = settings.model_dump(mode="json", exclude={"name", "license"})
+def _public_settings(settings: BenchmarkSettings, hold_back: Sequence[str], found: Found) -> dict[str, Any]:
+    """The settings without the paths of the machine they were used on, and the boxes of what is held back."""
+    public = settings.model_dump(mode="json", exclude={"name", "license", "publish"})
     for recording in public["recordings"]:
         recording.pop("path")
         recording.pop("masks")
-    return public
-
-
-def _json(path: Path) -> dict[str, Any]:
-    """A JSON object that a stage wrote."""
-    content = strict_json(read_text(path), str(path))
-    if not isinstance(content, dict):
-        raise ReleaseError(f"{path}: not a JSON object; run the build again")
-    return content
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy one built file's bytes."""
-    if not source.is_file():
-        raise ReleaseError(f"{source}: missing; run the build again")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, target)
+        if recording["split"] in hold_back:
+            recording.pop("box")
+    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found)
+    # What people say of themselves here is meant to be read.
+    return clean | {"publish": settings.publish.model_dump(mode="json")}

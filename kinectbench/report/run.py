@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from kinectbench.config import BenchmarkSettings, RecordingSettings
+from kinectbench.release.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, read_pair_truth
 from kinectbench.report.gallery_cells import gallery_cells
@@ -43,7 +44,7 @@ def page_of_benchmark(
     Raises:
         SettingsError: a score file that was named is missing or of another truth.
     """
-    release = open_release(root / "benchmark") if (root / "benchmark").is_dir() else None
+    release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     files, warnings = _files(scores, release)
     tables = [file.table for file in files]
     page = out or _folder(scores, root / "scores") / INDEX

@@ -1,5 +1,6 @@
 """The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis."""
 
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -108,29 +109,29 @@ def read_pair(path: Path) -> Pair:
     missing = [f.name for f in fields(Pair) if f.name not in values]
     if missing:
         raise PairError(f"{path}: not a pair file: the keys {', '.join(missing)} are missing")
-    fault = _fault(values)
+    fault = pair_fault(values, [field.name for field in fields(Pair)])
     if fault:
         raise PairError(f"{path}: {fault}")
     scalars = {name: values[name].item() for name in (*NUMBERS, *TEXTS)}
     return Pair(**{f.name: scalars.get(f.name, values[f.name]) for f in fields(Pair)})
 
 
-def _fault(values: dict[str, NDArray[Any]]) -> str | None:
-    """What is wrong with the values of a pair file, or None."""
+def pair_fault(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
+    """What is wrong with some values of a pair file, all of them there, or None."""
     version = values.get("format_version", np.asarray(0))
     if version.shape != () or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
     for name, shape in PACKED_SHAPES.items():
-        if values[name].shape != shape or values[name].dtype != np.uint8:
+        if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"
     for name, side in {"T_world_grid": 4, "T_world_camera": 4, "K": 3}.items():
-        if values[name].shape != (side, side) or not _finite(values[name]):
+        if name in names and (values[name].shape != (side, side) or not _finite(values[name])):
             return f"'{name}' is not a finite {side}x{side} matrix"
     for name in NUMBERS:
-        if values[name].shape != () or not _finite(values[name]) or values[name] < 0:
+        if name in names and (values[name].shape != () or not _finite(values[name]) or values[name] < 0):
             return f"'{name}' is not a length in metres"
     for name in TEXTS:
-        if values[name].shape != () or values[name].dtype.kind != "U":
+        if name in names and (values[name].shape != () or values[name].dtype.kind != "U"):
             return f"'{name}' is not a text"
     return None
 

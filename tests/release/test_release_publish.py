@@ -47,6 +47,7 @@ def test_benchmark_json(release: Release) -> None:
         "synthetic", "CC0-1.0", "object", "any"
     )  # fmt: skip
     assert info.recordings["chair_01"].quality == {"repeatability_iou": 0.93}
+    assert info.distribution is not None and info.distribution.allowed
     assert info.settings.pairs.min_containment == 0.85
     assert {"python", "numpy", "open3d"} <= set(info.packages)
 
