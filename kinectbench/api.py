@@ -18,7 +18,8 @@ from kinectbench.scoring.predictions import missing_line
 from kinectbench.scoring.table import ScoreTable
 from kinectbench.scoring.thresholds import Thresholds, read_thresholds, searched_thresholds
 from kinectbench.scoring.truth import read_truth
-from kinectbench.voxels.pair_file import read_pair, unpack
+from kinectbench.voxels.pair_file import Pair, read_pair, unpack
+from kinectbench.voxels.pair_input import PairInput, read_input
 from kinectbench.voxels.resample import HALF_PIXEL
 
 
@@ -27,6 +28,7 @@ class Dataset:
 
     `dataset[i]` is a dict: `pair_id` ("<recording>/<view>"), `partial` (64, 64, 64) bool, `full` and `known`
     (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid.
+    Where the truth is held back there is no `full` and no `known`.
     """
 
     def __init__(self, release: Release, targets: Sequence[Target]) -> None:
@@ -56,12 +58,17 @@ class Dataset:
             PairError: its file is missing or damaged.
         """
         target = self.targets[index]
-        pair = read_pair(self.release.pair_path(target))
+        path = self.release.pair_path(target)
+        pair: Pair | PairInput
+        if target.split in self.release.metadata.held_back:
+            pair, truth = read_input(path), {}
+        else:
+            pair = read_pair(path)
+            truth = {"full": unpack(pair.full), "known": unpack(pair.known)}
         return {
             "pair_id": target.name,
             "partial": unpack(pair.partial),
-            "full": unpack(pair.full),
-            "known": unpack(pair.known),
+            **truth,
             "meta": {
                 **{
                     name: getattr(target, name)
@@ -118,7 +125,7 @@ class Scorer:
             surface: whether surface metrics are computed; they take most of the time.
 
         Raises:
-            ReleaseError: no release there.
+            ReleaseError: no release there, or its truth is held back.
             SettingsError: an unknown protocol, or an unusable threshold file.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
@@ -133,6 +140,7 @@ class Scorer:
         test = release.split("test")
         if not test:
             raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
+        release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
         self._categories = sorted({target.category for target in test})
         if thresholds_file is not None:
             objects = frozenset(target.object for target in test)

@@ -12,7 +12,8 @@ from kinectbench.release.metadata import strict_json
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.ceiling import reduced
 from kinectbench.scoring.truth import read_grids
-from kinectbench.voxels.pair_file import Packed, Pair, unpack
+from kinectbench.voxels.pair_file import Packed, unpack
+from kinectbench.voxels.pair_input import PairInput
 
 MEAN_CELLS = 64
 UP_IN_CAMERA = np.array([0.0, -1.0, 0.0])  # y is down in the image
@@ -38,13 +39,13 @@ class Inputs:
     """What a baseline predicts from.
 
     Attributes:
-        pair: of which only `partial`, `partial_256`, `seen` and the transforms may be looked at.
-        base_rate: share of occupied voxels of its category, in [0, 1].
+        pair: without its truth.
+        base_rate: share of occupied voxels of its category, in [0, 1]; NaN if its truth is held back.
         up_grid: (3,) float64 unit vector, away from the floor, in grid axes.
         training: None where the category has no training pairs.
     """
 
-    pair: Pair
+    pair: PairInput
     base_rate: float
     up_grid: NDArray[np.float64]
     training: Training | None
@@ -61,7 +62,7 @@ def read_training(release: Release, category: str) -> Training | None:
     Raises:
         ReleaseError: a pair file is missing or changed.
     """
-    targets = [target for target in release.split("train") if target.category == category]
+    targets = [target for target in release.open_split("train") if target.category == category]
     if not targets:
         return None
     files = tuple((release.pair_path(target), target.sha256) for target in targets)
@@ -74,7 +75,7 @@ def read_training(release: Release, category: str) -> Training | None:
     return Training((total / len(files)).astype(np.float32), np.stack(partials), files)
 
 
-def up_in_grid(release: Release, target: Target, pair: Pair) -> NDArray[np.float64]:
+def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.float64]:
     """Which way is up, by the floor of the recording; where the release has none, up in the image.
 
     Raises:

@@ -15,9 +15,10 @@ from kinectbench.baselines.trivial import constant, empty, partial
 # -> prediction (n, n, n); of the pair only the input may be looked at.
 Baseline = Callable[[Inputs], NDArray[np.bool_] | NDArray[np.float16]]
 
+BASE_RATE = "base-rate"
 BASELINES: Mapping[str, Baseline] = {
     "empty": empty,
-    "base-rate": constant,
+    BASE_RATE: constant,
     "partial": partial,
     "hull": hull,
     "mirror": mirror,

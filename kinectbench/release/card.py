@@ -12,9 +12,14 @@ import yaml
 from kinectbench.release.layout import LICENSE, SPLIT_TARGETS
 from kinectbench.release.metadata import ReleaseInfo
 from kinectbench.release.origins import HUGGING_FACE, UNSPECIFIED
-from kinectbench.release.release import SPLITS, Target
+from kinectbench.release.release import COLUMNS, SPLITS, Target
 
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
+TRUTH_LINES = """\
+full = np.unpackbits(pair["full"], axis=-1).astype(bool)  # (256, 256, 256), the truth
+known = np.unpackbits(pair["known"], axis=-1).astype(bool)  # the truth is trusted there"""
+INPUT_LINES = """\
+partial_256 = np.unpackbits(pair["partial_256"], axis=-1).astype(bool)  # (256, 256, 256), the same, finer"""
 TEMPLATE = Path(__file__).with_name("card.md")
 
 
@@ -58,6 +63,8 @@ def card(
         license: of all recordings.
         texts: what depends on where the pairs come from.
     """
+    example = next((t for t in targets if t.split not in info.held_back), targets[0])
+    hidden = example.split in info.held_back
     body = Template(TEMPLATE.read_text()).substitute(
         name=info.name,
         source=texts.source,
@@ -68,7 +75,9 @@ def card(
         package_version=info.package_version,
         notice=_notice(info),
         counts=counts_table(targets),
-        example=next((t.file for t in targets if t.split not in info.held_back), targets[0].file),
+        example=example.file,
+        truth=INPUT_LINES if hidden else TRUTH_LINES,
+        shown="partial_256" if hidden else "full",
         quality=_quality(info),
         warnings="\n".join(f"- {line}" for line in warnings) or "None.",
     )
@@ -95,6 +104,11 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
                 "data_files": [{"split": s, "path": f"{SPLIT_TARGETS}/{s}.csv"} for s in present],
             }
         ],
+        # Else 007 would be read as a number.
+        "dataset_info": {
+            "config_name": "targets",
+            "features": [{"name": column, "dtype": "string"} for column in COLUMNS],
+        },
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=10**9)
 

@@ -18,6 +18,7 @@ from kinectbench.release.metadata import RecordingInfo
 from kinectbench.release.preview_pictures import (
     BLUE,
     CLAY,
+    enlarged,
     seen_from_the_front,
     seen_from_the_right,
     upright_slice,
@@ -31,8 +32,8 @@ VIEWS = 3
 DEPTH_WIDTH_PX = 320
 # Key of quality.json -> what it is called, how it is written, factor.
 QUALITY = {
-    "estimated_iou": ("estimated IoU to the truth", "{:.3f}", 1.0),
-    "repeatability_iou": ("IoU of odd and even frames", "{:.3f}", 1.0),
+    "estimated_iou": ("estimated IoU", "{:.3f}", 1.0),
+    "repeatability_iou": ("repeatability IoU", "{:.3f}", 1.0),
     "surface_sigma_m": ("σ of the surface", "{:.1f} mm", 1000.0),
     "unknown_share": ("never seen", "{:.1f} %", 100.0),
     "doubtful_share": ("perhaps a hollow", "{:.1f} %", 100.0),
@@ -107,11 +108,12 @@ def _part(folder: Path, name: str, info: RecordingInfo, targets: Sequence[Target
 def _shown(folder: Path, target: Target, held_back: bool) -> Shown:
     """Depth with the mask, what was seen, and the truth where it is published."""
     pair_input = read_input(folder / target.file)
-    partial = unpack(pair_input.partial_256)
+    # The input as it is, each of its cells as 4 x 4 pixels.
+    partial = unpack(pair_input.partial)
     pictures = [
         ("depth and mask", _depth(folder / "views" / target.recording, target.view)),
-        ("partial, as seen", _png(seen_from_the_front(partial, BLUE))),
-        ("partial, from the right", _png(seen_from_the_right(partial, BLUE))),
+        ("partial, as seen", _png(enlarged(seen_from_the_front(partial, BLUE)))),
+        ("partial, from the right", _png(enlarged(seen_from_the_right(partial, BLUE)))),
     ]
     if not held_back:
         pair = read_pair(folder / target.file)
@@ -119,7 +121,7 @@ def _shown(folder: Path, target: Target, held_back: bool) -> Shown:
         pictures[2:] = [
             ("full, as seen", _png(seen_from_the_front(full, CLAY))),
             ("full, from the right", _png(seen_from_the_right(full, CLAY))),
-            ("a slice: seen, solid, not known", _png(upright_slice(partial, full, known))),
+            ("slice", _png(upright_slice(unpack(pair.partial_256), full, known))),
         ]
     return Shown(target.view, tuple(pictures))
 

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.voxels.pair_file import BLOCK
+
 Bools = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 Rgb = NDArray[np.uint8]
@@ -41,6 +43,11 @@ def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
     near = np.asarray(partial[max(0, middle - 1) : middle + 2].any(axis=0))
     picture[_grown(near)] = BLUE
     return picture
+
+
+def enlarged(picture: Rgb) -> Rgb:
+    """A picture of 64-cells at the size of one of 256-cells."""
+    return picture.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
 
 
 def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:

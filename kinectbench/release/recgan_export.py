@@ -35,11 +35,13 @@ def export_recgan(release: Release, out: Path, progress: Callable[[int, int], No
 
     Raises:
         SettingsError: `out` holds something else.
+        ReleaseError: truth is held back.
         PairError: a pair is missing or damaged.
         StorageError: the disk is full or read-only.
     """
     if out.exists() and not (out.is_dir() and ((out / EXPORT_JSON).is_file() or not any(out.iterdir()))):
         raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+    release.require_truth(SPLIT_NAMES)
     views = max(Counter(target.recording for target in release.targets).values())
     rows = []
     with replaced_folder(out) as folder:

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
@@ -82,6 +83,24 @@ class Release:
     def split(self, name: str) -> tuple[Target, ...]:
         """The targets of one split, in the order of targets.csv."""
         return tuple(target for target in self.targets if target.split == name)
+
+    def open_split(self, name: str) -> tuple[Target, ...]:
+        """The targets of one split whose truth is here; none of a split that is held back."""
+        return () if name in self.metadata.held_back else self.split(name)
+
+    def require_truth(self, splits: Iterable[str]) -> None:
+        """Refuse to go on where the truth of a split is needed that is held back.
+
+        Raises:
+            ReleaseError: it says where the truth is.
+        """
+        hidden = [split for split in splits if split in self.metadata.held_back and self.split(split)]
+        if hidden:
+            raise ReleaseError(
+                f"{self.folder}: the truth of the {' and '.join(hidden)} split is held back; have the "
+                "predictions scored by whoever published it, or use the private part "
+                f"(benchmark_sha256 {str(self.metadata.private_benchmark_sha256)[:8]}…)"
+            )
 
     def pair_path(self, target: Target) -> Path:
         """The target's pair file."""

@@ -1,7 +1,8 @@
 """The schemas of a release: what every file holds, for people and programs that do not have this package.
 
 They lie in `schemas/` beside this file as they are published, so that they do not depend on the version of
-pydantic; a test makes them anew from the models and compares.
+pydantic; a test makes them anew from the models and compares. `python -m kinectbench.release.schemas` writes
+them after a change of the models.
 """
 
 from collections.abc import Iterator
@@ -113,3 +114,8 @@ def _pair() -> dict[str, Any]:
         "packed": about,
         "keys": keys,
     }
+
+
+if __name__ == "__main__":
+    for file_name, file_text in schema_texts().items():
+        (Path(__file__).with_name(SCHEMAS) / file_name).write_text(file_text)

@@ -31,6 +31,8 @@ class BaseRate:
 def base_rates(release: Release, jobs: int = 1) -> dict[str, BaseRate]:
     """The base rate of every category, from the first of validation, train and test that has it.
 
+    A category whose truth is held back everywhere has none.
+
     Args:
         release: its truth is read.
         jobs: number of processes.
@@ -41,11 +43,13 @@ def base_rates(release: Release, jobs: int = 1) -> dict[str, BaseRate]:
     chosen = {}
     for category in release.categories:
         of_split = {
-            split: [target for target in release.split(split) if target.category == category]
+            split: [target for target in release.open_split(split) if target.category == category]
             for split in SOURCES
         }
-        split = next(split for split in SOURCES if of_split[split])
-        chosen[category] = (split, of_split[split])
+        for split in SOURCES:
+            if of_split[split]:
+                chosen[category] = (split, of_split[split])
+                break
     tasks = [(release.pair_path(t), t.sha256) for _, targets in chosen.values() for t in targets]
     shares = iter(run_tasks(_occupied_share, tasks, jobs))
     return {

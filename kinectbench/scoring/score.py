@@ -55,7 +55,8 @@ def score(
 
     Raises:
         PredictionError: the folder is missing.
-        ReleaseError: no test pair, an object in two splits, or a pair file is missing or changed.
+        ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
+            is held back.
         SettingsError: an unknown protocol or an unusable threshold file.
     """
     _check(protocols, upsampling)
@@ -63,6 +64,7 @@ def score(
     test = release.split("test")
     if not test:
         raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
+    release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
     categories = sorted({target.category for target in test})
     fixed = None
     if thresholds_file is not None:

@@ -1,0 +1,236 @@
+"""What a public part tells of the truth, nothing, and that the private part scores as the whole release."""
+
+import io
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_benchmark import Run, hashes
+from synthetic_release import FLOOR, RECORDINGS, synthetic_pair, synthetic_settings, write_build
+
+from kinectbench import Scorer, load
+from kinectbench.baselines.write import possible_baselines, write_baselines
+from kinectbench.errors import ReleaseError, SettingsError
+from kinectbench.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.release.held_back import own_world, without_truth
+from kinectbench.release.held_back_check import held_back_problems
+from kinectbench.release.options import publish_options
+from kinectbench.release.publish import PublishOptions, PublishSummary, publish
+from kinectbench.release.recgan_export import export_recgan
+from kinectbench.release.release import open_release
+from kinectbench.release.verify import verify
+from kinectbench.scoring.score import score
+from kinectbench.voxels.pair_file import pair_bytes, read_pair, unpack
+from kinectbench.voxels.pair_input import INPUT_KEYS, TRUTH_KEYS, read_input
+
+Command = Callable[..., Run]
+NAMES = [recording[0] for recording in RECORDINGS]
+TEST = [name for name, _, _, split, _ in RECORDINGS if split == "test"]
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> PublishSummary:
+    root: Path = tmp_path_factory.mktemp("held")
+    write_build(root / "build")
+    return publish(synthetic_settings(), root / "build", root / "benchmark", NAMES, PublishOptions(("test",)))
+
+
+def test_the_parts_name_each_other(parts: PublishSummary, release) -> None:
+    public = json.loads((parts.folder / "benchmark.json").read_text())
+    assert parts.private is not None
+    private = json.loads((parts.private / "benchmark.json").read_text())
+    assert public["held_back"] == ["test"] and "held_back" not in private
+    assert public["private_benchmark_sha256"] == private["benchmark_sha256"] == parts.private_sha256
+    assert private["public_benchmark_sha256"] == public["benchmark_sha256"] == parts.benchmark_sha256
+    # The private part is the release as it would be without the option.
+    assert private["benchmark_sha256"] == release.benchmark_sha256
+    ours, theirs = hashes(parts.private), hashes(release.folder)
+    assert {name for name in ours if ours[name] != theirs[name]} == {"benchmark.json", "SHA256SUMS"}
+    assert verify(parts.private) == []
+    assert "framing 'object'" in parts.warnings[-1]
+
+
+def arrays(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {key: archive[key] for key in archive.files}
+
+
+def test_no_truth_in_the_public_part(parts: PublishSummary) -> None:
+    assert parts.private is not None
+    public = open_release(parts.folder)
+    for target in public.split("test"):
+        values = arrays(public.pair_path(target))
+        assert set(values) == {*INPUT_KEYS, "format_version"}
+        with zipfile.ZipFile(public.pair_path(target)) as archive:  # nor hidden in the file
+            assert {Path(name).stem for name in archive.namelist()} == set(values)
+        assert list(held_back_problems(public.pair_path(target), framing="object", partial_rule="any")) == []
+        truth = arrays(parts.private / target.file)
+        for key in TRUTH_KEYS:
+            assert not any(np.array_equal(truth[key], value) for value in values.values())
+    for target in public.split("validation"):
+        assert set(TRUTH_KEYS) <= set(arrays(public.pair_path(target)))
+    for name in TEST:
+        assert [path.name for path in (parts.folder / "objects" / name).iterdir()] == ["floor.json"]
+        views = json.loads((parts.folder / "views" / name / "views.json").read_text())
+        assert all(set(row) == {"view", "K", "width", "height", "pair"} for row in views["views"])
+    # No byte of a published file of the truth is anywhere in the public part.
+    secret = {
+        digest for name, digest in hashes(parts.private).items() if name.split("/")[0] in ("pairs", "objects")
+    }
+    secret -= {
+        digest
+        for name, digest in hashes(parts.folder).items()
+        if name.split("/")[1:2] and name.split("/")[1] not in TEST
+    }
+    assert not secret & set(hashes(parts.folder).values())
+
+
+def test_no_measured_figure_of_the_truth(parts: PublishSummary) -> None:
+    info = json.loads((parts.folder / "benchmark.json").read_text())
+    for name, recording in info["recordings"].items():
+        assert (recording["quality"] == {}) == (name in TEST)
+    assert all("box" not in row for row in info["settings"]["recordings"] if row["id"] in TEST)
+    lineage = json.loads((parts.folder / "lineage.json").read_text())["recordings"]
+    for name in TEST:
+        assert "views" not in lineage[name]
+        assert all("box" not in stage["settings"] for stage in lineage[name]["stages"].values())
+    page = (parts.folder / "index.html").read_text()
+    assert page.count(">full, as seen<") == 3  # of the three validation pairs
+    assert "held back" in page and "held back" in (parts.folder / "README.md").read_text()
+
+
+def test_input_in_a_world_of_its_own() -> None:
+    pair = synthetic_pair(3, "chair")
+    T_floor_world = np.array(FLOOR["T_floor_world"])
+    own = without_truth(pair, T_floor_world)
+    # The camera is as high above the floor as it was, above the origin, and looks along x.
+    camera_floor = T_floor_world @ pair.T_world_camera
+    np.testing.assert_allclose(own.T_world_camera[:3, 3], [0, 0, camera_floor[2, 3]], atol=1e-9)
+    forward = own.T_world_camera[:3, 2]
+    np.testing.assert_allclose(forward[1:], [0, camera_floor[2, 2]], atol=1e-9)
+    assert forward[0] > 0
+    # Grid and camera lie to each other as before.
+    np.testing.assert_allclose(
+        np.linalg.inv(own.T_world_camera) @ own.T_world_grid,
+        np.linalg.inv(pair.T_world_camera) @ pair.T_world_grid,
+        atol=1e-9,
+    )
+    # The same view from elsewhere on the floor is the same input: nothing tells where it was.
+    elsewhere = rigid(rotation_from_quaternion_xyzw([0, 0, 0.6, 0.8]), [3.0, -1.0, 0.0])
+    np.testing.assert_allclose(
+        own_world(elsewhere @ camera_floor) @ elsewhere @ camera_floor, own.T_world_camera, atol=1e-9
+    )
+
+
+def test_straight_down() -> None:
+    down = np.eye(4)
+    down[:3, :3] = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])  # x right, z down, image top towards +y
+    down[:3, 3] = 1, 2, 3
+    T = own_world(down) @ down
+    np.testing.assert_allclose(T[:3, 3], [0, 0, 3])
+    np.testing.assert_allclose(-T[:3, 1], [1, 0, 0])
+
+
+def test_scoring_is_refused(parts: PublishSummary, tmp_path: Path) -> None:
+    public = open_release(parts.folder)
+    with pytest.raises(
+        ReleaseError, match="the truth of the test split is held back; have the predictions scored by"
+    ):
+        score(public, tmp_path, method="m")
+    with pytest.raises(ReleaseError, match="held back"):
+        Scorer(parts.folder)
+    with pytest.raises(ReleaseError, match="held back"):
+        export_recgan(public, tmp_path / "out")
+
+
+def test_inputs_can_be_used(parts: PublishSummary, tmp_path: Path) -> None:
+    assert parts.private is not None
+    public, private = open_release(parts.folder), open_release(parts.private)
+    dataset = load(parts.folder)
+    item = dataset.split("test")[0]
+    assert "full" not in item and "known" not in item
+    pair = read_pair(private.pair_path(private.split("test")[0]))
+    np.testing.assert_array_equal(item["partial"], unpack(pair.partial))
+    assert "full" in dataset.split("validation")[0]
+    names = ("partial", "mirror", "base-rate")
+    write_baselines(public, tmp_path / "public", names)
+    write_baselines(private, tmp_path / "private", names)
+    # Up and the cube are the same, so the baselines are, too.
+    assert hashes(tmp_path / "public") == hashes(tmp_path / "private")
+
+
+def test_scores_of_the_private_part(parts: PublishSummary, release, tmp_path: Path) -> None:
+    assert parts.private is not None
+    write_baselines(open_release(parts.folder), tmp_path, ["partial"])
+    one = score(open_release(parts.private), tmp_path / "partial", method="partial", surface=False)
+    two = score(release, tmp_path / "partial", method="partial", surface=False)
+    assert one == two and one.complete
+
+
+def test_everything_held_back(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    summary = publish(
+        synthetic_settings(), tmp_path / "build", tmp_path / "b", ["chair_02"], PublishOptions(("test",))
+    )
+    public = open_release(summary.folder)
+    assert "base-rate" not in possible_baselines(public)
+    with pytest.raises(SettingsError, match="base-rate: needs truth of every category"):
+        write_baselines(public, tmp_path / "p", ["base-rate"])
+    write_baselines(public, tmp_path / "p", ["hull"])
+    code = (summary.folder / "README.md").read_text().split("```python\n")[1].split("```")[0]
+    assert "full" not in code
+
+
+def test_damaged_inputs(parts: PublishSummary, tmp_path: Path) -> None:
+    path = tmp_path / "000.npz"
+    path.write_bytes(pair_bytes(synthetic_pair(0, "chair")))
+    lines = list(held_back_problems(path, framing="view", partial_rule="any"))
+    assert lines == [
+        "it holds the truth, which is to be held back", "framing is 'object' where the benchmark has 'view'"
+    ]  # fmt: skip
+    values = arrays(parts.folder / "pairs/chair_01/000.npz")
+    buffer = io.BytesIO()
+    np.savez(buffer, **{key: value for key, value in values.items() if key != "seen"})
+    path.write_bytes(buffer.getvalue())
+    (line,) = held_back_problems(path, framing="object", partial_rule="any")
+    assert line == "not a pair's input: the keys seen are missing"
+
+
+def test_options(tmp_path: Path) -> None:
+    settings = synthetic_settings()
+    with pytest.raises(SettingsError, match="--hold-back tset: choose among train, validation, test"):
+        publish_options(settings, ["tset"], None)
+    with pytest.raises(ReleaseError, match="--hold-back train: no recording of this split"):
+        publish(settings, tmp_path, tmp_path / "b", NAMES, PublishOptions(("train",)))
+    file = tmp_path / "t.json"
+    file.write_text('{"thresholds": {"chair": 0.4}}')
+    with pytest.raises(SettingsError, match="no threshold for table"):
+        publish_options(settings, (), file)
+
+
+@pytest.mark.xdist_group("commands")
+def test_the_commands_know_which_part_scores(small: Path, command: Command, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(small, tmp_path / "b"))
+    text = (root / "benchmark.yaml").read_text().replace("split: validation", "split: train")
+    (root / "benchmark.yaml").write_text(text + "license: CC0-1.0\nsource: simulated\n")
+    first = command(root, "publish", "--hold-back", "test", "--jobs", "1", "--json")
+    assert first.status == 0, first
+    result = json.loads(first.out)
+    assert command(root, "baseline", "partial", "--jobs", "1").status == 0
+    scored = command(root, "score", "predictions/partial", "--jobs", "1", "--no-surface")
+    assert scored.status == 0, scored
+    scores = json.loads((root / "scores" / "scores.json").read_text())
+    assert scores["benchmark_sha256"] == result["private_benchmark_sha256"]
+    # Neither has published the truth in the meantime.
+    held = json.loads((root / "benchmark" / "benchmark.json").read_text())
+    assert held["held_back"] == ["test"] and held["benchmark_sha256"] == result["benchmark_sha256"]
+    refused = command(root, "score", "predictions/partial", "--benchmark", "benchmark", "--jobs", "1")
+    assert refused.status == 1 and "held back" in refused.err and len(refused.err.splitlines()) == 1
+    assert command(root, "check", "predictions/partial", "--benchmark", "benchmark").status == 0
+    again = command(root, "publish", "--jobs", "1", "--json")
+    assert json.loads(again.out)["benchmark_sha256"] == result["private_benchmark_sha256"]
+    assert read_input(root / "benchmark" / "pairs" / "chair" / "000.npz").framing == "object"

@@ -1,0 +1,217 @@
+"""What a release says of itself, read by the tools of others: Croissant, JSON Schema, Hugging Face's YAML."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
+
+from kinectbench.release.citation import citation_text
+from kinectbench.release.publish import publish
+from kinectbench.release.release import COLUMNS, Release
+from kinectbench.release.schema_models import JSON_FILES
+from kinectbench.release.schemas import schema_problems, schema_texts
+
+NAMES = [recording[0] for recording in RECORDINGS]
+SCHEMAS = Path(__file__).resolve().parents[2] / "kinectbench" / "release" / "schemas"
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("metadata") / "build"
+    write_build(folder)
+    return folder
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
+    import mlcroissant
+
+    dataset = mlcroissant.Dataset(jsonld=release.folder / "croissant.json")
+    assert not dataset.metadata.issues.errors
+    assert "context" not in caplog.text  # it is the standard one
+    records = [
+        {key.removeprefix("targets/"): value.decode() for key, value in record.items()}
+        for record in dataset.records("targets")
+    ]
+    assert records == [vars(target) for target in release.targets]
+    content = json.loads((release.folder / "croissant.json").read_text())
+    assert content["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    assert content["license"] == "https://spdx.org/licenses/CC0-1.0.html"
+    for entry in content["distribution"]:
+        if entry["@type"] == "cr:FileSet":
+            assert list(release.folder.glob(entry["includes"])), entry
+        else:
+            assert (
+                f"{entry['sha256']}  {entry['contentUrl']}\n" in (release.folder / "SHA256SUMS").read_text()
+            )
+
+
+def card_head(folder: Path) -> dict[str, Any]:
+    text = (folder / "README.md").read_text()
+    assert text.startswith("---\n")
+    head: dict[str, Any] = yaml.safe_load(text.split("---\n")[1])
+    return head
+
+
+def test_head_of_the_card(release: Release) -> None:
+    head = card_head(release.folder)
+    assert head["license"] == "cc0-1.0" and head["size_categories"] == ["n<1K"]
+    (config,) = head["configs"]
+    rows = []
+    for entry in config["data_files"]:
+        lines = (release.folder / entry["path"]).read_text().splitlines()
+        assert tuple(lines[0].split(",")) == COLUMNS
+        assert all(f",{entry['split']}," in line for line in lines[1:])
+        rows += lines[1:]
+    assert sorted(rows) == (release.folder / "targets.csv").read_text().splitlines()[1:]
+
+
+@pytest.mark.parametrize("license", ["unspecified", "our own terms"])
+def test_other_licences(license: str, build: Path, tmp_path: Path) -> None:
+    summary = publish(synthetic_settings(license=license), build, tmp_path / "b", ["chair_02"])
+    head = card_head(summary.folder)
+    if license == "unspecified":
+        assert head["license"] == "unknown"
+    else:
+        assert (head["license"], head["license_name"], head["license_link"]) == (
+            "other", "our-own-terms", "LICENSE"
+        )  # fmt: skip
+
+
+def test_licence_and_source_of_each_recording(build: Path, tmp_path: Path) -> None:
+    settings = synthetic_settings(source="unspecified")
+    first = settings.recordings[0].model_copy(update={"license": "CC-BY-4.0", "source": "Jo's kitchen"})
+    settings = settings.model_copy(update={"recordings": [first, *settings.recordings[1:]]})
+    summary = publish(settings, build, tmp_path / "b", ["chair_01", "chair_02"])
+    assert summary.warnings[0].startswith("no source is stated: set `source` in benchmark.yaml (chair_02)")
+    info = json.loads((summary.folder / "benchmark.json").read_text())
+    assert info["distribution"] == {"allowed": False, "reasons": [summary.warnings[0]]}
+    assert "**Not for distribution.**" in (summary.folder / "README.md").read_text()
+    text = (summary.folder / "LICENSE").read_text()
+    assert "chair_01\n  licence: CC-BY-4.0\n  source: Jo's kitchen" in text and "NOT FOR DISTRIBUTION" in text
+    assert publish(settings, build, tmp_path / "c", ["chair_01"]).warnings == ()
+
+
+def test_citation() -> None:
+    settings = synthetic_settings(
+        publish={"citation": {"title": "Chairs", "authors": ["Doe, Jo", "A Lab"], "version": "1.2.0"}}
+    )
+    content = yaml.safe_load(citation_text(settings.publish.citation, "synthetic", "CC-BY-4.0"))
+    assert content["authors"] == [{"family-names": "Doe", "given-names": "Jo"}, {"name": "A Lab"}]
+    assert (content["title"], content["version"], content["license"]) == ("Chairs", "1.2.0", "CC-BY-4.0")
+    assert (content["cff-version"], content["type"]) == ("1.2.0", "dataset")
+    assert "license" not in yaml.safe_load(citation_text(settings.publish.citation, "x", "our own terms"))
+
+
+def test_answers_and_changes(build: Path, tmp_path: Path) -> None:
+    answers = {"motivation": "To try it out.", "consent": "Nobody is in it."}
+    changes = [{"version": "1.1.0", "changes": ["a chair more"]}, {"version": "1.0.0", "changes": ["first"]}]
+    settings = synthetic_settings(publish={"datasheet": answers, "changelog": changes})
+    summary = publish(settings, build, tmp_path / "b", NAMES)
+    assert summary.unanswered == ("creators", "collection", "uses_to_avoid", "maintenance")
+    text = (summary.folder / "datasheet.md").read_text()
+    assert "To try it out." in text and "Nobody is in it." in text and "Not stated." in text
+    assert "0.93 (0.93 to 0.93), of 5 recordings" in text
+    assert "$" not in text
+    assert (summary.folder / "CHANGELOG.md").read_text() == (
+        "# Changes of synthetic\n\n## 1.1.0\n\n- a chair more\n\n## 1.0.0\n\n- first\n"
+    )
+
+
+def test_the_packaged_schemas_are_those_of_the_code() -> None:
+    packaged = {path.name: path.read_text() for path in SCHEMAS.iterdir()}
+    assert packaged == schema_texts()
+
+
+def undescribed(content: Any, schema: Any, root: Any, at: str = "") -> list[str]:
+    """Keys of a JSON value that its schema does not name."""
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].split("/")[-1]]
+    if "anyOf" in schema:
+        return min((undescribed(content, one, root, at) for one in schema["anyOf"]), key=len)
+    if isinstance(content, list) and "items" in schema:
+        return [line for entry in content for line in undescribed(entry, schema["items"], root, at)]
+    if not isinstance(content, dict) or at == ".settings":  # those are described by benchmark.yaml
+        return []
+    known, others = schema.get("properties", {}), schema.get("additionalProperties")
+    lines = [f"{at}.{key}" for key in content if known and key not in known]
+    for key, value in content.items():
+        inner = known.get(key, others)
+        if isinstance(inner, dict):
+            lines += undescribed(value, inner, root, f"{at}.{key}")
+    return lines
+
+
+def check_schemas(folder: Path) -> set[str]:
+    """Check every JSON file of a release with an independent validator; names of the schemas used."""
+    used = set()
+    for path in sorted((folder / "schemas").glob("*.schema.json")):
+        schema = json.loads(path.read_text())
+        Draft202012Validator.check_schema(schema)
+        files = sorted(folder.glob(schema["$comment"]))
+        assert files, path.name
+        for file in files:
+            content = json.loads(file.read_text())
+            Draft202012Validator(schema).validate(content)
+            assert undescribed(content, schema, schema) == [], file
+            assert list(schema_problems(file.relative_to(folder).as_posix(), file.read_text())) == []
+        used.add(path.name.split(".")[0])
+    return used
+
+
+def test_files_follow_their_schemas(release: Release) -> None:
+    assert check_schemas(release.folder) == set(JSON_FILES) - {"thresholds"}
+    keys = json.loads((release.folder / "schemas" / "pair.npz.json").read_text())["keys"]
+    with np.load(release.pair_path(release.targets[0])) as pair:
+        assert [row["name"] for row in keys] == pair.files
+        for row in keys:
+            array = pair[row["name"]]
+            assert list(array.shape) == row["shape"]
+            kind = {"text": "U", "integer": "i"}.get(row["dtype"])
+            assert array.dtype.kind == kind if kind else array.dtype == row["dtype"]
+    table = json.loads((release.folder / "schemas" / "targets.csv.json").read_text())
+    assert tuple(row["name"] for row in table["fields"]) == COLUMNS
+
+
+def test_a_real_build_follows_the_schemas(small: Path, tmp_path: Path) -> None:
+    from kinectbench.benchmark_file import load_benchmark
+
+    settings = load_benchmark(small / "benchmark.yaml")
+    publish(settings, small / "build", tmp_path / "b", ["chair", "table"])
+    assert check_schemas(tmp_path / "b") == set(JSON_FILES) - {"thresholds"}
+    (row, *_) = json.loads((tmp_path / "b/views/chair/views.json").read_text())["views"]
+    assert (row["width"], row["height"], row["pair"]) == (160, 120, True)
+    with np.load(tmp_path / f"b/pairs/chair/{row['view']}.npz") as pair:
+        np.testing.assert_array_equal(pair["K"], row["K"])
+    lineage = json.loads((tmp_path / "b/lineage.json").read_text())["recordings"]["chair"]
+    assert list(lineage["stages"]) == ["ingest", "track", "fuse", "segment", "sample-views", "pairs"]
+    assert str(tmp_path.parent) not in (tmp_path / "b/lineage.json").read_text()
+
+
+def test_schema_problems() -> None:
+    assert list(schema_problems("splits.json", '{"test": [1]}')) == [
+        "'test.0': Input should be a valid string"
+    ]
+    assert "'views'" in next(schema_problems("views/a/views.json", '{"format_version": 1, "refused": []}'))
+    assert list(schema_problems("croissant.json", "{}")) == []
+
+
+def test_lineage(release: Release) -> None:
+    chair = json.loads((release.folder / "lineage.json").read_text())["recordings"]["chair_01"]
+    assert chair["files"] == {"depth/0.png": "ab" * 32} and chair["source"] == "made up"
+    assert chair["views"] == [{"view": v, "frame": 7, "stamp_ns": 70} for v in ("000", "001")]
+
+
+def test_a_recording_of_one_file_has_its_name(build: Path, tmp_path: Path) -> None:
+    import shutil
+
+    copy = Path(shutil.copytree(build, tmp_path / "build"))
+    write_json(copy / "chair_02" / "sources.json", {"": [1, 2, "cd" * 32]})
+    publish(synthetic_settings(), copy, tmp_path / "b", ["chair_02"])
+    lineage = json.loads((tmp_path / "b/lineage.json").read_text())
+    assert lineage["recordings"]["chair_02"]["files"] == {"chair_02": "cd" * 32}

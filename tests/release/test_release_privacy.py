@@ -1,0 +1,113 @@
+"""What is taken out of a release before it is written, and what is refused."""
+
+import io
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
+
+from kinectbench.errors import ReleaseError
+from kinectbench.release.jpeg import without_metadata
+from kinectbench.release.privacy import Found, scrubbed
+from kinectbench.release.publish import publish
+
+NAMES = [recording[0] for recording in RECORDINGS]
+
+
+def photo() -> bytes:
+    """A JPEG with a GPS position, a serial number and a comment."""
+    pixels = np.random.default_rng(0).integers(0, 256, (32, 48, 3), np.uint8)
+    exif = Image.Exif()
+    exif.get_ifd(0x8825).update({1: "N", 2: (51.0, 45.0, 7.0)})
+    exif.get_ifd(0x8769)[0xA431] = "A00366823415"
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "JPEG", exif=exif, comment=b"by Jo", quality=90)
+    return buffer.getvalue()
+
+
+def decoded(data: bytes) -> np.ndarray:
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
+
+
+def test_jpeg() -> None:
+    data = photo()
+    assert b"A00366823415" in data and b"by Jo" in data
+    clean, removed = without_metadata(data)
+    assert removed == ["EXIF (GPS position, serial number)", "comment"]
+    assert b"A00366823415" not in clean and b"by Jo" not in clean
+    assert not Image.open(io.BytesIO(clean)).getexif()
+    np.testing.assert_array_equal(decoded(clean), decoded(data))
+    assert without_metadata(clean) == (clean, [])
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89PNG", photo()[:30], b"\xff\xd8\xff\xe1\x00\x01"])
+def test_what_is_no_jpeg(data: bytes) -> None:
+    with pytest.raises(ValueError, match="JPEG|damaged"):
+        without_metadata(data)
+
+
+@pytest.mark.parametrize(
+    ("value", "clean", "removed"),
+    [
+        ({"serial_number": "A1", "n": 2}, {"n": 2}, ["the key 'serial_number'"]),
+        ({"a": {"gps": {"lat": 1.0}}}, {"a": {}}, ["the key 'gps'"]),
+        ({"w": ["see /home/jo/chair.bag: bad"]}, {"w": ["see chair.bag: bad"]}, ["a path in 'w'"]),
+        ({"w": r"C:\Users\jo\x.bag"}, {"w": "x.bag"}, ["a path in 'w'"]),
+        ({"w": "ask jo@example.org"}, {"w": "ask (address removed)"}, ["an e-mail address in 'w'"]),
+        # What only looks alike stays.
+        ({"topic": "/camera/depth/image_raw"}, {"topic": "/camera/depth/image_raw"}, []),
+        ({"serialisation": 1, "use": "tracked/lost"}, {"serialisation": 1, "use": "tracked/lost"}, []),
+    ],
+)
+def test_json(value: object, clean: object, removed: list[str]) -> None:
+    found = Found()
+    assert scrubbed(value, "f.json", found) == clean
+    assert found.rows == [{"file": "f.json", "what": what} for what in removed]
+
+
+def test_a_release_with_color(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    (tmp_path / "build/chair_02/views/000.color.jpg").write_bytes(photo())
+    quality = {"repeatability_iou": 0.9, "device_serial": "A00366823415", "warnings": ["read /home/jo/x.bag"]}
+    write_json(tmp_path / "build/chair_02/object/quality.json", quality)
+    settings = synthetic_settings(publish={"color": True})
+    summary = publish(settings, tmp_path / "build", tmp_path / "b", ["chair_02"])
+    report = json.loads((tmp_path / "b" / "privacy.json").read_text())
+    assert report["color"] == "published"
+    assert {"file": "views/chair_02/000.color.jpg", "what": "EXIF (GPS position, serial number)"} in report[
+        "removed"
+    ]
+    assert "removed from 2 files: the key 'device_serial'" in summary.removed  # quality.json, benchmark.json
+    for path in (tmp_path / "b").rglob("*"):
+        assert path.is_dir() or not any(word in path.read_bytes() for word in (b"A00366823415", b"/home/jo"))
+    plain = publish(synthetic_settings(), tmp_path / "build", tmp_path / "c", ["chair_02"])
+    assert json.loads((plain.folder / "privacy.json").read_text())["color"] == "left out"
+    for image in (tmp_path / "build").rglob("*.jpg"):
+        image.unlink()
+    publish(synthetic_settings(), tmp_path / "build", tmp_path / "c", ["chair_02"])
+    assert json.loads((plain.folder / "privacy.json").read_text())["color"] == "none"
+
+
+def test_a_damaged_photo_is_not_published(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    (tmp_path / "build/chair_02/views/000.color.jpg").write_bytes(photo()[:30])
+    with pytest.raises(ReleaseError, match=r"000\.color\.jpg: damaged or cut off"):
+        publish(synthetic_settings(publish={"color": True}), tmp_path / "build", tmp_path / "b", ["chair_02"])
+
+
+def test_a_folder_that_is_no_release_stays(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    out = tmp_path / "b"
+    out.mkdir()
+    publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])  # an empty one may be filled
+    shutil.rmtree(out)
+    out.mkdir()
+    (out / "thesis.txt").write_text("precious")
+    with pytest.raises(ReleaseError, match="b: holds something else than a release; move it away"):
+        publish(synthetic_settings(), tmp_path / "build", out, NAMES)
+    assert (out / "thesis.txt").read_text() == "precious"
