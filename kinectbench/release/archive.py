@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kinectbench.config import BenchmarkSettings
 from kinectbench.errors import ReleaseError
-from kinectbench.release.layout import release_files
+from kinectbench.release.layout import SHA256SUMS, release_files
 from kinectbench.release.metadata import ReleaseInfo, read_metadata
 from kinectbench.release.origins import Origin, reasons_against_distribution
 from kinectbench.workspace import replaced_file, sha256_file
@@ -71,8 +71,9 @@ def write_archive(release: Path, out: Path) -> Path:
     path = out / f"{stem}.zip"
     with replaced_file(path) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
-            for file in sorted([*release_files(release), release / "SHA256SUMS"]):
-                _add(archive, file, f"{stem}/{file.relative_to(release).as_posix()}")
+            files = [*release_files(release), release / SHA256SUMS]
+            for name in sorted(file.relative_to(release).as_posix() for file in files):
+                _add(archive, release / name, f"{stem}/{name}")
         sha256 = sha256_file(temporary)
     with replaced_file(path.with_name(f"{path.name}.sha256")) as temporary:
         temporary.write_text(f"{sha256}  {path.name}\n")
