@@ -38,6 +38,6 @@ samples: setup ## write the sample recordings again (simulated, same bytes)
 
 clean: ## remove .venv, caches and everything built
 	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis kinectbench.egg-info
-	rm -rf build benchmark predictions scores
+	rm -rf build benchmark benchmark-private predictions scores
 	rm -rf demo/recordings demo/build demo/benchmark demo/predictions demo/scores
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

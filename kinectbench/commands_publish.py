@@ -70,9 +70,7 @@ def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> Non
     console.lines("warning", summary.warnings, "yellow")
     if summary.unanswered:
         keys = ", ".join(summary.unanswered)
-        line = (
-            f"datasheet.md says 'Not stated' of {keys}: answer under `publish: datasheet:` in benchmark.yaml"
-        )
+        line = f"not stated in datasheet.md: {keys}; answer under `publish: datasheet:` in benchmark.yaml"
         console.lines("note", [line], "cyan")
     if as_json:
         result: dict[str, Any] = {

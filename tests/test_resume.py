@@ -241,7 +241,7 @@ WRITES = {
     "segment": "kinectbench.shape.object_folder.write_object",
     "sample-views": "kinectbench.views_folder.write_views",
     "pairs": "kinectbench.views_folder.write_pairs_table",
-    "publish": "kinectbench.release.publish._write_small_files",
+    "publish": "kinectbench.release.publish.write_small_files",
 }
 
 

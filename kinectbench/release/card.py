@@ -12,7 +12,7 @@ import yaml
 from kinectbench.release.layout import LICENSE, SPLIT_TARGETS
 from kinectbench.release.metadata import ReleaseInfo
 from kinectbench.release.origins import HUGGING_FACE, UNSPECIFIED
-from kinectbench.release.release import COLUMNS, SPLITS, Target
+from kinectbench.release.release import SPLITS, Target
 
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
 TRUTH_LINES = """\
@@ -104,11 +104,6 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
                 "data_files": [{"split": s, "path": f"{SPLIT_TARGETS}/{s}.csv"} for s in present],
             }
         ],
-        # Else 007 would be read as a number.
-        "dataset_info": {
-            "config_name": "targets",
-            "features": [{"name": column, "dtype": "string"} for column in COLUMNS],
-        },
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=10**9)
 
