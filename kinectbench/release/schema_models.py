@@ -70,8 +70,8 @@ class FloorFile(Described):
     T_floor_world: Matrix = Field(description="(4, 4); frame floor: z up, floor at z = 0")
     noise_m: float = Field(description="of the points on the floor, metres")
     inlier_share: float = Field(description="of the points below the cameras")
-    tilt_rad: float = Field(description="between its normal and up as the cameras were held")
-    found: bool = Field(description="false: no floor was found, and a box was given")
+    tilt_rad: float | None = Field(None, description="between its normal and up as the cameras were held")
+    found: bool | None = Field(None, description="false: no floor was found, and a box was given")
 
 
 class QualityFile(Described):
