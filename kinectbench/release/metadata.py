@@ -78,7 +78,16 @@ def read_metadata(folder: Path) -> ReleaseInfo:
         ReleaseError: it is missing, malformed, or of another format version.
     """
     path = folder / BENCHMARK_JSON
-    content = strict_json(read_text(path), str(path))
+    return parse_metadata(read_text(path), str(path))
+
+
+def parse_metadata(text: str, path: str) -> ReleaseInfo:
+    """Parse benchmark.json.
+
+    Raises:
+        ReleaseError: malformed, or of another format version; the line begins with `path`.
+    """
+    content = strict_json(text, path)
     version = content.get("format_version") if isinstance(content, dict) else None
     if version != FORMAT_VERSION:
         raise ReleaseError(f"{path}: format version {version}; this package reads {FORMAT_VERSION}")

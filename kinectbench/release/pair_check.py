@@ -5,10 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.voxels.pair_file import BLOCK, Pair, unpack
+from kinectbench.voxels.packed_containment import packed_count
+from kinectbench.voxels.packed_shell import packed_shell
+from kinectbench.voxels.pair_file import BLOCK, FULL_CELLS, Pair, unpack
 from kinectbench.voxels.resample import reduce_blocks
 
 ORTHONORMAL_TOLERANCE = 1e-6
+LEAST_TRUSTED_SHARE = 0.5
 
 
 def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_rule: str) -> Iterator[str]:
@@ -48,12 +51,32 @@ def _grid_problems(pair: Pair, min_containment: float) -> Iterator[str]:
         differ = int(np.count_nonzero(reduced != partial))
         if differ:
             yield f"{differ} cells of 'partial' are not 'partial_256' reduced by '{pair.partial_rule}'"
-    outside = int(np.count_nonzero(unpack(pair.shell & ~pair.full)))
-    if outside:
-        yield f"{outside} cells of 'shell' lie outside 'full'"
+    wrong = packed_count(pair.shell ^ packed_shell(pair.full))
+    if wrong:
+        yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
+    yield from _trust_problems(pair)
     inside = _containment(pair)
     if inside < min_containment:
         yield f"containment is {inside:.3f}, below {min_containment}"
+
+
+def _trust_problems(pair: Pair) -> Iterator[str]:
+    """What cannot be right with `known` and `seen`, which the files of a release do not determine.
+
+    A view's depth is made of surface that was fused, so it is known, and of what that view sees: nearly
+    all of `partial_256` must be both. Half allows for every recording that can be used at all (own rule).
+    """
+    cells = packed_count(pair.partial_256)
+    for name in ("known", "seen"):
+        inside = packed_count(pair.partial_256 & getattr(pair, name))
+        if inside < LEAST_TRUSTED_SHARE * cells:
+            yield f"only {inside} of the {cells} cells of 'partial_256' are '{name}'"
+    if pair.voxel_size_m <= 0:
+        return
+    corner_z_m = float((pair.T_world_grid[:3, 3] - pair.T_world_camera[:3, 3]) @ pair.T_world_camera[:3, 2])
+    behind = int(np.clip(np.floor(0.5 - corner_z_m / pair.voxel_size_m), 0, FULL_CELLS))
+    if behind and unpack(pair.seen)[:, :, :behind].any():
+        yield "'seen' holds cells behind the camera"
 
 
 def _containment(pair: Pair) -> float:

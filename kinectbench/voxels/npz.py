@@ -5,7 +5,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,10 +53,19 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     # Opened here, because numpy leaves a damaged archive open.
     with path.open("rb") as file:
-        archive = np.load(file, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise ValueError("it is a single array, not an npz")
-        return {name: np.asarray(archive[name]) for name in archive.files}
+        return arrays_of(file)
+
+
+def arrays_of(file: IO[bytes]) -> dict[str, NDArray[Any]]:
+    """Read all arrays of an open npz; no pickles.
+
+    Raises:
+        UNREADABLE: one of these exceptions, if it is damaged or no npz.
+    """
+    archive = np.load(file, allow_pickle=False)
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise ValueError("it is a single array, not an npz")
+    return {name: np.asarray(archive[name]) for name in archive.files}
 
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:

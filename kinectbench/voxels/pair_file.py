@@ -1,5 +1,7 @@
 """The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis."""
 
+import io
+import zipfile
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinectbench.errors import PairError
 from kinectbench.geometry import Grid
-from kinectbench.voxels.npz import UNREADABLE, load_arrays
+from kinectbench.voxels.npz import UNREADABLE, arrays_of, load_arrays
 from kinectbench.voxels.npz import npz_bytes as npz_bytes
 from kinectbench.voxels.packed_npz import packed_npz_bytes
 
@@ -18,6 +20,8 @@ FORMAT_VERSION = 1
 FULL_CELLS = 256
 PARTIAL_CELLS = 64
 BLOCK = FULL_CELLS // PARTIAL_CELLS
+# Grids, matrices and texts of a pair, unpacked from its npz, are 10.5 MB.
+MAX_BYTES = 16 << 20
 
 Bools = NDArray[np.bool_]
 Packed = NDArray[np.uint8]
@@ -103,15 +107,38 @@ def read_pair(path: Path) -> Pair:
         values = load_arrays(path)
     except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
+    return _pair(values, str(path))
+
+
+def parse_pair(content: bytes, where: str) -> Pair:
+    """A pair from a file's bytes, which may come from anyone; checked like those of `read_pair`.
+
+    Raises:
+        PairError: damaged, not a pair of a known format version, or claiming to hold more than a pair;
+            the line begins with `where`.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            claimed = sum(entry.file_size for entry in archive.infolist())
+        if claimed > MAX_BYTES:
+            raise PairError(f"{where}: claims to hold {claimed} bytes, more than a pair; not read")
+        values = arrays_of(io.BytesIO(content))
+    except UNREADABLE as error:
+        raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
+    return _pair(values, where)
+
+
+def _pair(values: dict[str, NDArray[Any]], where: str) -> Pair:
+    """The values of a pair file as a pair."""
     for field in fields(Pair):
         if field.default is not MISSING:
             values.setdefault(field.name, np.asarray(field.default))
     missing = [f.name for f in fields(Pair) if f.name not in values]
     if missing:
-        raise PairError(f"{path}: not a pair file: the keys {', '.join(missing)} are missing")
+        raise PairError(f"{where}: not a pair file: the keys {', '.join(missing)} are missing")
     fault = pair_fault(values, [field.name for field in fields(Pair)])
     if fault:
-        raise PairError(f"{path}: {fault}")
+        raise PairError(f"{where}: {fault}")
     scalars = {name: values[name].item() for name in (*NUMBERS, *TEXTS)}
     return Pair(**{f.name: scalars.get(f.name, values[f.name]) for f in fields(Pair)})
 

@@ -64,7 +64,23 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
         lambda folder: (folder / "views/notes.txt").write_text("hello"),
         ["views/notes.txt: not part of the release"],
     ),
-    "changed target": (change_target, ["targets.csv: changed since it was published (SHA-256 differs)"]),
+    "changed target": (
+        change_target,
+        [
+            "targets.csv: changed since it was published (SHA-256 differs)",
+            "targets.csv, line 4: category 'sofa' where benchmark.json has 'chair'",
+        ],
+    ),
+    "line taken out of targets.csv": (
+        lambda folder: (folder / "targets.csv").write_text(
+            "".join((folder / "targets.csv").read_text().splitlines(keepends=True)[:-1])
+        ),
+        [
+            "targets.csv: changed since it was published (SHA-256 differs)",
+            "targets.csv: no line for pairs/table_02/000.npz",
+            "targets.csv: 0 pairs of table_02 where benchmark.json has 1",
+        ],
+    ),
     "link": (link, ["README.md: a link instead of the file that was published"]),
     "missing card and a link more": (
         lambda folder: ((folder / "README.md").unlink(), (folder / "out").symlink_to("/")),
@@ -105,7 +121,7 @@ def test_a_forged_list_of_sums(copy: Path) -> None:
 def test_agreement_of_the_small_files(copy: Path) -> None:
     path = copy / "targets.csv"
     lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join([lines[0], *lines[2:]]).replace(",validation,", ",train,"))
+    path.write_text("".join([lines[0], *lines[2:]]))
     (copy / "splits.json").write_text("{}")
     resum(copy, "targets.csv", "splits.json")
     text = (copy / "SHA256SUMS").read_text()
@@ -115,8 +131,10 @@ def test_agreement_of_the_small_files(copy: Path) -> None:
     (copy / "benchmark.json").write_text(old[:at] + identity + old[at + 64 :])
     resum(copy, "benchmark.json")
     assert verify(copy) == [
-        "splits.json: does not agree with targets.csv",
         "targets.csv: no line for pairs/chair_01/000.npz",
+        "targets.csv: 1 pairs of chair_01 where benchmark.json has 2",
+        "splits.json: does not agree with targets.csv",
+        "README.md: does not have the row '| chair | 3 | 0 | 2 | 2 |', which targets.csv counts",
     ]
 
 
@@ -132,6 +150,9 @@ def test_damaged_sums(copy: Path) -> None:
 GOOD = synthetic_pair(0, "chair")
 SKEW, MIRROR = np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0])
 SKEW[0, 1] = 0.1
+# A camera in the middle of the cube.
+BEHIND = GOOD.T_world_camera.copy()
+BEHIND[:3, 3] = (GOOD.T_world_grid @ np.array([*[128 * GOOD.voxel_size_m] * 3, 1.0]))[:3]
 ONE_CELL = np.zeros((64, 64, 64), bool)
 ONE_CELL[0, 0, 0] = True
 CORNER = np.zeros((256, 256, 256), bool)
@@ -164,7 +185,26 @@ WRONG: dict[str, tuple[Pair, list[str]]] = {
         replace(GOOD, partial=GOOD.partial | pack(ONE_CELL)),
         ["1 cells of 'partial' are not 'partial_256' reduced by 'any'"],
     ),
-    "shell": (replace(GOOD, shell=GOOD.shell | pack(CORNER)), ["1 cells of 'shell' lie outside 'full'"]),
+    "shell": (
+        replace(GOOD, shell=GOOD.shell | pack(CORNER)),
+        ["1 cells of 'shell' are not as the surface of 'full'"],
+    ),
+    "thin shell": (
+        replace(GOOD, shell=np.zeros_like(GOOD.shell)),
+        [f"{int(np.unpackbits(GOOD.shell).sum())} cells of 'shell' are not as the surface of 'full'"],
+    ),
+    "nothing known": (
+        replace(GOOD, known=np.zeros_like(GOOD.known)),
+        [f"only 0 of the {int(np.unpackbits(GOOD.partial_256).sum())} cells of 'partial_256' are 'known'"],
+    ),
+    "nothing seen": (
+        replace(GOOD, seen=np.zeros_like(GOOD.seen)),
+        [f"only 0 of the {int(np.unpackbits(GOOD.partial_256).sum())} cells of 'partial_256' are 'seen'"],
+    ),
+    "seen behind the camera": (
+        replace(GOOD, T_world_camera=BEHIND),
+        ["'seen' holds cells behind the camera"],
+    ),
     "containment": (
         replace(GOOD, partial=pack(ONE_CELL), partial_256=pack(CORNER)),
         ["containment is 0.000, below 0.85"],
