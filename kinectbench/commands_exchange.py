@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -17,22 +17,28 @@ from kinectbench.commands import (
     find_release,
 )
 
+# Each is a room `release/<layout>_export.py` with a function `export_<layout>`.
+Layout = Literal["recgan", "bop", "webdataset"]
+
 
 def export(
     out: Annotated[Path, typer.Argument(help="a new folder")],
+    layout: Annotated[Layout, typer.Option(help="the paper's authors', BOP's, or WebDataset's")] = "recgan",
     benchmark: BenchmarkDir = None,
     config: Config = DEFAULT_CONFIG,
     overrides: Set = None,
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Write a release's pairs as the files of the paper's authors, in their layout and axes."""
-    from kinectbench import console
-    from kinectbench.release.recgan_export import export_recgan
+    """Write a release in another layout: `recgan`, the paper authors' files and axes; `bop`; `webdataset`."""
+    from importlib import import_module
 
+    from kinectbench import console
+
+    write = getattr(import_module(f"kinectbench.release.{layout}_export"), f"export_{layout}")
     release, rows = find_release(benchmark, config, overrides, jobs)
     with console.bar("export") as progress:
-        pairs = export_recgan(release, out, progress)
+        pairs = write(release, out, progress)
     _tell("exported", pairs, out, as_json)
     exit_for(rows)
 

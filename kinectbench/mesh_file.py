@@ -1,6 +1,7 @@
 """Triangle meshes as binary PLY, by trimesh."""
 
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -22,13 +23,23 @@ def read_ply(path: Path) -> TriangleMesh:
     Raises:
         StorageError: the file is missing or damaged.
     """
-    import trimesh
-
     try:
-        loaded = trimesh.load(path, process=False, force="mesh")
-        vertices = np.asarray(loaded.vertices, dtype=np.float64)
-        return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32))
+        with path.open("rb") as file:
+            return parse_ply(file)
     except (OSError, ValueError, KeyError, IndexError, AttributeError) as error:
         raise StorageError(
             f"{path}: not a readable mesh ({error}); `kinectbench build --force` makes it again"
         ) from error
+
+
+def parse_ply(file: IO[bytes]) -> TriangleMesh:
+    """Read a mesh from an open PLY file; colours are left out.
+
+    Raises:
+        ValueError, KeyError, IndexError, AttributeError: it is damaged.
+    """
+    import trimesh
+
+    loaded = trimesh.load(file, file_type="ply", process=False, force="mesh")
+    vertices = np.asarray(loaded.vertices, dtype=np.float64)
+    return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32))

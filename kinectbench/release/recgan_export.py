@@ -5,16 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from kinectbench import __version__
-from kinectbench.errors import SettingsError
+from kinectbench.release.export_folder import EXPORT_JSON as EXPORT_JSON
+from kinectbench.release.export_folder import export_folder, write_export_json
 from kinectbench.release.release import Release, Target
 from kinectbench.synthesize.models import synset_of
 from kinectbench.synthesize.recgan import SPLIT_NAMES
-from kinectbench.voxels.pair_file import Pair, read_pair, unpack
+from kinectbench.voxels.pair_file import Pair, parse_pair, unpack
 from kinectbench.voxels.recgan_file import recgan_file_bytes
-from kinectbench.workspace import pretty_json, replaced_folder
 
-EXPORT_JSON = "export.json"
 NUMBERS = ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule", "occupancy_rule")
 MATRICES = ("T_world_grid", "T_world_camera", "K")
 
@@ -35,18 +33,15 @@ def export_recgan(release: Release, out: Path, progress: Callable[[int, int], No
 
     Raises:
         SettingsError: `out` holds something else.
-        ReleaseError: truth is held back.
-        PairError: a pair is missing or damaged.
+        ReleaseError, PairError: a pair is missing or damaged, or truth is held back.
         StorageError: the disk is full or read-only.
     """
-    if out.exists() and not (out.is_dir() and ((out / EXPORT_JSON).is_file() or not any(out.iterdir()))):
-        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
     release.require_truth(SPLIT_NAMES)
     views = max(Counter(target.recording for target in release.targets).values())
     rows = []
-    with replaced_folder(out) as folder:
+    with export_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):
-            pair = read_pair(release.pair_path(target))
+            pair = parse_pair(release.content(target.file), target.file)
             names = {kind: recgan_name(target, kind, views) for kind in ("25d", "3d")}
             for kind, cells in (("25d", pair.partial_256), ("3d", pair.full)):
                 path = folder / names[kind]
@@ -55,15 +50,7 @@ def export_recgan(release: Release, out: Path, progress: Callable[[int, int], No
             rows.append(_row(target, names, pair))
             if progress:
                 progress(done, len(release.targets))
-        content = {
-            "format_version": 1,
-            "package_version": __version__,
-            "benchmark_sha256": release.benchmark_sha256,
-            "name": release.metadata.name,
-            "license": release.metadata.license,
-            "pairs": rows,
-        }
-        (folder / EXPORT_JSON).write_text(pretty_json(content))
+        write_export_json(folder, release, {"pairs": rows})
     return len(rows)
 
 

@@ -1,10 +1,12 @@
 """Open a published benchmark: its targets and what `benchmark.json` says. See layout.py for the files."""
 
 import csv
+import hashlib
 import io
 import re
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
+from functools import cached_property
 from pathlib import Path
 
 from kinectbench.config import NAME
@@ -105,6 +107,30 @@ class Release:
     def pair_path(self, target: Target) -> Path:
         """The target's pair file."""
         return self.folder / target.file
+
+    @cached_property
+    def sums(self) -> dict[str, str]:
+        """SHA256SUMS: the hash of every file by its path."""
+        path = self.folder / SHA256SUMS
+        return read_sums(read_text(path), str(path))
+
+    def content(self, name: str) -> bytes:
+        """The bytes of a file of the release.
+
+        Args:
+            name: its path, relative to the release.
+
+        Raises:
+            ReleaseError: it is missing, or not the published one.
+        """
+        path = self.folder / name
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise ReleaseError(f"{path}: cannot be read ({error.strerror}); download it again") from error
+        if hashlib.sha256(content).hexdigest() != self.sums.get(name):
+            raise ReleaseError(f"{path}: changed since it was published (SHA-256 differs); download it again")
+        return content
 
 
 def open_release(path: Path) -> Release:
