@@ -12,7 +12,6 @@ import typer
 
 from kinectbench import __version__
 from kinectbench.commands import (
-    CANNOT_BE_USED,
     DEFAULT_CONFIG,
     SOME_FAILED,
     BenchmarkDir,
@@ -42,6 +41,7 @@ from kinectbench.commands_publish import publish
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
+from kinectbench.commands_verify import verify
 from kinectbench.errors import KinectBenchError, SettingsError, internal_error
 from kinectbench.interrupts import check_interrupt, interrupts_remembered
 
@@ -103,20 +103,6 @@ for _name, _text in STAGES.items():
         app.command(_name, help=_text)(OWN_COMMANDS[_name])
     else:
         _add_stage(_name, _text)
-
-
-@app.command()
-def verify(
-    release: Annotated[Path, typer.Argument(help="the release's folder")] = Path("benchmark"),
-    as_json: Json = False,
-) -> None:
-    """Re-check every byte and every pair of a release."""
-    from kinectbench import console
-    from kinectbench.release.verify import verify as find_problems
-
-    with console.bar("verify") as progress:
-        problems = find_problems(release, progress)
-    tell_problems(problems, as_json, f"{release}: all well", CANNOT_BE_USED)
 
 
 @app.command()
@@ -290,7 +276,7 @@ def init(
         typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
 
 
-for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect, publish):
+for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect, publish, verify):
     app.command()(_command)
 app.command("import")(import_)
 

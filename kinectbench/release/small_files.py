@@ -131,7 +131,7 @@ def _content(head: Head, infos: Mapping[str, RecordingInfo], origins: Mapping[st
         "partial_rule": head.partial_rule,
         "distribution": {"allowed": not reasons, "reasons": list(reasons)},
         "settings": head.settings,
-        "packages": _packages(),
+        "packages": package_versions(),
         "recordings": {name: info.model_dump() for name, info in infos.items()},
     }
     if head.citation.version:
@@ -162,7 +162,7 @@ def _seal(folder: Path, content: dict[str, Any]) -> str:
     return str(content["benchmark_sha256"])
 
 
-def _packages() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
     """Versions of Python and of the packages that the data was computed with."""
     versions = {"python": platform.python_version()}
     for name in PACKAGES:

@@ -1,0 +1,188 @@
+"""Re-make a release's pairs from its recordings: the settings to do it with, and what differs."""
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from kinectbench import __version__
+from kinectbench.config import BenchmarkSettings
+from kinectbench.errors import ReleaseError, SettingsError
+from kinectbench.release.contents import Contents
+from kinectbench.release.layout import BENCHMARK_JSON, TARGETS_CSV
+from kinectbench.release.metadata import ReleaseInfo, parse_metadata
+from kinectbench.release.release import Target, parse_targets
+from kinectbench.release.small_files import package_versions
+from kinectbench.voxels.npz import UNREADABLE, arrays_of
+from kinectbench.voxels.packed_containment import packed_count
+from kinectbench.voxels.pair_file import PACKED_SHAPES
+
+OBJECT_FILES = ("mesh.ply", "volume.npz")
+VIEW_IMAGES = (".depth.png", ".mask.png")
+AGAIN = "differs when made again"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a recording lies on this machine.
+
+    Attributes:
+        path: of the recording.
+        masks: folder of a person's masks, or None.
+    """
+
+    path: Path
+    masks: Path | None = None
+
+
+@dataclass(frozen=True)
+class RebuildPlan:
+    """What is to be made again.
+
+    Attributes:
+        settings: those that the release states, with this machine's paths.
+        targets: the pairs to compare.
+        notes: one line each: what cannot be compared, and versions that differ.
+    """
+
+    settings: BenchmarkSettings
+    targets: tuple[Target, ...]
+    notes: tuple[str, ...]
+
+
+def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPlan:
+    """How to make a release's pairs again.
+
+    Args:
+        contents: the release.
+        sources: recording -> where it lies.
+
+    Raises:
+        ReleaseError: the release was not made from recordings, or by a version with other settings.
+        SettingsError: a recording is not there; it names all that are missing.
+    """
+    metadata = parse_metadata(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+    targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
+    held_back = (metadata.model_extra or {}).get("held_back") or []
+    kept = tuple(target for target in targets if target.split not in held_back)
+    wanted = {target.recording for target in kept}
+    missing = sorted(name for name in wanted if name not in sources or not sources[name].path.exists())
+    if missing:
+        raise SettingsError(f"no recording here for {', '.join(missing)}; give the folder that holds them")
+    if not wanted:
+        raise ReleaseError("all truth is held back: only the private part can be made again")
+    notes = version_notes(metadata)
+    if held_back:
+        notes.append(f"the truth of {', '.join(held_back)} is held back: its pairs are not compared")
+    return RebuildPlan(_settings(metadata, sources, wanted), kept, tuple(notes))
+
+
+def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[str]) -> BenchmarkSettings:
+    """The release's settings with the paths of this machine."""
+    values: dict[str, Any] = metadata.settings.model_dump(mode="json")
+    if not values.get("recordings"):
+        raise ReleaseError(f"{BENCHMARK_JSON}: this release was not made from recordings")
+    rows = [dict(row) for row in values["recordings"] if row.get("id") in wanted]
+    for row in rows:
+        source = sources[row["id"]]
+        row["path"] = str(source.path.resolve())
+        row["masks"] = None if source.masks is None else str(source.masks.resolve())
+    values |= {"name": metadata.name, "license": metadata.license, "recordings": rows}
+    try:
+        return BenchmarkSettings.model_validate_json(json.dumps(values))
+    except ValidationError as error:
+        key = ".".join(str(part) for part in error.errors()[0]["loc"])
+        raise ReleaseError(
+            f"{BENCHMARK_JSON}: this version does not know the setting '{key}' as it is there; install "
+            f"kinectbench {metadata.package_version}, which made the release"
+        ) from error
+
+
+def version_notes(metadata: ReleaseInfo) -> list[str]:
+    """One line for each package whose version here is not the one that made the release."""
+    made = {"kinectbench": metadata.package_version, **metadata.packages}
+    here = {"kinectbench": __version__, **package_versions()}
+    return [
+        f"made with {name} {version}, here is {here.get(name, 'none')}: results may differ"
+        for name, version in made.items()
+        if here.get(name) != version
+    ]
+
+
+def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
+    """Yield where what was made again is not what was published, to the byte: a line each.
+
+    Args:
+        contents: the release.
+        plan: of the rebuild.
+        build: holds a folder per recording that was built.
+    """
+    for recording in sorted({target.recording for target in plan.targets}):
+        targets = [target for target in plan.targets if target.recording == recording]
+        here = build / recording
+        if not (here / "pairs" / "pairs.json").is_file():
+            yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"
+            continue
+        # In the order they were made: the first tells where the difference begins.
+        for file in OBJECT_FILES:
+            yield from _file_difference(contents, f"objects/{recording}/{file}", here / "object" / file)
+        for target in targets:
+            for suffix in VIEW_IMAGES:
+                image = f"{target.view}{suffix}"
+                yield from _file_difference(contents, f"views/{recording}/{image}", here / "views" / image)
+            yield from _pair_difference(contents, target, here / "pairs" / f"{target.view}.npz")
+        published = {target.view for target in targets}
+        for made in sorted((here / "pairs").glob("*.npz")):
+            if made.stem not in published:
+                yield f"{recording}/{made.stem}: made again, but there is no such pair in the release"
+
+
+def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]:
+    if name not in contents.entries:
+        return  # releases from elsewhere have no such files
+    if not made.is_file():
+        yield f"{name}: was not made again"
+    elif contents.read(name) != made.read_bytes():
+        yield f"{name}: {AGAIN}"
+
+
+def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator[str]:
+    """Whether a pair is the same, and in which of its keys it is not."""
+    if not made.is_file():
+        yield f"{target.file}: was not made again: its view was refused, or another was drawn"
+        return
+    published, again = contents.read(target.file), made.read_bytes()
+    if published == again:
+        return
+    try:
+        old, new = arrays_of(io.BytesIO(published)), arrays_of(io.BytesIO(again))
+    except UNREADABLE as error:
+        yield f"{target.file}: cannot be read as a pair file ({error})"
+        return
+    words = [
+        word
+        for key in dict.fromkeys((*old, *new))
+        if (word := _key_difference(key, old.get(key), new.get(key)))
+    ]
+    yield f"{target.file}: {AGAIN}: {', '.join(words) or 'the same values, but packed otherwise'}"
+
+
+def _key_difference(key: str, old: NDArray[Any] | None, new: NDArray[Any] | None) -> str | None:
+    """How a key's values differ, or None."""
+    if old is None or new is None:
+        return f"{key} only in {'the release' if new is None else 'the new one'}"
+    if old.shape != new.shape or old.dtype != new.dtype:
+        return f"{key} has another shape or type"
+    if np.array_equal(old, new):
+        return None
+    if key in PACKED_SHAPES:
+        return f"{key} in {packed_count(np.ascontiguousarray(old ^ new))} cells"
+    if old.dtype.kind == "f":
+        return f"{key} by {np.abs(old - new).max():.3g}"
+    return f"{key} ({old} there, {new} here)"
