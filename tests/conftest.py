@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from analytic_release import publish_analytic
 from small_benchmark import Run, make_benchmark, run, run_here
 from synthetic_release import publish_synthetic
 
@@ -15,6 +16,14 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> Release:
     """A published release of simple shapes, not to be changed."""
     root: Path = tmp_path_factory.mktemp("synthetic")
     return open_release(publish_synthetic(root).folder)
+
+
+@pytest.fixture(scope="session")
+def analytic(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`build/` and the `benchmark/` published of it: balls and boxes seen exactly; not to be changed."""
+    root: Path = tmp_path_factory.mktemp("analytic")
+    publish_analytic(root)
+    return root
 
 
 @pytest.fixture(scope="session")

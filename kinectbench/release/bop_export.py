@@ -80,8 +80,7 @@ def export_bop(release: Release, out: Path, progress: Callable[[int, int], None]
 
 def _held_back(release: Release, recording: str) -> bool:
     """Whether a recording's truth is not in the release, and should not be."""
-    held_back = (release.metadata.model_extra or {}).get("held_back") or []
-    return release.metadata.recordings[recording].split in held_back
+    return release.metadata.recordings[recording].split in release.metadata.held_back
 
 
 def _write_model(model: BopModel, path: Path) -> dict[str, float]:

@@ -4,6 +4,7 @@ benchmark.json   name, licence, versions, settings, recordings with their qualit
 targets.csv      one line per pair          targets/<split>.csv   those of one split
 splits.json      split -> recordings        SHA256SUMS            one line per file
 README.md        the card                   croissant.json        metadata for machines
+READING.md       how to read a pair with numpy alone
 pairs/<recording>/<view>.npz   views/<recording>/   objects/<recording>/   schemas/
 LICENSE   CITATION.cff   CHANGELOG.md   datasheet.md   lineage.json   privacy.json
 thresholds.json   index.html
@@ -26,6 +27,7 @@ BENCHMARK_JSON = "benchmark.json"
 TARGETS_CSV = "targets.csv"
 SPLITS_JSON = "splits.json"
 CARD = "README.md"
+READING = "READING.md"
 CROISSANT = "croissant.json"
 DATASHEET = "datasheet.md"
 LINEAGE_JSON = "lineage.json"

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from kinectbench.voxels.packed_containment import packed_count
 from kinectbench.voxels.packed_shell import packed_shell
-from kinectbench.voxels.pair_file import BLOCK, FULL_CELLS, Pair, unpack
+from kinectbench.voxels.pair_file import BLOCK, FULL_CELLS, Packed, Pair, pack, unpack
+from kinectbench.voxels.pair_input import PairInput
 from kinectbench.voxels.resample import reduce_blocks
 
 ORTHONORMAL_TOLERANCE = 1e-6
@@ -23,6 +24,22 @@ def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_r
         framing: the benchmark's.
         partial_rule: the benchmark's.
     """
+    yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
+    if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
+        yield f"surface_sigma_m is {pair.surface_sigma_m}, not a standard deviation"
+    if not pair.full.any():
+        yield "'full' is empty"
+    wrong = packed_count(pair.shell ^ packed_shell(pair.full))
+    if wrong:
+        yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
+    yield from _trust_problems(pair, "known", pair.known)
+    inside = _containment(pair)
+    if inside < min_containment:
+        yield f"containment is {inside:.3f}, below {min_containment}"
+
+
+def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
+    """Yield what is wrong with the input of a pair, as `pair_problems` does."""
     for name in ("T_world_grid", "T_world_camera"):
         if not _is_rigid(getattr(pair, name)):
             yield f"{name} is not a rotation and a shift"
@@ -32,51 +49,40 @@ def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_r
         yield "the focal lengths in K are not positive"
     if not (np.isfinite(pair.voxel_size_m) and pair.voxel_size_m > 0):
         yield f"voxel_size_m is {pair.voxel_size_m}, not positive"
-    if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
-        yield f"surface_sigma_m is {pair.surface_sigma_m}, not a standard deviation"
     for name, expected in (("framing", framing), ("partial_rule", partial_rule)):
         if getattr(pair, name) != expected:
             yield f"{name} is '{getattr(pair, name)}' where the benchmark has '{expected}'"
-    yield from _grid_problems(pair, min_containment)
-
-
-def _grid_problems(pair: Pair, min_containment: float) -> Iterator[str]:
-    """What is wrong with the grids."""
-    partial = unpack(pair.partial)
-    for name in ("partial", "full"):
-        if not getattr(pair, name).any():
-            yield f"'{name}' is empty"
+    if not pair.partial.any():
+        yield "'partial' is empty"
     if pair.partial_rule in ("any", "majority"):
-        reduced = reduce_blocks(unpack(pair.partial_256), pair.partial_rule)
-        differ = int(np.count_nonzero(reduced != partial))
+        reduced = pack(reduce_blocks(unpack(pair.partial_256), pair.partial_rule))
+        differ = packed_count(reduced ^ pair.partial)
         if differ:
             yield f"{differ} cells of 'partial' are not 'partial_256' reduced by '{pair.partial_rule}'"
-    wrong = packed_count(pair.shell ^ packed_shell(pair.full))
-    if wrong:
-        yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
-    yield from _trust_problems(pair)
-    inside = _containment(pair)
-    if inside < min_containment:
-        yield f"containment is {inside:.3f}, below {min_containment}"
+    yield from _trust_problems(pair, "seen", pair.seen)
+    yield from _behind_problems(pair)
 
 
-def _trust_problems(pair: Pair) -> Iterator[str]:
+def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator[str]:
     """What cannot be right with `known` and `seen`, which the files of a release do not determine.
 
-    A view's depth is made of surface that was fused, so it is known, and of what that view sees: nearly
-    all of `partial_256` must be both. Half allows for every recording that can be used at all (own rule).
+    A view's depth is of surface that was fused, so it is known, and of what that view sees: nearly all
+    of `partial_256` must be both. Half allows for every recording that can be used at all (own rule).
     """
-    cells = packed_count(pair.partial_256)
-    for name in ("known", "seen"):
-        inside = packed_count(pair.partial_256 & getattr(pair, name))
-        if inside < LEAST_TRUSTED_SHARE * cells:
-            yield f"only {inside} of the {cells} cells of 'partial_256' are '{name}'"
-    if pair.voxel_size_m <= 0:
-        return
-    corner_z_m = float((pair.T_world_grid[:3, 3] - pair.T_world_camera[:3, 3]) @ pair.T_world_camera[:3, 2])
-    behind = int(np.clip(np.floor(0.5 - corner_z_m / pair.voxel_size_m), 0, FULL_CELLS))
-    if behind and unpack(pair.seen)[:, :, :behind].any():
-        yield "'seen' holds cells behind the camera"
+    cells, inside = packed_count(pair.partial_256), packed_count(pair.partial_256 & grid)
+    if inside < LEAST_TRUSTED_SHARE * cells:
+        yield f"only {inside} of the {cells} cells of 'partial_256' are '{name}'"
+
+
+def _behind_problems(pair: Pair | PairInput) -> Iterator[str]:
+    """Whether `seen` holds cells behind the camera."""
+    if pair.voxel_size_m > 0:
+        corner_z_m = float(
+            (pair.T_world_grid[:3, 3] - pair.T_world_camera[:3, 3]) @ pair.T_world_camera[:3, 2]
+        )
+        behind = int(np.clip(np.floor(0.5 - corner_z_m / pair.voxel_size_m), 0, FULL_CELLS))
+        if unpack(pair.seen)[:, :, :behind].any():
+            yield "'seen' holds cells behind the camera"
 
 
 def _containment(pair: Pair) -> float:

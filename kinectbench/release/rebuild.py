@@ -69,7 +69,7 @@ def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPl
     """
     metadata = parse_metadata(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
-    held_back = (metadata.model_extra or {}).get("held_back") or []
+    held_back = metadata.held_back
     kept = tuple(target for target in targets if target.split not in held_back)
     wanted = {target.recording for target in kept}
     missing = sorted(name for name in wanted if name not in sources or not sources[name].path.exists())

@@ -1,13 +1,12 @@
-"""Check a release's small files against each other: benchmark.json, targets.csv, splits.json, card."""
+"""Check what a release is counted by: benchmark.json, targets.csv and splits.json, against each other."""
 
 from collections.abc import Iterator, Mapping
 
 from kinectbench.errors import ReleaseError
-from kinectbench.release.card import counts_table
+from kinectbench.release.agreement_check import Stated, agreement_problems
 from kinectbench.release.contents import Contents
 from kinectbench.release.layout import (
     BENCHMARK_JSON,
-    CARD,
     SHA256SUMS,
     SPLITS_JSON,
     TARGETS_CSV,
@@ -57,14 +56,21 @@ def check_small_files(
         lines += _recording_problems(targets, metadata)
     if SPLITS_JSON not in damaged and TARGETS_CSV not in damaged:
         lines += _split_problems(contents, targets)
-    if metadata and not {CARD, BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
-        lines += _card_problems(contents, targets, metadata)
+    if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
+        lines += agreement_problems(contents, Stated(targets, metadata, sums), damaged)
     return metadata, lines
+
+
+def held_back(pair_file: str, metadata: ReleaseInfo) -> bool:
+    """Whether the truth of `pairs/<recording>/<view>.npz` is held back."""
+    info = metadata.recordings.get(pair_file.split("/")[1])
+    return info is not None and info.split in metadata.held_back
 
 
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
     """Lines of targets.csv without their files, pair files without a line, and other hashes."""
-    folders = {name.rpartition("/")[0] for name in sums}
+    # Synthesised views have no images.
+    folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
     for line, target in enumerate(targets, start=FIRST_LINE):
         if target.file not in sums:
             yield f"{TARGETS_CSV}, line {line}: {target.file} is not part of the release"
@@ -106,18 +112,3 @@ def _split_problems(contents: Contents, targets: tuple[Target, ...]) -> Iterator
         return
     if splits != recordings_by_split(targets):
         yield f"{SPLITS_JSON}: does not agree with {TARGETS_CSV}"
-
-
-def _card_problems(contents: Contents, targets: tuple[Target, ...], metadata: ReleaseInfo) -> Iterator[str]:
-    """What the card says otherwise than benchmark.json and targets.csv."""
-    try:
-        text = contents.text(CARD)
-    except ReleaseError as error:
-        yield str(error)
-        return
-    for what, said in (("name", metadata.name), ("licence", metadata.license)):
-        if said not in text:
-            yield f"{CARD}: does not state the {what} '{said}' of {BENCHMARK_JSON}"
-    for row in counts_table(targets).splitlines():
-        if row not in text:
-            yield f"{CARD}: does not have the row '{row}', which {TARGETS_CSV} counts"

@@ -20,6 +20,7 @@ from kinectbench.release.layout import (
     CROISSANT,
     FORMAT_VERSION,
     LICENSE,
+    READING,
     SHA256SUMS,
     SPLIT_TARGETS,
     SPLITS_JSON,
@@ -36,6 +37,7 @@ from kinectbench.release.origins import (
     license_text,
     reasons_against_distribution,
 )
+from kinectbench.release.reading import reading
 from kinectbench.release.release import SPLITS, Target, recordings_by_split, targets_text
 from kinectbench.release.schemas import write_schemas
 from kinectbench.workspace import pretty_json, sha256_file
@@ -89,6 +91,7 @@ def write_small_files(
     content = _content(head, infos, origins)
     license = common_license(origins, head.license)
     _write_targets(folder, targets)
+    (folder / READING).write_text(reading(targets, head.held_back))
     (folder / LICENSE).write_text(license_text(head.name, license, origins))
     (folder / CITATION).write_text(citation_text(head.citation, head.name, license))
     info = ReleaseInfo.model_validate_json(json.dumps(content))

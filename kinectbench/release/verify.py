@@ -9,9 +9,10 @@ from kinectbench.errors import PairError, ReleaseError
 from kinectbench.release.contents import Contents, open_contents
 from kinectbench.release.layout import SHA256SUMS, read_sums
 from kinectbench.release.metadata import ReleaseInfo
-from kinectbench.release.pair_check import pair_problems
-from kinectbench.release.small_check import check_small_files
-from kinectbench.voxels.pair_file import parse_pair
+from kinectbench.release.pair_check import input_problems, pair_problems
+from kinectbench.release.small_check import check_small_files, held_back
+from kinectbench.voxels.pair_file import checked_pair, pair_values
+from kinectbench.voxels.pair_input import TRUTH_KEYS, checked_input
 
 Progress = Callable[[int, int], None]
 
@@ -82,14 +83,16 @@ def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
 
 def _pair_lines(contents: Contents, name: str, metadata: ReleaseInfo) -> list[str]:
     """What is wrong with one pair."""
+    rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
-        pair = parse_pair(contents.read(name), name)
+        values = pair_values(contents.read(name), name)
+        if not held_back(name, metadata):
+            least = metadata.settings.pairs.min_containment
+            problems = pair_problems(checked_pair(values, name), min_containment=least, **rules)
+            return [f"{name}: {problem}" for problem in problems]
+        told = [key for key in values if key in TRUTH_KEYS]
+        lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []
+        problems = input_problems(checked_input(values, name), **rules)
+        return [*lines, *(f"{name}: {problem}" for problem in problems)]
     except (PairError, ReleaseError) as error:
         return [str(error)]
-    problems = pair_problems(
-        pair,
-        min_containment=metadata.settings.pairs.min_containment,
-        framing=metadata.framing,
-        partial_rule=metadata.partial_rule,
-    )
-    return [f"{name}: {problem}" for problem in problems]

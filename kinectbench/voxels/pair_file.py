@@ -107,7 +107,7 @@ def read_pair(path: Path) -> Pair:
         values = load_arrays(path)
     except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
-    return _pair(values, str(path))
+    return checked_pair(values, str(path))
 
 
 def parse_pair(content: bytes, where: str) -> Pair:
@@ -117,19 +117,32 @@ def parse_pair(content: bytes, where: str) -> Pair:
         PairError: damaged, not a pair of a known format version, or claiming to hold more than a pair;
             the line begins with `where`.
     """
+    return checked_pair(pair_values(content, where), where)
+
+
+def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
+    """The arrays of a pair file's bytes, by key, not checked.
+
+    Raises:
+        PairError: damaged, or claiming to hold more than a pair.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             claimed = sum(entry.file_size for entry in archive.infolist())
         if claimed > MAX_BYTES:
             raise PairError(f"{where}: claims to hold {claimed} bytes, more than a pair; not read")
-        values = arrays_of(io.BytesIO(content))
+        return arrays_of(io.BytesIO(content))
     except UNREADABLE as error:
         raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
-    return _pair(values, where)
 
 
-def _pair(values: dict[str, NDArray[Any]], where: str) -> Pair:
-    """The values of a pair file as a pair."""
+def checked_pair(values: Mapping[str, NDArray[Any]], where: str) -> Pair:
+    """The values of a pair file as a pair; every key, shape and dtype is checked.
+
+    Raises:
+        PairError: a key is missing or wrong; the line begins with `where`.
+    """
+    values = dict(values)
     for field in fields(Pair):
         if field.default is not MISSING:
             values.setdefault(field.name, np.asarray(field.default))

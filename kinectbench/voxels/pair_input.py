@@ -62,12 +62,21 @@ def read_input(path: Path) -> PairInput:
         values = load_arrays(path)
     except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
+    return checked_input(values, str(path))
+
+
+def checked_input(values: Mapping[str, NDArray[Any]], where: str) -> PairInput:
+    """The values of a pair file as an input; every key, shape and dtype is checked.
+
+    Raises:
+        PairError: a key is missing or wrong; the line begins with `where`.
+    """
     missing = [key for key in INPUT_KEYS if key not in values]
     if missing:
-        raise PairError(f"{path}: not a pair's input: the keys {', '.join(missing)} are missing")
+        raise PairError(f"{where}: not a pair's input: the keys {', '.join(missing)} are missing")
     fault = pair_fault(values, INPUT_KEYS)
     if fault:
-        raise PairError(f"{path}: {fault}")
+        raise PairError(f"{where}: {fault}")
     return _input(values)
 
 
