@@ -158,7 +158,7 @@ def _views_problems(recording: str) -> Check:
         rows: list[dict[str, Any]] = strict_json(text, "views.json")["views"]
         listed = {row["view"] for row in rows if row.get("pair", True)}
         here = {target.view for target in stated.targets if target.recording == recording}
-        if any("pair" in row for row in rows) and listed != here:
+        if here - listed or (listed - here and any("pair" in row for row in rows)):
             yield f"other views with a pair than in {TARGETS_CSV}"
         told = {key for row in rows for key in row} - set(VIEW_KEYS)
         if stated.metadata.recordings[recording].split in stated.metadata.held_back and told:

@@ -1,0 +1,118 @@
+"""Damaged releases are named, in folders and archives; sound archives verify."""
+
+import importlib.util
+import shutil
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from synthetic_release import synthetic_settings
+from typer.testing import CliRunner
+
+from kinectbench.cli import app
+from kinectbench.errors import ReleaseError
+from kinectbench.release.publish import PublishOptions, publish
+from kinectbench.release.verify import verify
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "damaged_releases.py"
+RECORDINGS = ["chair_02", "table_02"]
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("damaged_releases", SCRIPT)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def parts(analytic: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`whole/`, of two pairs, and `public/`, whose test split is held back."""
+    root: Path = tmp_path_factory.mktemp("parts")
+    publish(synthetic_settings(), analytic / "build", root / "whole", RECORDINGS)
+    publish(synthetic_settings(), analytic / "build", root / "public", RECORDINGS, PublishOptions(("test",)))
+    return root
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")  # a file twice in a zip
+def test_every_damage_is_named(script: ModuleType, parts: Path, tmp_path: Path) -> None:
+    wrong, done = [], 0
+    for release in (parts / "whole", parts / "public"):
+        assert verify(release) == []
+        for damage in script.damages(release):
+            lines, well = script.try_damage(damage, release, tmp_path)
+            done += 1
+            if not well:
+                wrong.append((damage.name, lines))
+    assert wrong == [] and done >= 50
+
+
+@pytest.mark.parametrize("form", ["zip", "top.zip", "tar", "tar.gz"])
+def test_sound_archives(parts: Path, tmp_path: Path, form: str) -> None:
+    path = tmp_path / f"release.{form}"
+    if form.endswith("zip"):
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in sorted((parts / "whole").rglob("*")):
+                top = "" if form == "zip" else "chairs-1.0/"
+                archive.write(file, top + file.relative_to(parts / "whole").as_posix())
+    else:
+        with tarfile.open(path, "w:gz" if form == "tar.gz" else "w") as archive:
+            archive.add(parts / "whole", ".")
+    before = sorted(tmp_path.iterdir())
+    progress: list[tuple[int, int]] = []
+    assert verify(path, lambda *done: progress.append(done)) == []
+    assert progress[-1][0] == progress[-1][1] == len(progress) and sorted(tmp_path.iterdir()) == before
+    result = CliRunner().invoke(app, ["verify", str(path)])
+    assert result.exit_code == 0 and "all well" in result.output
+
+
+def test_all_problems_at_once(parts: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(parts / "whole", tmp_path / "benchmark"))
+    (folder / "more.txt").write_text("hi")
+    (folder / "pairs" / "chair_02" / "000.npz").unlink()
+    (folder / "LICENSE").write_text("mine")
+    result = CliRunner().invoke(app, ["verify", str(folder)])
+    assert result.exit_code == 1
+    for name in ("more.txt: not part", "pairs/chair_02/000.npz: missing", "LICENSE: changed"):
+        assert name in result.output
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"", "cut off or damaged"), (b"PK nothing", "cut off or damaged"), (b"\x1f\x8bnothing", "cut off")],
+)
+def test_no_archive(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "release.zip"
+    path.write_bytes(content)
+    with pytest.raises(ReleaseError, match=message):
+        verify(path)
+    with pytest.raises(ReleaseError, match="no release there"):
+        verify(tmp_path / "elsewhere.zip")
+
+
+def test_an_archive_of_something_else(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("one/SHA256SUMS", "")
+        archive.writestr("two/SHA256SUMS", "")
+    with pytest.raises(ReleaseError, match="must hold one release.*it holds several"):
+        verify(tmp_path / "a.zip")
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        archive.writestr("photo.jpg", "")
+    with pytest.raises(ReleaseError, match="it holds none"):
+        verify(tmp_path / "b.zip")
+    assert verify(_with_neighbour(tmp_path / "c.zip")) == [
+        "__MACOSX/x: beside the release's folder", "SHA256SUMS: missing; make or download it again"
+    ]  # fmt: skip
+
+
+def _with_neighbour(path: Path) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("one/benchmark.json", "{}")
+        archive.writestr("__MACOSX/x", "")
+    return path
