@@ -15,8 +15,8 @@ from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings
 from kinectbench.errors import ReleaseError, SettingsError
 from kinectbench.release.contents import Contents
-from kinectbench.release.layout import BENCHMARK_JSON, TARGETS_CSV
-from kinectbench.release.metadata import ReleaseInfo, parse_metadata
+from kinectbench.release.layout import BENCHMARK_JSON, LINEAGE_JSON, TARGETS_CSV
+from kinectbench.release.metadata import ReleaseInfo, parse_metadata, strict_json
 from kinectbench.release.release import Target, parse_targets
 from kinectbench.release.small_files import package_versions
 from kinectbench.voxels.npz import UNREADABLE, arrays_of
@@ -26,6 +26,8 @@ from kinectbench.voxels.pair_file import PACKED_SHAPES
 OBJECT_FILES = ("mesh.ply", "volume.npz")
 VIEW_IMAGES = (".depth.png", ".mask.png")
 AGAIN = "differs when made again"
+# Files of a recording that a line names.
+SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
             yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"
             continue
         # In the order they were made: the first tells where the difference begins.
+        yield from _source_difference(contents, recording, here / "sources.json")
         for file in OBJECT_FILES:
             yield from _file_difference(contents, f"objects/{recording}/{file}", here / "object" / file)
         for target in targets:
@@ -141,6 +144,21 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
         for made in sorted((here / "pairs").glob("*.npz")):
             if made.stem not in published:
                 yield f"{recording}/{made.stem}: made again, but there is no such pair in the release"
+
+
+def _source_difference(contents: Contents, recording: str, made: Path) -> Iterator[str]:
+    """Whether the recording is the one that lineage.json knows by the hashes of its files."""
+    if LINEAGE_JSON not in contents.entries or not made.is_file():
+        return
+    rows = strict_json(contents.text(LINEAGE_JSON), LINEAGE_JSON)["recordings"]
+    published = dict(rows.get(recording, {}).get("files", {}))
+    here = {name: entry[2] for name, entry in json.loads(made.read_text()).items()}
+    if set(here) == {""}:  # a recording that is one file, whatever it is called here
+        here = dict.fromkeys(published, here[""])
+    names = [name for name in {**published, **here} if published.get(name) != here.get(name)]
+    if published and names:
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        yield f"{recording}: not the recording that was published: {', '.join(names[:SHOWN])}{more} differ"
 
 
 def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]:
@@ -177,7 +195,8 @@ def _key_difference(key: str, old: NDArray[Any] | None, new: NDArray[Any] | None
     """How a key's values differ, or None."""
     if old is None or new is None:
         return f"{key} only in {'the release' if new is None else 'the new one'}"
-    if old.shape != new.shape or old.dtype != new.dtype:
+    # Texts of another length have another dtype.
+    if old.shape != new.shape or (old.dtype != new.dtype and old.dtype.kind != "U"):
         return f"{key} has another shape or type"
     if np.array_equal(old, new):
         return None

@@ -100,7 +100,7 @@ def test_an_archive_of_something_else(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("one/SHA256SUMS", "")
         archive.writestr("two/SHA256SUMS", "")
-    with pytest.raises(ReleaseError, match="must hold one release.*it holds several"):
+    with pytest.raises(ReleaseError, match="it holds several"):
         verify(tmp_path / "a.zip")
     with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
         archive.writestr("photo.jpg", "")

@@ -1,0 +1,178 @@
+"""`verify --rebuild`: what was made again is compared to the byte, and what differs is said."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_benchmark import Run, copied
+from synthetic_release import RECORDINGS
+
+from kinectbench import __version__
+from kinectbench.commands_verify import find_sources
+from kinectbench.errors import ReleaseError, SettingsError
+from kinectbench.release.contents import open_contents
+from kinectbench.release.metadata import read_metadata
+from kinectbench.release.rebuild import RebuildPlan, Source, differences, rebuild_plan, version_notes
+from kinectbench.voxels.npz import load_arrays
+from kinectbench.voxels.packed_npz import packed_npz_bytes
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> dict[str, Source]:
+    for name, *_ in RECORDINGS:
+        (tmp_path / "recordings" / name).mkdir(parents=True)
+    return find_sources(tmp_path / "recordings")
+
+
+@pytest.fixture
+def again(analytic: Path, tmp_path: Path) -> Path:
+    """A build that made everything again as it was."""
+    return Path(shutil.copytree(analytic / "build", tmp_path / "again"))
+
+
+def compare(analytic: Path, sources: dict[str, Source], build: Path) -> list[str]:
+    with open_contents(analytic / "benchmark") as contents:
+        plan = rebuild_plan(contents, sources)
+        assert plan.notes == () and len(plan.targets) == 7
+        return list(differences(contents, plan, build))
+
+
+def change(path: Path, **values: object) -> None:
+    path.write_bytes(packed_npz_bytes({**load_arrays(path), **values}))
+
+
+def test_the_same(analytic: Path, sources: dict[str, Source], again: Path) -> None:
+    assert compare(analytic, sources, again) == []
+
+
+def test_what_differs_and_where(analytic: Path, sources: dict[str, Source], again: Path) -> None:
+    pair = load_arrays(again / "chair_01" / "pairs" / "001.npz")
+    full, T = pair["full"].copy(), pair["T_world_grid"].copy()
+    full[0, 0, 0] ^= 0b1010_0000
+    T[0, 3] += 0.002
+    change(again / "chair_01" / "pairs" / "001.npz", full=full, T_world_grid=T)
+    change(again / "chair_02" / "pairs" / "000.npz", partial_rule=np.asarray("majority"))
+    path = again / "table_01" / "object" / "mesh.ply"
+    path.write_bytes(path.read_bytes() + b"\n")
+    shutil.copy(again / "table_02" / "pairs" / "000.npz", again / "table_02" / "pairs" / "001.npz")
+    (again / "chair_03" / "pairs" / "001.npz").unlink()
+    (again / "chair_03" / "views" / "001.mask.png").unlink()
+    assert compare(analytic, sources, again) == [
+        "pairs/chair_01/001.npz: differs when made again: full in 2 cells, T_world_grid by 0.002",
+        "pairs/chair_02/000.npz: differs when made again: partial_rule (any there, majority here)",
+        "views/chair_03/001.mask.png: was not made again",
+        "pairs/chair_03/001.npz: was not made again: its view was refused, or another was drawn",
+        "objects/table_01/mesh.ply: differs when made again",
+        "table_02/001: made again, but there is no such pair in the release",
+    ]
+
+
+def test_a_recording_that_failed_and_other_packing(
+    analytic: Path, sources: dict[str, Source], again: Path
+) -> None:
+    shutil.rmtree(again / "table_01" / "pairs")
+    path = again / "table_02" / "pairs" / "000.npz"
+    np.savez(path, **load_arrays(path))
+    assert compare(analytic, sources, again) == [
+        "table_01: could not be built again, so none of its 1 pairs was compared",
+        "pairs/table_02/000.npz: differs when made again: the same values, but packed otherwise",
+    ]
+
+
+def test_another_recording(analytic: Path, sources: dict[str, Source], again: Path) -> None:
+    path = again / "chair_02" / "sources.json"
+    content = json.loads(path.read_text())
+    name = next(iter(content))
+    content[name][2] = "0" * 64
+    path.write_text(json.dumps({**content, "more.png": [1, 1, "1" * 64]}))
+    first = compare(analytic, sources, again)[0]
+    assert first.startswith(f"chair_02: not the recording that was published: {name}, more.png")
+
+
+def test_missing_recordings_and_other_releases(
+    analytic: Path, sources: dict[str, Source], tmp_path: Path
+) -> None:
+    del sources["chair_02"]
+    shutil.rmtree(sources["table_01"].path)
+    with open_contents(analytic / "benchmark") as contents:
+        with pytest.raises(SettingsError, match="no recording here for chair_02, table_01"):
+            rebuild_plan(contents, sources)
+        everything = {name: Source(tmp_path) for name, *_ in RECORDINGS}
+        text = contents.text("benchmark.json")
+
+        def released(**values: object) -> RebuildPlan:
+            changed = json.loads(text)
+            changed["settings"] |= values
+            reader = replace(contents, opener=_opener(contents.opener, json.dumps(changed)))
+            return rebuild_plan(reader, everything)
+
+        assert released(views={"count": 7}).settings.views.count == 7
+        with pytest.raises(
+            ReleaseError, match=r"does not know the setting 'views\.colour' .* install kinectbench"
+        ):
+            released(views={"colour": True})
+        with pytest.raises(ReleaseError, match="not made from recordings"):
+            released(recordings=[])
+
+
+def _opener(other: Callable[[str], object], text: str) -> Callable[[str], object]:
+    import io
+
+    return lambda name: io.BytesIO(text.encode()) if name == "benchmark.json" else other(name)
+
+
+def test_versions(analytic: Path) -> None:
+    metadata = read_metadata(analytic / "benchmark")
+    assert version_notes(metadata) == []
+    other = metadata.model_copy(
+        update={"package_version": "0.0.9", "packages": {"numpy": "1.0", "abacus": "3"}}
+    )
+    assert version_notes(other) == [
+        f"made with kinectbench 0.0.9, here is {__version__}: results may differ",
+        f"made with numpy 1.0, here is {np.__version__}: results may differ",
+        "made with abacus 3, here is none: results may differ",
+    ]
+
+
+def test_where_recordings_are_looked_for(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b.bag").write_bytes(b"")
+    (tmp_path / "c.v2").mkdir()
+    found = find_sources(tmp_path)
+    assert {name: found[name].path.name for name in ("a", "b", "c.v2")} == {
+        "a": "a",
+        "b": "b.bag",
+        "c.v2": "c.v2",
+    }
+    (tmp_path / "benchmark.yaml").write_text(
+        "name: x\nrecordings:\n  - {id: one, path: rec/one, category: chair, masks: m}\n"
+    )
+    for path in (tmp_path, tmp_path / "benchmark.yaml"):
+        assert find_sources(path) == {"one": Source(tmp_path / "rec/one", tmp_path / "m")}
+    with pytest.raises(SettingsError, match=r"no such benchmark\.yaml or folder"):
+        find_sources(tmp_path / "nowhere")
+
+
+@pytest.mark.xdist_group("commands")
+def test_command(small: Path, tmp_path: Path, command: Callable[..., Run]) -> None:
+    """The build of the fixture is where the rebuild works: current, so that only the comparison is run."""
+    root = copied(small, tmp_path / "small")
+    assert command(root, "publish", "--jobs", "1").status == 0
+    made = shutil.copytree(root / "build", tmp_path / "work" / "build").parent
+    arguments = ("verify", "benchmark", "--rebuild", ".", "--work", str(made), "--jobs", "1")
+    assert command(root, *arguments).status == 0
+    pairs = made / "build" / "chair" / "pairs"
+    change(pairs / "000.npz", surface_sigma_m=np.asarray(0.5))
+    # As if the stage had made it so.
+    manifest = json.loads((pairs / "manifest.json").read_text())
+    manifest["files"]["000.npz"] = (pairs / "000.npz").stat().st_size
+    (pairs / "manifest.json").write_text(json.dumps(manifest))
+    result = command(root, *arguments)
+    assert result.status == 1
+    assert "pairs/chair/000.npz: differs when made again: surface_sigma_m by 0.4" in result.err
+    gone = command(root, "verify", "benchmark", "--rebuild", "recordings/chair")
+    assert gone.status == 2 and "no recording here for chair, table" in gone.err
