@@ -12,7 +12,8 @@ import numpy as np
 from kinectbench.errors import SettingsError
 from kinectbench.release.export_folder import export_folder, write_export_json
 from kinectbench.release.release import SPLITS, Release, Target
-from kinectbench.voxels.pair_file import Pair, parse_pair
+from kinectbench.voxels.pair_file import Pair, checked_pair, pair_values
+from kinectbench.voxels.pair_input import PairInput, checked_input
 
 # At 6.3 MB a pair a shard has about 630 MB.
 PAIRS_PER_SHARD = 100
@@ -31,7 +32,8 @@ def export_webdataset(
 
     A sample is `<recording>_<view>` with `partial.npy`, `full.npy`, `known.npy` and `seen.npy`, packed along
     the last axis as in pair files, and `json`: names, transforms and numbers. A dot in a recording's name
-    becomes `-`, for WebDataset's keys end at the first dot.
+    becomes `-`, for WebDataset's keys end at the first dot. Where the truth is held back there are only the
+    inputs.
 
     Args:
         release: opened.
@@ -54,9 +56,7 @@ def export_webdataset(
         for name, targets in _shards(release, pairs_per_shard):
             with tarfile.open(folder / name, "w", format=tarfile.USTAR_FORMAT) as shard:
                 for target in targets:
-                    for extension, content in _sample(
-                        target, parse_pair(release.content(target.file), target.file)
-                    ):
+                    for extension, content in _sample(target, _read(release, target)):
                         _add(shard, f"{sample_key(target)}.{extension}", content)
                     done += 1
                     if progress:
@@ -90,16 +90,24 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
             yield f"{split}-{number:06d}.tar", targets[first : first + size]
 
 
-def _sample(target: Target, pair: Pair) -> Iterator[tuple[str, bytes]]:
+def _read(release: Release, target: Target) -> Pair | PairInput:
+    """A pair, or its input where its truth is held back."""
+    values = pair_values(release.content(target.file), target.file)
+    if target.split in release.metadata.held_back:
+        return checked_input(values, target.file)
+    return checked_pair(values, target.file)
+
+
+def _sample(target: Target, pair: Pair | PairInput) -> Iterator[tuple[str, bytes]]:
     """The files of one sample: extension and content."""
-    for name in GRIDS:
+    for name in (name for name in GRIDS if hasattr(pair, name)):
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, np.ascontiguousarray(getattr(pair, name)), allow_pickle=False)
         yield f"{name}.npy", buffer.getvalue()
     row: dict[str, Any] = {
         name: getattr(target, name) for name in ("recording", "object", "view", "category", "split")
     }
-    row |= {name: getattr(pair, name) for name in NUMBERS}
+    row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}
     row |= {name: getattr(pair, name).tolist() for name in MATRICES}
     yield "json", json.dumps(row, allow_nan=False).encode()
 

@@ -14,8 +14,12 @@ from typer.testing import CliRunner
 
 from kinectbench.cli import app
 from kinectbench.errors import ReleaseError
+from kinectbench.release.bop_export import export_bop
 from kinectbench.release.publish import PublishOptions, publish
+from kinectbench.release.recgan_export import export_recgan
+from kinectbench.release.release import open_release
 from kinectbench.release.verify import verify
+from kinectbench.release.webdataset_export import export_webdataset
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "damaged_releases.py"
 RECORDINGS = ["chair_02", "table_02"]
@@ -116,3 +120,20 @@ def _with_neighbour(path: Path) -> Path:
         archive.writestr("one/benchmark.json", "{}")
         archive.writestr("__MACOSX/x", "")
     return path
+
+
+def test_exports_of_a_public_part(parts: Path, tmp_path: Path) -> None:
+    """chair_02 is held back: its scene has no ground truth, its sample only the input."""
+    public = open_release(parts / "public")
+    assert export_bop(public, tmp_path / "bop") == 2
+    hidden, known = tmp_path / "bop/test/000001", tmp_path / "bop/val/000002"
+    assert sorted(path.name for path in hidden.iterdir()) == ["depth", "scene_camera.json"]
+    assert "cam_R_w2c" not in (hidden / "scene_camera.json").read_text()
+    assert (known / "scene_gt.json").is_file() and (known / "mask_visib").is_dir()
+    assert [path.name for path in (tmp_path / "bop/models").glob("*.ply")] == ["obj_000002.ply"]
+    assert export_webdataset(public, tmp_path / "shards") == 2
+    with tarfile.open(tmp_path / "shards" / "test-000000.tar") as shard:
+        names = ["chair_02_000.partial.npy", "chair_02_000.seen.npy", "chair_02_000.json"]
+        assert shard.getnames() == names
+    with pytest.raises(ReleaseError, match="the truth of test is held back; export the private part"):
+        export_recgan(public, tmp_path / "theirs")
