@@ -135,6 +135,11 @@ def test_agreement_of_the_small_files(copy: Path) -> None:
         "targets.csv: 1 pairs of chair_01 where benchmark.json has 2",
         "splits.json: does not agree with targets.csv",
         "README.md: does not have the row '| chair | 3 | 0 | 2 | 2 |', which targets.csv counts",
+        "croissant.json: another SHA-256 for splits.json than in SHA256SUMS",
+        "croissant.json: another SHA-256 for targets.csv than in SHA256SUMS",
+        "lineage.json: other views of chair_01 than in targets.csv",
+        "targets/test.csv: not the lines of targets.csv whose split is test",
+        "views/chair_01/views.json: other views with a pair than in targets.csv",
     ]
 
 
