@@ -135,5 +135,5 @@ def test_exports_of_a_public_part(parts: Path, tmp_path: Path) -> None:
     with tarfile.open(tmp_path / "shards" / "test-000000.tar") as shard:
         names = ["chair_02_000.partial.npy", "chair_02_000.seen.npy", "chair_02_000.json"]
         assert shard.getnames() == names
-    with pytest.raises(ReleaseError, match="the truth of test is held back; export the private part"):
+    with pytest.raises(ReleaseError, match="the truth of the test split is held back"):
         export_recgan(public, tmp_path / "theirs")
