@@ -20,7 +20,7 @@ from kinectbench.release.layout import (
     TARGETS_CSV,
 )
 from kinectbench.release.metadata import ReleaseInfo, strict_json
-from kinectbench.release.origins import Origin, common_license
+from kinectbench.release.origins import UNSPECIFIED, Origin, common_license
 from kinectbench.release.release import SPLITS, Target, targets_text
 from kinectbench.release.schemas import schema_problems
 
@@ -94,8 +94,11 @@ def _json_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def _license(metadata: ReleaseInfo) -> str:
-    """The licence of all recordings."""
-    origins = {name: Origin(info.license, info.source) for name, info in metadata.recordings.items()}
+    """The licence of all recordings; one that does not say, as in earlier releases, has the benchmark's."""
+    origins = {
+        name: Origin(metadata.license if info.license == UNSPECIFIED else info.license, info.source)
+        for name, info in metadata.recordings.items()
+    }
     return common_license(origins, metadata.license)
 
 
