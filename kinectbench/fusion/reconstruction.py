@@ -21,7 +21,7 @@ from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.pixel_weights import MAX_SLANT
 from kinectbench.fusion.visible_blocks import cubes_near_surface
-from kinectbench.fusion.vote_trust import seen_through_share, trust_in_votes
+from kinectbench.fusion.vote_trust import ray_width_m, trust_in_votes
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
@@ -79,9 +79,10 @@ def fuse(
         raise TrackingError("no frame has a pose: nothing to fuse; trajectory/health.json has the reasons")
     voxel_size_m = settings.scene_voxel_size_m
     truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
-    found = []
+    found, distances_m = [], []
     for index in frames:
         depth_m = usable_depth_m(sequence, int(index), settings)
+        distances_m += [np.median(depth_m[depth_m > 0])] if depth_m.any() else []
         T_world_camera = trajectory.T_world_camera[index]
         found.append(cubes_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m))
     cubes = unique_blocks(np.concatenate(found).astype(np.int64))
@@ -89,9 +90,9 @@ def fuse(
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
     near = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
     least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[near])) if near.any() else 0.0
-    seen_through = seen_through_share(volume.free, volume.surface)
-    trust = trust_in_votes(volume.tsdf, volume.weight, seen_through, voxel_size_m)
-    mesh = extract_mesh(volume, min_weight=least, trust=trust)
+    distance_m = float(np.median(distances_m)) if distances_m else 0.0
+    width_m = ray_width_m(sequence.camera, trajectory, frames, distance_m)
+    mesh = extract_mesh(volume, min_weight=least, trust=trust_in_votes(width_m, voxel_size_m))
     return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))
 
 

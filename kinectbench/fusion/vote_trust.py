@@ -1,13 +1,19 @@
-"""How far the frames' votes can be believed, from the surface that was measured well."""
+"""How far the frames' votes can be believed, from how wide a ray is."""
+
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-AT_SURFACE_VOXELS = 0.6
-# Where pixels are wide or poses are off, frames seem to see through any surface. By the share that sees
-# through half of the well measured surface, what frames saw through counts in full, in part, or not at all.
-# Chosen on simulated furniture at two resolutions and on a real kitchen.
-USUALLY_SEEN_THROUGH, TRUST_IN_VOTES = [0.08, 0.11, 0.17], [1.0, 0.45, 0.0]
+from kinectbench.geometry import Camera
+from kinectbench.tracking.trajectory import Trajectory
+
+# A ray passes beside its pixel's middle by half a pixel, and by what its frame's pose is off.
+POSE_SIGMAS = 3.0
+# Where rays are wider than a voxel, frames seem to see through any surface. By their width in voxels, what
+# frames saw through counts in full, in part, or not at all. Chosen on simulated furniture at two resolutions
+# and on a real kitchen.
+RAY_WIDTHS_VOXELS, TRUST_IN_VOTES = [0.8, 1.0, 1.4], [1.0, 0.45, 0.0]
 
 
 def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) -> NDArray[np.float32]:
@@ -21,27 +27,19 @@ def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) 
     return np.asarray(through / np.maximum(through + surface, np.float32(1)), np.float32)
 
 
-def trust_in_votes(
-    tsdf: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    seen_through: NDArray[np.float32],
-    voxel_size_m: float,
-) -> float:
-    """What part of the votes is believed: less, the more frames see through good surface (own rule).
-
-    Well measured is the half of the voxels at the surface that has more weight.
+def ray_width_m(camera: Camera, trajectory: Trajectory, frames: Iterable[int], distance_m: float) -> float:
+    """How wide the frames' rays are at a distance, metres: a pixel and three sigmas of the pose (own rule).
 
     Args:
-        tsdf: signed distances of voxels, metres.
-        weight: of the same shape; voxels without weight do not count.
-        seen_through: of the same shape, `seen_through_share`.
-        voxel_size_m: edge of a voxel.
-
-    Returns:
-        In [0, 1]; 0 without a surface.
+        camera: of the depth images.
+        trajectory: knows by how much each pose may be off.
+        frames: which frames.
+        distance_m: from the cameras.
     """
-    near = (weight > 0) & (np.abs(tsdf) < AT_SURFACE_VOXELS * voxel_size_m)
-    if not near.any():
-        return 0.0
-    well = near & (weight >= np.median(weight[near]))
-    return float(np.interp(np.median(seen_through[well]), USUALLY_SEEN_THROUGH, TRUST_IN_VOTES))
+    sigma_m = float(np.median([trajectory.pose_sigma_m(int(frame)) for frame in frames]))
+    return float(np.hypot(distance_m / camera.fx, POSE_SIGMAS * sigma_m))
+
+
+def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
+    """What part of the votes for `free` is believed, in [0, 1]: less, the wider the rays are (own rule)."""
+    return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))

@@ -67,7 +67,8 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
     are enough if the hollows found so far leave the voxel hardly enclosed. The uppermost layer of a hollow
     must be overhung nearly as far as the one below it. What is less than 35 mm high is no hollow: cushions
-    are rounded below. What would be a hollow but for its flush sides is doubtful. Own rule.
+    are rounded below. What would be a hollow but for its flush sides is doubtful, unless its sides go down
+    further than 12 cm, as no apron does. Own rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
@@ -91,7 +92,9 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]
     hollow[:, :, 1:] &= ~frayed
-    flush = under & (outside >= OPEN_BELOW) & (opened >= ENCLOSED) & ~hollow
+    inside = (state == UNSEEN) & (opened >= ENCLOSED)
+    body = (inside & ~under & (below_m < NOT_UNDER * voxel_size_m)).any(axis=2, keepdims=True)
+    flush = inside & under & (outside >= OPEN_BELOW) & ~hollow & ~body
     return Hollows(hollow, ndimage.binary_opening(flush, high))
 
 

@@ -11,6 +11,7 @@ from kinectbench.config import FusionSettings, SegmentationSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.fusion.blocks import CUBE_VOXELS
 from kinectbench.fusion.reconstruction import Observation, merge, observe
+from kinectbench.fusion.vote_trust import ray_width_m
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
 from kinectbench.segmentation.floor import Floor
@@ -87,7 +88,10 @@ def build_object(
     together = merge(*halves)
     excluded = chosen.excluded(grid, given_box)
     cut_layers = max(1, round(segmentation.floor_cut_m / fusion.voxel_size_m))
-    whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers) for o in (together, *halves))
+    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
+    away_m = np.linalg.norm(trajectory.T_world_camera[frames, :3, 3] - middle_world, axis=1)
+    width_m = ray_width_m(sequence.camera, trajectory, frames, float(np.median(away_m)))
+    whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers, width_m) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
     quality = measure_quality(
         chosen, (whole, odd, even), sigma_m, witness(sequence, trajectory, scene, chosen)

@@ -9,9 +9,8 @@ from kinectbench.errors import ShapeError
 from kinectbench.fusion.mesh import isosurface
 from kinectbench.fusion.reconstruction import Observation
 from kinectbench.fusion.vote_trust import (
-    AT_SURFACE_VOXELS,
+    RAY_WIDTHS_VOXELS,
     TRUST_IN_VOTES,
-    USUALLY_SEEN_THROUGH,
     seen_through_share,
     trust_in_votes,
 )
@@ -46,6 +45,8 @@ INSIDE_SHARE = np.array(
     [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
 )
 HOLLOW_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32(0.02), np.float32(0.01)
+# Of four simulated chairs with flush sides under the seat three were slabs.
+DOUBTFUL_INSIDE_SHARE = np.float32(0.75)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
@@ -70,8 +71,7 @@ METHOD = {
     "clipped_voxels": CLIPPED_VOXELS,
     "free_by_noise": FREE_BY_NOISE,
     "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
-    "logit_trust_at_surface_voxels": AT_SURFACE_VOXELS,
-    "logit_trust": [USUALLY_SEEN_THROUGH, TRUST_IN_VOTES],
+    "logit_trust": [RAY_WIDTHS_VOXELS, TRUST_IN_VOTES],
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
 
@@ -117,7 +117,9 @@ class _Evidence:
     contact: slice
 
 
-def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> SolidShape:
+def solidify(
+    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, ray_width_m: float = 0.0
+) -> SolidShape:
     """Decide for every voxel whether it is occupied, and how that is known.
 
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
@@ -131,11 +133,12 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
         floor_layers: cells along z below the floor.
         cut_layers: cells along z above it that count as floor.
+        ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
 
     Raises:
         ShapeError: nothing is left.
     """
-    evidence = _weigh(observation, excluded, floor_layers, cut_layers)
+    evidence = _weigh(observation, excluded, floor_layers, cut_layers, ray_width_m)
     solid = (evidence.behind & ~excluded) | (
         evidence.unseen & ~evidence.shadow & (evidence.enclosed >= ENCLOSED)
     )
@@ -155,7 +158,9 @@ def solidify(observation: Observation, excluded: Bools, floor_layers: int, cut_l
     return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
 
 
-def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int) -> _Evidence:
+def _weigh(
+    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, ray_width_m: float
+) -> _Evidence:
     """Carving and enclosure."""
     voxel_m = observation.grid.voxel_size_m
     near = np.abs(observation.tsdf) < voxel_m
@@ -163,9 +168,7 @@ def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_lay
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed = observation.weight > least
     contact = slice(floor_layers, floor_layers + cut_layers)
-    candidate = ~excluded
-    candidate[:, :, : contact.stop] = False
-    signed_m = _corrected(observation, candidate)
+    signed_m = _corrected(observation, ray_width_m)
     carved = np.where(observed, signed_m > 0, observation.free >= MIN_FREE_VOTES)
     behind = observed & ~carved
 
@@ -187,7 +190,7 @@ def _weigh(observation: Observation, excluded: Bools, floor_layers: int, cut_lay
     )
 
 
-def _corrected(observation: Observation, candidate: Bools) -> NDArray[np.float32]:
+def _corrected(observation: Observation, ray_width_m: float) -> NDArray[np.float32]:
     """The signed distance at which being inside is as likely as not is 0, metres.
 
     The mean of projective distances makes thin parts thick: where some frames see the surface and others
@@ -197,8 +200,7 @@ def _corrected(observation: Observation, candidate: Bools) -> NDArray[np.float32
     voxel_m = np.float32(observation.grid.voxel_size_m)
     seen_through = seen_through_share(observation.free, observation.surface)
     clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
-    weight = np.where(candidate, observation.weight, np.float32(0))
-    trust = trust_in_votes(observation.tsdf, weight, seen_through, observation.grid.voxel_size_m)
+    trust = trust_in_votes(ray_width_m, observation.grid.voxel_size_m)
     through = np.maximum(seen_through - np.float32(FREE_BY_NOISE), np.float32(0))
     shift = (np.float32(trust * LOGIT_PER_FREE) * through - LOGIT) / LOGIT_PER_VOXEL
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
@@ -215,6 +217,7 @@ def _label(
     labels[~solid & evidence.carved] = Label.FREE
     labels[~solid & (evidence.behind | excluded | evidence.hollow | evidence.shadow)] = Label.OTHER
     labels[solid & (evidence.behind | enclosed)] = Label.INTERIOR
+    labels[solid & evidence.doubtful] = Label.UNKNOWN
     contact = evidence.contact
     labels[:, :, contact][solid[:, :, contact]] = Label.INTERIOR
     labels[solid & measured] = Label.SURFACE
@@ -240,6 +243,7 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
 
     inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
     inferred[evidence.shadow] = np.minimum(inferred[evidence.shadow], SHADOW_INSIDE_SHARE)
+    inferred[evidence.doubtful] = np.minimum(inferred[evidence.doubtful], DOUBTFUL_INSIDE_SHARE)
     inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
     measured = expit(-evidence.signed_m * np.float32(LOGIT_PER_VOXEL / observation.grid.voxel_size_m))
     probability = np.where(evidence.unseen | evidence.hollow, inferred, measured)

@@ -1,22 +1,31 @@
-"""Votes are believed as far as well measured surface is not seen through."""
+"""Votes are believed as far as rays are narrower than voxels."""
 
 import numpy as np
 import pytest
 
-from kinectbench.fusion.vote_trust import trust_in_votes
+from kinectbench.fusion.vote_trust import ray_width_m, seen_through_share, trust_in_votes
+from kinectbench.geometry import Camera
+from kinectbench.tracking.trajectory import Trajectory
 
 
 @pytest.mark.parametrize(
-    ("usual", "expected"), [(0.05, 1.0), (0.095, 0.725), (0.11, 0.45), (0.14, 0.225), (0.3, 0.0)]
+    ("width_voxels", "expected"),
+    [(0.0, 1.0), (0.8, 1.0), (0.9, 0.725), (1.0, 0.45), (1.2, 0.225), (2.0, 0.0)],
 )
-def test_by_what_is_usually_seen_through(usual: float, expected: float) -> None:
-    tsdf = np.array([0.0, 0.002, -0.002, 0.001, 0.004, 0.0], np.float32)
-    weight = np.array([4, 4, 4, 1, 4, 0], np.float32)
-    # Little weight, off the surface, no weight: what frames saw through there says nothing.
-    seen_through = np.array([usual, usual, usual, 0.9, 0.9, 0.9], np.float32)
-    assert trust_in_votes(tsdf, weight, seen_through, 0.005) == pytest.approx(expected, abs=1e-6)
+def test_by_the_width_of_a_ray(width_voxels: float, expected: float) -> None:
+    assert trust_in_votes(width_voxels * 0.004, 0.004) == pytest.approx(expected, abs=1e-9)
 
 
-def test_without_a_surface_nothing_is_believed() -> None:
-    nothing = np.zeros(3, np.float32)
-    assert trust_in_votes(nothing, nothing, nothing, 0.005) == 0.0
+def test_a_ray_is_as_wide_as_its_pixel_and_what_its_pose_is_off() -> None:
+    camera = Camera(fx=500.0, fy=400.0, cx=160.0, cy=120.0, width=320, height=240)
+    rows = [{"frame": 0, "shift_mm": 1.0}, {"frame": 1, "shift_mm": 9.0}, {"frame": 2, "shift_mm": None}]
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    trajectory = Trajectory(np.arange(3), poses, "tracked", {"per_frame": rows})
+    # 2 m / 500 px = 4 mm, and three times the median of 1, 9 and 0 mm.
+    assert ray_width_m(camera, trajectory, [0, 1, 2], 2.0) == pytest.approx(0.005)
+    assert ray_width_m(camera, trajectory, [2], 2.0) == pytest.approx(0.004)
+
+
+def test_share_of_the_frames_with_a_vote() -> None:
+    free, surface = np.array([0, 3, 0], np.uint16), np.array([0, 1, 7], np.uint16)
+    np.testing.assert_allclose(seen_through_share(free, surface), [0.0, 0.75, 0.0])

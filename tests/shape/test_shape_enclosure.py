@@ -104,6 +104,10 @@ def test_a_deep_body_under_a_top_is_not_hollow():
     assert not hollows(seat(apron_inset=2), 0.02).sure[:, :, 18:24].any()
 
 
+def test_a_deep_flush_block_is_not_even_doubted():
+    assert not hollows(seat(apron_inset=None), 0.02).doubtful.any()
+
+
 def test_closed_below_is_not_hollow():
     state = seat(apron_inset=2)
     state[12:48, 12:48, 17] = INSIDE
