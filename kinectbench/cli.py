@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -23,6 +24,7 @@ from kinectbench.commands import (
     Json,
     Predictions,
     Set,
+    Wait,
     build_recordings,
     built,
     exit_for,
@@ -93,9 +95,10 @@ def _add_stage(name: str, text: str) -> None:
         overrides: Set = None,
         jobs: Jobs = None,
         force: Force = False,
+        wait: Wait = True,
         as_json: Json = False,
     ) -> None:
-        run_stage(name, ids, config, overrides, jobs, force, as_json)
+        run_stage(name, ids, config, overrides, jobs, force, as_json, wait)
 
 
 for _name, _text in STAGES.items():
@@ -112,6 +115,7 @@ def publish(
     overrides: Set = None,
     jobs: Jobs = None,
     force: Force = False,
+    wait: Wait = True,
     as_json: Json = False,
 ) -> None:
     """Write the release to benchmark/, from everything that can be built."""
@@ -119,10 +123,17 @@ def publish(
     from kinectbench.release.current import publish_if_stale
 
     settings, root = open_benchmark(config, overrides)
-    rows = build_recordings(settings, root, ids, "pairs", jobs)
+    rows = build_recordings(settings, root, ids, "pairs", jobs, wait=wait)
     if not built(rows):
         exit_for(rows)
-    summary = publish_if_stale(settings, root, built(rows), force)
+    summary = publish_if_stale(
+        settings,
+        root,
+        built(rows),
+        force,
+        wait=wait,
+        waiting=partial(console.waiting, "publish"),
+    )
     console.lines("warning", summary.warnings, "yellow")
     if as_json:
         result = {
@@ -133,9 +144,8 @@ def publish(
         }
         typer.echo(json.dumps(result))
     else:
-        typer.echo(
-            f"published {summary.pairs} pairs of {len(summary.recordings)} recordings: {summary.folder}"
-        )
+        count = f"{len(summary.recordings)} recording{'s' * (len(summary.recordings) != 1)}"
+        typer.echo(f"published {summary.pairs} pairs of {count}: {summary.folder}")
         typer.echo(f"benchmark_sha256 {summary.benchmark_sha256}")
     exit_for(rows)
 
@@ -322,7 +332,8 @@ def init(
         temporary.write_text(text)
     tell_written([target], as_json)
     if not as_json:
-        typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
+        count = f"{len(found)} recording{'s' * (len(found) != 1)}"
+        typer.echo(f"{count}: fill in the categories, then run `kinectbench build`")
 
 
 for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect):

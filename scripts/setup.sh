@@ -77,7 +77,12 @@ elif [ "$(sed -n 2p "$stamp")" = "$wanted" ]; then
 fi
 rm -f "$stamp"
 say "installing the pinned packages (about 2 GB on disk; some minutes the first time)"
-.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]' ||
+.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev,docs]' &
+waiting=$!
+while sleep 1 && kill -0 "$waiting" 2>/dev/null; do
+  [ $((SECONDS % 30)) -ne 0 ] || say "still installing, $SECONDS s"
+done
+wait "$waiting" ||
   fail "the packages could not be installed; pip's reason is above"
 printf '%s\n%s\n' "$place" "$wanted" >"$stamp"
 say "done"

@@ -176,17 +176,6 @@ def test_interrupted_while_workers_start(fresh: Path, wait_s: float) -> None:
     wait_until_all_ended(process)
 
 
-def test_a_killed_worker_is_told(fresh: Path) -> None:
-    process = start(fresh, "build", "--jobs", "2")
-    wait_for(lambda: bool(list((fresh / "build").glob("*/.*.part"))), process)
-    workers = [pid for pid in group(process) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-    os.kill(workers[-1], signal.SIGKILL)
-    result = finish(process)
-    assert result.status in (1, 3)
-    assert "a worker process was killed" in result.err and "Traceback" not in result.err
-    wait_until_all_ended(process)
-
-
 # --- disks --------------------------------------------------------------------------------------------
 
 

@@ -2,29 +2,34 @@
 
 import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings
 from kinectbench.errors import ReleaseError
+from kinectbench.locks import locked, sweep
 from kinectbench.release.metadata import read_metadata, read_text
 from kinectbench.release.publish import PublishSummary, publish
 from kinectbench.workspace import (
     MANIFEST,
     canonical_json,
-    locked,
     pretty_json,
     replaced_file,
     sha256_text,
-    sweep,
 )
 
 STAMP = "publish.json"
 
 
 def publish_if_stale(
-    settings: BenchmarkSettings, root: Path, recordings: Sequence[str], force: bool = False
+    settings: BenchmarkSettings,
+    root: Path,
+    recordings: Sequence[str],
+    force: bool = False,
+    *,
+    wait: bool = True,
+    waiting: Callable[[str], None] | None = None,
 ) -> PublishSummary:
     """Publish `build/` as `benchmark/`, unless that is what lies there already.
 
@@ -33,10 +38,12 @@ def publish_if_stale(
         root: the folder of benchmark.yaml.
         recordings: ids of those built without failure.
         force: publish anew in any case.
+        wait: whether to wait for another run in this benchmark.
+        waiting: called with who holds it, before waiting.
 
     Raises:
         ReleaseError: nothing was built.
-        StorageError: the release cannot be written.
+        StorageError: the release cannot be written, or another run is at work here (without `wait`).
     """
     build, out = root / "build", root / "benchmark"
     if not recordings:
@@ -44,7 +51,7 @@ def publish_if_stale(
     with contextlib.ExitStack() as locks:
         # No other run may change a pair between its checks and its copy.
         for folder in (build, *(build / name for name in sorted(recordings))):
-            locks.enter_context(locked(folder))
+            locks.enter_context(locked(folder, wait=wait, waiting=waiting))
         sweep(out)
         wanted = _fingerprint(settings, build, recordings)
         summary = None if force else _published(build, out, wanted)
