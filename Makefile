@@ -21,7 +21,7 @@ demo: setup ## a whole benchmark from simulated recordings: build, publish, scor
 	@cd demo && echo "demo: building the pairs, publishing them, and checking the release" && \
 	  $(KINECTBENCH) build --jobs 2 && $(KINECTBENCH) publish && $(KINECTBENCH) verify
 	@cd demo && echo "demo: predicting with the trivial baselines, and scoring them" && \
-	  $(KINECTBENCH) baseline && $(KINECTBENCH) score predictions/ && $(KINECTBENCH) report
+	  $(KINECTBENCH) baseline && $(KINECTBENCH) score predictions/ --no-surface
 
 test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2

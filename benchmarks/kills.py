@@ -11,6 +11,7 @@ import os
 import random
 import signal
 import subprocess
+import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from figures import Figure, arguments, equals, run, told
-from small_runs import copied, leftovers, make_small, published, start
+from small_runs import FAMILIES, copied, leftovers, make_small, published, start
 
 from kinectbench.errors import KinectBenchError
 
@@ -51,13 +52,14 @@ class Round:
 def options() -> ArgumentParser:
     parser = arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=50, help="kills; default: 50")
+    parser.add_argument("--recordings", type=int, default=1, choices=(1, 2), help="default: 1")
     parser.add_argument("--seed", type=int, default=0, help="draws the moments")
     return parser
 
 
 def measure(chosen: Namespace) -> Iterator[Figure]:
     with TemporaryDirectory(prefix="kinectbench-kills-") as folder:
-        undisturbed = make_small(Path(folder) / "undisturbed")
+        undisturbed = make_small(Path(folder) / "undisturbed", FAMILIES[: chosen.recordings])
         wanted = published(undisturbed)
         rounds = list(
             kill_rounds(undisturbed, Path(folder) / "killed", chosen.rounds, random.Random(chosen.seed))
@@ -94,7 +96,12 @@ def kill_rounds(undisturbed: Path, root: Path, count: int, moments: random.Rando
             )
         where = ", ".join(sorted({path.name.split(".")[1] for path in leftovers(root)}))
         sha256 = published(root)
-        yield Round(command, where, sha256, len(leftovers(root)), time.monotonic() - started)
+        seconds = time.monotonic() - started
+        print(
+            f"{number + 1} of {count}: {command}, writing {where or 'nothing'}, {seconds:.0f} s",
+            file=sys.stderr,
+        )
+        yield Round(command, where, sha256, len(leftovers(root)), seconds)
 
 
 def begun(undisturbed: Path, root: Path, command: str, number: int) -> Path:

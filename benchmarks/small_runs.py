@@ -19,19 +19,19 @@ license: CC0-1.0
 recordings:
   - {id: chair, path: recordings/chair, category: chair}
   - {id: table, path: recordings/table, category: table, split: validation}
-fusion: {voxel_size_m: 0.01, scene_voxel_size_m: 0.02}
-views: {count: 3, min_pixels: 100}
+fusion: {voxel_size_m: 0.02, scene_voxel_size_m: 0.04}
+views: {count: 2, min_pixels: 100}
 tracking: {check_stride_px: 4}
 """
 FAMILIES = ("chair", "table")
 
 
 def make_small(root: Path, families: Sequence[str] = FAMILIES) -> Path:
-    """Two recordings of 24 frames, 160 x 120 pixels, with their benchmark.yaml; returns `root`."""
+    """Recordings of 16 frames, 160 x 120 pixels, with their benchmark.yaml; returns `root`."""
     for family in families:
         spec = {
             "object": f"{family}:seed=0",
-            "path": {"frames": 24, "rate_hz": 5.0},
+            "path": {"frames": 16, "rate_hz": 3.0},
             "sensor": {"width": 160, "height": 120},
             "save_depth": False,
         }

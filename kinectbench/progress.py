@@ -77,7 +77,7 @@ class RecordingBars:
         check_interrupt()
         if self._stages.get(recording) != stage:
             self._stages[recording] = stage
-            if self._plain:
+            if self._plain and stage:
                 self._plain.say(f"{recording}: {stage}")
         if recording not in self._tasks:
             self._tasks[recording] = self._bars.add_task(recording, total=None)

@@ -83,7 +83,7 @@ def test_a_killed_worker_costs_nothing(small: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "held", "status"),
-    [("build", "build/chair", 3), ("pairs", "build/chair", 3), ("publish", "build", 1)],
+    [("build", "build/chair", 3), ("publish", "build", 1)],
 )
 def test_a_second_run_that_does_not_wait_says_who_is_there(
     command: Command, small: Path, tmp_path: Path, name: str, held: str, status: int
@@ -166,11 +166,9 @@ def test_the_last_line_says_what_failed_and_how_to_go_on(
     command: Command, small: Path, tmp_path: Path
 ) -> None:
     root = copied(small, tmp_path / "b")
-    (root / "recordings" / "chair" / "depth.txt").unlink()
+    (root / "recordings" / "chair").rename(root / "recordings" / "elsewhere")
     result = command(root, "build", "--jobs", "1")
     assert result.status == 3
     assert result.progress[-1] == "chair: failed, 1 of 2"
     last = result.err.splitlines()[-1]
-    assert last.startswith(
-        "failed: 1 of 2 recordings: chair, for the reasons above; the rest is done. Correct"
-    )
+    assert last.startswith("failed: 1 of 2 recordings: chair, for the reasons above; the rest is done. ")
