@@ -5,6 +5,7 @@ as large as all that is there before the stage and half of what the stage writes
 """
 
 import hashlib
+import os
 import subprocess
 import sys
 from argparse import Namespace
@@ -48,7 +49,8 @@ def filled_up(whole: Path, disk: Path, name: str) -> list[str]:
     after = "benchmark" if name == "publish" else stages[name]
     with mounted(disk, ROOMY) as place:
         root = copied(whole, place / "b", *before)
-        pages = pages_of(place) + pages_of(whole / after) // 2
+        disk_now = os.statvfs(place)
+        pages = disk_now.f_blocks - disk_now.f_bfree + pages_of(whole / after) // 2
         remount(place, f"size={pages * PAGE}")
         kept = {path: hashes(root / path) for path in before}
         process = start(root, "publish" if name == "publish" else "build", "--jobs", "1")
@@ -85,8 +87,8 @@ def hashes(folder: Path) -> dict[str, str]:
 
 
 def pages_of(folder: Path) -> int:
-    """Pages that a tmpfs needs for a folder."""
-    return sum(-(-path.stat().st_size // PAGE) + 1 for path in folder.rglob("*"))
+    """Pages that a tmpfs needs for the files of a folder."""
+    return sum(-(-path.stat().st_size // PAGE) for path in folder.rglob("*") if path.is_file())
 
 
 @contextmanager
