@@ -10,7 +10,7 @@ BIN := .venv/bin
 KINECTBENCH := ../$(BIN)/kinectbench
 
 help: ## this list
-	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 20
 
 setup: ## install what is needed: system libraries, .venv, pinned packages
 	@scripts/setup.sh

@@ -106,7 +106,7 @@ def start(
     )
 
 
-def finish(process: "subprocess.Popen[str]", timeout_s: float = 120) -> Run:
+def finish(process: "subprocess.Popen[str]", timeout_s: float = 600) -> Run:
     """Wait for a started command."""
     out, err = process.communicate(timeout=timeout_s)
     return _run(process.returncode, out, err)
