@@ -3,27 +3,27 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test lint types samples clean
+.PHONY: help setup demo test lint types docs docs-pictures samples clean
 
 BIN := .venv/bin
 # The demo's commands run inside demo/.
 KINECTBENCH := ../$(BIN)/kinectbench
 
 help: ## this list
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /make \1\t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 20
 
 setup: ## install what is needed: system libraries, .venv, pinned packages
 	@scripts/setup.sh
 
-demo: setup ## a whole benchmark from simulated recordings: build, publish, score, report (about 4 minutes)
+demo: setup ## a whole benchmark from simulated recordings: build, publish, score, report (a few minutes)
 	@echo "demo: writing four further small simulated recordings to demo/recordings"
 	@$(BIN)/kinectbench simulate --demo demo/recordings
 	@cd demo && echo "demo: building the pairs, publishing them, and checking the release" && \
 	  $(KINECTBENCH) build --jobs 2 && $(KINECTBENCH) publish && $(KINECTBENCH) verify
 	@cd demo && echo "demo: predicting with the trivial baselines, and scoring them" && \
-	  $(KINECTBENCH) baseline && $(KINECTBENCH) score predictions/ && $(KINECTBENCH) report
+	  $(KINECTBENCH) baseline && $(KINECTBENCH) score predictions/ --no-surface
 
-test: setup lint types ## all checks: ruff, mypy, pytest
+test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2
 
 lint: setup ## style and formatting
@@ -33,11 +33,18 @@ lint: setup ## style and formatting
 types: setup ## static types
 	@$(BIN)/mypy
 
+docs: setup ## the documentation as a site, in site/; a broken link or anchor is an error
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --clean
+	@echo "docs: site/index.html"
+
+docs-pictures: setup ## make the tutorial's pictures again (simulated; some minutes)
+	@$(BIN)/python scripts/docs_pictures.py
+
 samples: setup ## write the sample recordings again (simulated, same bytes)
 	@$(BIN)/kinectbench simulate --samples recordings
 
 clean: ## remove .venv, caches and everything built
 	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis kinectbench.egg-info
-	rm -rf build benchmark benchmark-private predictions scores
+	rm -rf build benchmark benchmark-private predictions scores site
 	rm -rf demo/recordings demo/build demo/benchmark demo/predictions demo/scores
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

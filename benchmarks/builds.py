@@ -10,7 +10,7 @@ from typing import Any
 
 from kinectbench.config import BenchmarkSettings
 from kinectbench.errors import RecordingError
-from kinectbench.pipeline import build
+from kinectbench.parallel import build
 from kinectbench.stages import STAGES, Job
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -26,7 +26,7 @@ from kinectbench.voxels.resample import HALF_PIXEL
 class Dataset:
     """The pairs of a release, or of one split; a map-style dataset as torch's DataLoader takes it.
 
-    `dataset[i]` is a dict: `pair_id` ("<recording>/<view>"), `partial` (64, 64, 64) bool, `full` and `known`
+    `dataset[i]` is a dict: `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full` and `known`
     (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid.
     Where the truth is held back there is no `full` and no `known`.
     """
@@ -150,7 +150,7 @@ class Scorer:
         """Count one prediction; a second one of the same pair replaces the first.
 
         Args:
-            pair_id: "<recording>/<view>" of the test or validation split.
+            pair_id: `<recording>/<view>` of the test or validation split.
             prediction: (n, n, n) bool, float16 or float32 in [0, 1], 1 <= n <= 512.
 
         Raises:

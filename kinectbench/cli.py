@@ -22,6 +22,7 @@ from kinectbench.commands import (
     Json,
     Predictions,
     Set,
+    Wait,
     build_recordings,
     exit_for,
     find_release,
@@ -93,9 +94,10 @@ def _add_stage(name: str, text: str) -> None:
         overrides: Set = None,
         jobs: Jobs = None,
         force: Force = False,
+        wait: Wait = True,
         as_json: Json = False,
     ) -> None:
-        run_stage(name, ids, config, overrides, jobs, force, as_json)
+        run_stage(name, ids, config, overrides, jobs, force, as_json, wait)
 
 
 for _name, _text in STAGES.items():
@@ -273,7 +275,8 @@ def init(
         temporary.write_text(text)
     tell_written([target], as_json)
     if not as_json:
-        typer.echo(f"{len(found)} recordings: fill in their categories, then run `kinectbench build`")
+        count = f"{len(found)} recording{'s' * (len(found) != 1)}"
+        typer.echo(f"{count}: fill in the categories, then run `kinectbench build`")
 
 
 for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect, publish, verify):

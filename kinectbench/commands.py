@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Sequence
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,6 +30,10 @@ Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="processes
 Force = Annotated[
     bool, typer.Option("--force", help="make it anew even if it is current; build: every stage")
 ]
+Wait = Annotated[
+    bool,
+    typer.Option("--wait/--no-wait", help="wait for another run here, or stop and say whose it is"),
+]
 Json = Annotated[bool, typer.Option("--json", help="print JSON for machines")]
 BenchmarkDir = Annotated[
     Path | None, typer.Option("--benchmark", help="a release; default: made from --config")
@@ -44,13 +49,14 @@ def run_stage(
     jobs: int | None,
     force: bool,
     as_json: bool,
+    wait: bool = True,
 ) -> None:
     """Bring recordings up to date as far as a stage (`build`: all), and show what became of them."""
     from kinectbench.pipeline import STAGE_NAMES
 
     settings, root = open_benchmark(config, overrides)
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
-    rows = build_recordings(settings, root, ids, upto, jobs, stages if force else ())
+    rows = build_recordings(settings, root, ids, upto, jobs, stages if force else (), wait=wait)
     if as_json:
         typer.echo(json.dumps(rows))
     else:
@@ -80,20 +86,23 @@ def build_recordings(
     upto: str,
     jobs: int | None,
     force: Sequence[str] = (),
+    *,
+    wait: bool = True,
 ) -> list[dict[str, Any]]:
     """Build, tell warnings and errors, and return a summary row per recording, with its `error` or None."""
-    return build_jobs(chosen_jobs(settings, root, ids), upto, workers(jobs), force)
+    return build_jobs(chosen_jobs(settings, root, ids), upto, workers(jobs), force, wait=wait)
 
 
 def build_jobs(
-    chosen: "Sequence[Job]", upto: str, processes: int, force: Sequence[str] = ()
+    chosen: "Sequence[Job]", upto: str, processes: int, force: Sequence[str] = (), *, wait: bool = True
 ) -> list[dict[str, Any]]:
     """`build_recordings` of jobs that are known already, on so many processes."""
     from kinectbench import console
-    from kinectbench.pipeline import build, summary
+    from kinectbench.parallel import build
+    from kinectbench.pipeline import summary
 
-    with console.recording_bars() as progress:
-        outcomes = build(chosen, upto, force, processes, progress)
+    with console.recording_bars(len(chosen)) as watcher:
+        outcomes = build(chosen, upto, force, processes, watcher, wait_for_others=wait)
     rows = []
     for job, outcome in zip(chosen, outcomes, strict=True):
         row = summary(job, (*outcome.made, *outcome.current))
@@ -114,9 +123,12 @@ def built(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def exit_for(rows: list[dict[str, Any]]) -> None:
-    """End with 1 if no recording could be used, with 3 if some could not."""
+    """End with 1 if no recording could be used, with 3 if some could not; of several, say once more which."""
+    from kinectbench import console
+
     failed = len(rows) - len(built(rows))
     if failed:
+        console.failures(rows)
         raise typer.Exit(CANNOT_BE_USED if failed == len(rows) else SOME_FAILED)
 
 
@@ -128,6 +140,7 @@ def find_release(
     Returns:
         The release, and what `build_recordings` returned for it.
     """
+    from kinectbench import console
     from kinectbench.release.current import publish_if_stale
     from kinectbench.release.release import open_release
 
@@ -137,7 +150,8 @@ def find_release(
     rows = build_recordings(settings, root, None, "pairs", jobs)
     if not built(rows):
         exit_for(rows)
-    return open_release(publish_if_stale(settings, root, built(rows)).scoring), rows
+    published = publish_if_stale(settings, root, built(rows), waiting=partial(console.waiting, "publish"))
+    return open_release(published.scoring), rows
 
 
 def write_page(

@@ -1,6 +1,7 @@
 """The command `publish`: what is built as a release, in parts and archives where asked for."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,7 @@ from kinectbench.commands import (
     Jobs,
     Json,
     Set,
+    Wait,
     build_recordings,
     built,
     exit_for,
@@ -41,9 +43,11 @@ def publish(
     overrides: Set = None,
     jobs: Jobs = None,
     force: Force = False,
+    wait: Wait = True,
     as_json: Json = False,
 ) -> None:
     """Write the release to benchmark/, from everything that can be built."""
+    from kinectbench import console
     from kinectbench.release.archive import refuse_unstated, write_archive
     from kinectbench.release.current import publish_if_stale
     from kinectbench.release.options import publish_options
@@ -53,10 +57,11 @@ def publish(
     packed = archives or archives_to is not None
     if packed:
         refuse_unstated(settings, ids)
-    rows = build_recordings(settings, root, ids, "pairs", jobs)
+    rows = build_recordings(settings, root, ids, "pairs", jobs, wait=wait)
     if not built(rows):
         exit_for(rows)
-    summary = publish_if_stale(settings, root, built(rows), force, options)
+    tell = partial(console.waiting, "publish")
+    summary = publish_if_stale(settings, root, built(rows), force, options, wait=wait, waiting=tell)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [write_archive(part, archives_to or root) for part in parts] if packed else []
     _tell(summary, written, as_json)
@@ -86,7 +91,8 @@ def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> Non
         }
         typer.echo(json.dumps(result))
         return
-    typer.echo(f"published {summary.pairs} pairs of {len(summary.recordings)} recordings: {summary.folder}")
+    count = f"{len(summary.recordings)} recording{'s' * (len(summary.recordings) != 1)}"
+    typer.echo(f"published {summary.pairs} pairs of {count}: {summary.folder}")
     typer.echo(f"benchmark_sha256 {summary.benchmark_sha256}")
     if summary.private is not None:
         typer.echo(f"private part, which scores: {summary.private}")

@@ -1,15 +1,14 @@
-"""What people see in the terminal: progress bars on standard error, tables on standard output."""
+"""What people see in the terminal: progress and messages on standard error, tables on standard output."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from kinectbench.interrupts import check_interrupt
+from kinectbench import progress
 
 PLAIN_WIDTH = 160
 # What each stage can say of a recording, by its key in a summary row.
@@ -33,34 +32,14 @@ if not out.is_terminal:
     out = Console(width=PLAIN_WIDTH)
 
 
-@contextmanager
-def bar(title: str) -> Iterator[Callable[[int, int], None]]:
+def bar(title: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """A progress bar; yields a function of (done, total)."""
-    with _bars() as bars:
-        task = bars.add_task(title, total=None)
-
-        def update(done: int, total: int) -> None:
-            check_interrupt()
-            bars.update(task, completed=done, total=total)
-
-        yield update
+    return progress.bar(err, title)
 
 
-@contextmanager
-def recording_bars() -> Iterator[Callable[[str, str, int, int], None]]:
-    """One progress bar a recording; yields a function of (recording, stage, done, total)."""
-    with _bars() as bars:
-        tasks: dict[str, Any] = {}
-
-        def update(recording: str, stage: str, done: int, total: int) -> None:
-            check_interrupt()
-            if recording not in tasks:
-                tasks[recording] = bars.add_task(recording, total=None)
-            bars.update(
-                tasks[recording], description=f"{recording}: {stage}", completed=done, total=max(total, 1)
-            )
-
-        yield update
+def recording_bars(recordings: int | None = None) -> AbstractContextManager[progress.RecordingBars]:
+    """A bar for each of so many recordings; yields a function of (recording, stage, done, total)."""
+    return progress.recording_bars(err, recordings)
 
 
 def lines(kind: str, messages: Sequence[str], style: str) -> None:
@@ -74,6 +53,23 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
 def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
     """`lines` about a recording. Where its path is its id, messages begin with it: it is said once."""
     lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
+
+
+def waiting(what: str, holder: str) -> None:
+    """One line before a wait for another run."""
+    lines("waiting", [f"{what}: for {holder}; Ctrl-C to stop"], "yellow")
+
+
+def failures(rows: Sequence[Mapping[str, Any]]) -> None:
+    """The last line of a run over several recordings of which some failed: which, and how to go on."""
+    failed = [row["recording"] for row in rows if row["error"] is not None]
+    if failed and len(rows) > 1:
+        rest = "; the rest is done" if len(failed) < len(rows) else ""
+        text = (
+            f"{len(failed)} of {len(rows)} recordings: {', '.join(failed)}, for the reasons above{rest}. "
+            "Correct them and run the same command again: what is done is kept."
+        )
+        lines("failed", [text], "red")
 
 
 def summary_table(rows: Sequence[Mapping[str, Any]], stages: Sequence[str]) -> Table:
@@ -97,15 +93,3 @@ def _cell(value: Any) -> str:
         shown = ", ".join(map(str, value[:6])) + (" …" if len(value) > 6 else "")
         return f"{len(value)}: {shown}" if value else "0"
     return f"{value:.3f}" if isinstance(value, float) else str(value)
-
-
-def _bars() -> Progress:
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=err,
-        transient=True,
-        disable=not err.is_terminal,
-    )

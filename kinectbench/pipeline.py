@@ -1,24 +1,19 @@
-"""Running the stages: what is current is skipped, recordings run in parallel, errors are told apart."""
+"""Running the stages of one recording: what is current is skipped, errors are told, not raised."""
 
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from queue import Empty
 from typing import Any
 
 from kinectbench.errors import KinectBenchError, internal_error
 from kinectbench.interrupts import check_interrupt
-from kinectbench.processes import CONTEXT, KILLED, submit_all, worker_pool
+from kinectbench.locks import locked
 from kinectbench.stages import STAGES, Job, Stage, stages_upto
-from kinectbench.workspace import Artefact, locked, pretty_json
+from kinectbench.workspace import Artefact, pretty_json
 
-StageProgress = Callable[[str, int, int], None]
-RecordingProgress = Callable[[str, str, int, int], None]
+NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
 
 
 @dataclass(frozen=True)
@@ -40,6 +35,8 @@ def build_recording(
     upto: str = "pairs",
     force: Sequence[str] = (),
     progress: Callable[[str, int, int], None] | None = None,
+    *,
+    wait: bool = True,
 ) -> Outcome:
     """Bring one recording up to date as far as a stage. Its errors are told, not raised.
 
@@ -49,7 +46,8 @@ def build_recording(
         job: the recording.
         upto: name of the last stage.
         force: names of stages to make anew even if they are current.
-        progress: called with (stage, done, total).
+        progress: called with (stage, done, total); a run that waits for another says so as its stage.
+        wait: whether to wait for another run that is at this recording; else that is the error.
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
@@ -57,7 +55,7 @@ def build_recording(
     current: list[str] = []
     error = None
     try:
-        with locked(job.build):
+        with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
             artefacts: dict[str, Artefact] = {}
             for stage in stages_upto(upto):
                 artefact = _artefact(job, stage, artefacts)
@@ -70,6 +68,8 @@ def build_recording(
                 made.append(stage.name)
     except KinectBenchError as failure:
         error = str(failure)
+    except MemoryError:
+        error = NO_MEMORY
     except Exception as failure:
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
@@ -138,74 +138,3 @@ def summary(job: Job, stages: Collection[str]) -> dict[str, Any]:
             warning for part in (sequence, health, quality, views) for warning in part.get("warnings", [])
         ],
     }
-
-
-def build(
-    jobs: Sequence[Job],
-    upto: str = "pairs",
-    force: Sequence[str] = (),
-    workers: int = 1,
-    progress: RecordingProgress | None = None,
-) -> list[Outcome]:
-    """Bring recordings up to date, each for itself; one that fails does not stop the others.
-
-    Args:
-        jobs: the recordings.
-        upto: name of the last stage.
-        force: names of stages to make anew even if they are current.
-        workers: processes; the results do not depend on how many.
-        progress: called in this process with (recording, stage, done, total).
-
-    Returns:
-        One outcome per job, in their order.
-    """
-    report = progress or (lambda recording, stage, done, total: None)
-    if workers <= 1 or len(jobs) <= 1:
-        return [build_recording(job, upto, force, _for(job.recording.id, report)) for job in jobs]
-    messages = CONTEXT.Queue()
-    try:
-        with worker_pool(min(workers, len(jobs)), _keep_queue, (messages,)) as pool:
-            futures = submit_all(pool, partial(_build_in_worker, upto=upto, force=force), jobs)
-            pending: set[Future[Outcome]] = set(futures)
-            while pending:
-                _, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
-                for message in _drained(messages):
-                    report(*message)
-            return [_outcome(job, future) for job, future in zip(jobs, futures, strict=True)]
-    except BaseException:
-        for job in jobs:
-            with locked(job.build):  # sweeps away what the workers left behind
-                pass
-        raise
-
-
-def _outcome(job: Job, future: Future[Outcome]) -> Outcome:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return Outcome(job.recording.id, (), (), KILLED, 0.0)
-
-
-def _for(recording: str, report: RecordingProgress) -> StageProgress:
-    return lambda stage, done, total: report(recording, stage, done, total)
-
-
-# In a worker process: the way of its progress to the parent.
-_messages: list[Any] = []
-
-
-def _keep_queue(messages: Any) -> None:
-    messages.cancel_join_thread()  # a worker must not wait at its end for messages nobody reads
-    _messages.append(messages)
-
-
-def _build_in_worker(job: Job, upto: str, force: Sequence[str]) -> Outcome:
-    return build_recording(job, upto, force, lambda *step: _messages[-1].put((job.recording.id, *step)))
-
-
-def _drained(messages: Any) -> Iterator[tuple[str, str, int, int]]:
-    while True:
-        try:
-            yield messages.get_nowait()
-        except Empty:
-            return

@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -148,7 +147,12 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
             with _reachable(folder):
                 if folder.exists():
                     folder.rename(old)
-                temporary.rename(folder)
+                try:
+                    temporary.rename(folder)
+                except OSError:  # a full disk may have no room for the name
+                    if old.exists():
+                        old.rename(folder)
+                    raise
             shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -167,27 +171,3 @@ def replaced_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # there is none, or the disk is read-only
             temporary.unlink()
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock; a second run waits here until the first is done with it.
-
-    Leftovers of runs that were killed are swept away once the lock is held.
-    """
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("w")
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        sweep(folder / "*")
-        yield
-
-
-def sweep(path: Path) -> None:
-    """Remove what killed runs left beside `path`, whose name may be a pattern. Nobody may be writing it."""
-    for leftover in (f for end in ("part", "old") for f in path.parent.glob(f".{path.name}.*.{end}")):
-        if leftover.is_dir():
-            shutil.rmtree(leftover, ignore_errors=True)
-        else:
-            leftover.unlink(missing_ok=True)

@@ -56,6 +56,17 @@ install_packages() {
   rm -f "$log"
 }
 
+# A line every half minute, as long as this script runs.
+tell_time() {
+  local next=30
+  while sleep 1 && kill -0 $$ 2>/dev/null; do
+    if [ "$SECONDS" -ge "$next" ]; then
+      say "still installing, $SECONDS s"
+      next=$((SECONDS + 30))
+    fi
+  done
+}
+
 python=$(find_python)
 mapfile -t missing < <(missing_packages "$python")
 [ ${#missing[@]} -eq 0 ] || install_packages "${missing[@]}"
@@ -77,7 +88,9 @@ elif [ "$(sed -n 2p "$stamp")" = "$wanted" ]; then
 fi
 rm -f "$stamp"
 say "installing the pinned packages (about 2 GB on disk; some minutes the first time)"
-.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]' ||
+tell_time 9>&- &
+trap "kill $! 2>/dev/null || true" EXIT
+.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev,docs]' ||
   fail "the packages could not be installed; pip's reason is above"
 printf '%s\n%s\n' "$place" "$wanted" >"$stamp"
 say "done"

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -36,13 +37,24 @@ STAGE_FOLDERS = {
 }
 
 
+PROGRESS = re.compile(r"\[ *\d+ s\] ")
+
+
 @dataclass(frozen=True)
 class Run:
-    """What became of one command."""
+    """What became of one command; lines of progress are apart from the other messages."""
 
     status: int
     out: str
     err: str
+    progress: tuple[str, ...] = ()
+
+
+def _run(status: int, out: str, err: str) -> Run:
+    lines = err.splitlines(keepends=True)
+    progress = [line for line in lines if PROGRESS.match(line)]
+    rest = [line for line in lines if line not in progress]
+    return Run(status, out, "".join(rest), tuple(line.partition("] ")[2].rstrip() for line in progress))
 
 
 def small_spec(family: str, form: str = "tum", frames: int = 24) -> SimulationSpec:
@@ -75,7 +87,7 @@ def run_here(
     with pytest.raises(SystemExit) as end:
         cli.main()
     captured = capsys.readouterr()
-    return Run(int(end.value.code or 0), captured.out, captured.err)
+    return _run(int(end.value.code or 0), captured.out, captured.err)
 
 
 def start(
@@ -94,10 +106,10 @@ def start(
     )
 
 
-def finish(process: "subprocess.Popen[str]", timeout_s: float = 120) -> Run:
+def finish(process: "subprocess.Popen[str]", timeout_s: float = 600) -> Run:
     """Wait for a started command."""
     out, err = process.communicate(timeout=timeout_s)
-    return Run(process.returncode, out, err)
+    return _run(process.returncode, out, err)
 
 
 def run(folder: Path, *arguments: str, variables: Mapping[str, str] | None = None) -> Run:

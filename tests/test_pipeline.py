@@ -214,6 +214,7 @@ def test_two_runs_at_once(small: Path, tmp_path: Path) -> None:
     runs = [start(root, "publish", "--jobs", "1") for _ in range(2)]
     results = [finish(process) for process in runs]
     assert [result.status for result in results] == [0, 0], results
+    assert any("waiting for process" in line for result in results for line in result.progress)
     assert hashes(root / "build") == hashes(small / "build") | {
         "publish.json": hashes(root / "build")["publish.json"]
     }

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from kinectbench.errors import StorageError
+from kinectbench.locks import locked
 from kinectbench.workspace import (
     MANIFEST,
     Artefact,
     canonical_json,
     fingerprint,
-    locked,
     pretty_json,
     replaced_file,
     replaced_folder,
@@ -221,7 +221,7 @@ def test_a_folder_without_permission(tmp_path: Path) -> None:
 
 def test_a_lock_keeps_a_second_process_waiting(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from kinectbench.workspace import locked\n"
+        "import sys; from pathlib import Path; from kinectbench.locks import locked\n"
         "print('ready', flush=True)\n"
         "with locked(Path(sys.argv[1])): print('in', flush=True)"
     )
@@ -239,7 +239,7 @@ def test_a_lock_keeps_a_second_process_waiting(tmp_path: Path) -> None:
 
 def test_a_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
     code = (
-        "import os, signal, sys; from pathlib import Path; from kinectbench.workspace import locked\n"
+        "import os, signal, sys; from pathlib import Path; from kinectbench.locks import locked\n"
         "with locked(Path(sys.argv[1])): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)

@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,15 @@ from typing import Any
 from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings
 from kinectbench.errors import ReleaseError
+from kinectbench.locks import locked, sweep
 from kinectbench.release.metadata import read_metadata, read_text
 from kinectbench.release.publish import PRIVATE, PublishOptions, PublishSummary, publish
 from kinectbench.workspace import (
     MANIFEST,
     canonical_json,
-    locked,
     pretty_json,
     replaced_file,
     sha256_text,
-    sweep,
 )
 
 STAMP = "publish.json"
@@ -31,6 +30,9 @@ def publish_if_stale(
     recordings: Sequence[str],
     force: bool = False,
     options: PublishOptions | None = None,
+    *,
+    wait: bool = True,
+    waiting: Callable[[str], None] | None = None,
 ) -> PublishSummary:
     """Publish `build/` as `benchmark/`, unless that is what lies there already.
 
@@ -40,10 +42,12 @@ def publish_if_stale(
         recordings: ids of those built without failure.
         force: publish anew in any case.
         options: what is asked for beyond the settings; None: what was asked for last time.
+        wait: whether to wait for another run in this benchmark.
+        waiting: called with who holds it, before waiting.
 
     Raises:
         ReleaseError: nothing was built, or `benchmark/` holds something else.
-        StorageError: the release cannot be written.
+        StorageError: the release cannot be written, or another run is at work here (without `wait`).
     """
     build, out = root / "build", root / "benchmark"
     if not recordings:
@@ -51,7 +55,7 @@ def publish_if_stale(
     with contextlib.ExitStack() as locks:
         # No other run may change a pair between its checks and its copy.
         for folder in (build, *(build / name for name in sorted(recordings))):
-            locks.enter_context(locked(folder))
+            locks.enter_context(locked(folder, wait=wait, waiting=waiting))
         for folder in (out, out.with_name(out.name + PRIVATE)):
             sweep(folder)
         stamp = _stamp(build)

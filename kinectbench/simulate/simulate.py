@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.errors import SettingsError
+from kinectbench.locks import sweep
 from kinectbench.simulate.simulation import Simulation, prepare, record
 from kinectbench.simulate.spec import SimulationSpec
 from kinectbench.simulate.truth import DEPTH_SCALE, SurfaceTruth, Truth, is_truth, truth_folder, write_truth
 from kinectbench.simulate.visibility import Visibility, sample_surface
 from kinectbench.simulate.writers import SUFFIXES, WRITERS, cut, stamp_as_read
 from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes
-from kinectbench.workspace import replaced_file, replaced_folder, sha256_file, sweep
+from kinectbench.workspace import replaced_file, replaced_folder, sha256_file
 
 Progress = Callable[[int, int], None]
 

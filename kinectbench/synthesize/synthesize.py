@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from kinectbench.errors import KinectBenchError, SettingsError, ShapeError
+from kinectbench.locks import locked, sweep
 from kinectbench.release.layout import BENCHMARK_JSON, SHA256SUMS, read_sums, release_files
 from kinectbench.release.metadata import read_text
 from kinectbench.scoring.workers import run_tasks
@@ -18,7 +19,6 @@ from kinectbench.synthesize.mesh_check import load_model
 from kinectbench.synthesize.models import LeftOut, Model, family_models, folder_models
 from kinectbench.synthesize.settings import SynthesisSettings
 from kinectbench.synthesize.splits import Dealt, deal
-from kinectbench.workspace import locked, sweep
 
 Progress = Callable[[str, int, int], None]
 # So many models are checked sooner than other processes have started.

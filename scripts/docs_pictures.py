@@ -1,0 +1,263 @@
+"""Make the pictures of the tutorial, docs/pictures/: a simulated recording, run through every command.
+
+    .venv/bin/python scripts/docs_pictures.py [WORK]
+
+Pages are photographed with chromium, where it is installed. What was made in WORK before is used again.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.report import images, pictures
+from kinectbench.voxels.pair_file import read_pair
+
+Rgb = NDArray[np.uint8]
+
+OUT = Path(__file__).parents[1] / "docs" / "pictures"
+NAME = "my_chair"
+RECORDED = ["--object", "chair:seed=3", "--frames", "120", "--set", "given.trajectory=none"]
+RECORDED += ["--set", "path.rate_hz=8", "--set", "sensor.width=320", "--set", "sensor.height=240"]
+YAML = f"""\
+name: my_chairs
+license: CC-BY-4.0
+recordings:
+  - {{id: {NAME}, path: recordings/{NAME}, category: chair, split: test}}
+"""
+METHODS = ("partial", "hull", "mirror")
+QUALITY = 80
+TILE_PX = 240
+GAP_PX = 6
+AROUND_M = 1.25
+INK, SOFT, GOOD, BAD = "#1f2328", "#8a8f98", "#0072b2", "#d55e00"
+
+
+def main() -> None:
+    OUT.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(sys.argv[1] if len(sys.argv) > 1 else temporary).resolve()
+        make(root)
+        build = root / "build" / NAME
+        draw_walk(OUT / "walk.svg")
+        save("frames", recorded(build / "sequence"))
+        save("mesh", scene(build))
+        save("object", solid(build))
+        save("views", views(build / "views"))
+        save("pairs", pairs(build))
+        shutil.copyfile(build / "trajectory" / "trajectory.png", OUT / "trajectory.png")
+        shutil.copyfile(build / "candidates" / "plan.png", OUT / "candidates.png")
+        photograph(root / "inspect.html", 900, {"inspect": (0, 940)})
+        # By eye: the head with the tables, and two rows of the gallery.
+        photograph(root / "scores" / "index.html", 1100, {"page": (0, 560), "gallery": (2355, 3145)})
+    total = sum(path.stat().st_size for path in OUT.iterdir())
+    sys.stdout.write(f"{OUT}: {total / 1e6:.2f} MB\n")
+
+
+def make(root: Path) -> None:
+    """Every command of the tutorial; what they print is kept beside what they make, in WORK/*.txt."""
+    root.mkdir(parents=True, exist_ok=True)
+    recording = f"recordings/{NAME}"
+    if not (root / recording).exists():
+        kinectbench(root, "simulate", recording, *RECORDED)
+    (root / "benchmark.yaml").write_text(YAML)
+    if (root / "scores" / "index.html").exists():
+        return
+    kinectbench(root, "inspect", recording, "--page", "inspect.html")
+    kinectbench(root, "build")
+    kinectbench(root, "segment", NAME, "--suggest")
+    kinectbench(root, "publish")
+    kinectbench(root, "verify")
+    kinectbench(root, "baseline", *METHODS)
+    kinectbench(root, "score", "predictions/", "--no-surface")
+
+
+def kinectbench(root: Path, *arguments: str) -> None:
+    words = [sys.executable, "-m", "kinectbench", *arguments]
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
+    (root / f"{arguments[0]}.txt").write_text(done.stdout + done.stderr)
+    if done.returncode:
+        sys.exit(f"kinectbench {' '.join(arguments)}: {done.stderr}")
+
+
+def save(name: str, picture: Rgb) -> None:
+    path = OUT / f"{name}.jpg"
+    cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+
+
+def sheet(tiles: Sequence[Rgb], columns: int) -> Rgb:
+    """Pictures of one size side by side, on paper."""
+    height, width = tiles[0].shape[:2]
+    rows = -(-len(tiles) // columns)
+    whole = np.full(
+        (rows * (height + GAP_PX) - GAP_PX, columns * (width + GAP_PX) - GAP_PX, 3), 255, np.uint8
+    )
+    for number, tile in enumerate(tiles):
+        y, x = number // columns * (height + GAP_PX), number % columns * (width + GAP_PX)
+        whole[y : y + height, x : x + width] = tile
+    return whole
+
+
+def recorded(sequence: Path) -> Rgb:
+    """Colour above depth of some frames all around."""
+    from kinectbench.ingest.sequence_folder import read_sequence
+
+    frames = read_sequence(sequence)
+    chosen = np.linspace(0, 0.8 * len(frames), 5).astype(int)
+    color = [frames.color_rgb(i) for i in chosen]
+    depth = [images.depth_picture((1000 * frames.depth_m(i)).astype(np.uint16)) for i in chosen]
+    return sheet([images.shrunk(p, TILE_PX) for p in (*color, *depth)], 5)
+
+
+def scene(build: Path) -> Rgb:
+    """The fused scene around the object, from two sides."""
+    T = np.array(json.loads((build / "object" / "floor.json").read_text())["T_floor_world"])
+    whole, thing = (floor_mesh(build / name, T) for name in ("reconstruction/mesh.ply", "object/mesh.ply"))
+    centre = (thing.vertices_m.min(axis=0) + thing.vertices_m.max(axis=0)) / 2
+    near = np.linalg.norm((whole.vertices_m - centre)[:, :2], axis=1) < AROUND_M
+    cut = pictures.Mesh(whole.vertices_m, whole.triangles[near[whole.triangles].all(axis=1)])
+    return around(cut, whole.vertices_m[near], (-50.0, 130.0), 30.0)
+
+
+def solid(build: Path) -> Rgb:
+    """The closed mesh, from three sides."""
+    T = np.array(json.loads((build / "object" / "floor.json").read_text())["T_floor_world"])
+    thing = floor_mesh(build / "object" / "mesh.ply", T)
+    return around(thing, thing.vertices_m, (-50.0, 70.0, 190.0), 24.0)
+
+
+def floor_mesh(path: Path, T_floor_world: NDArray[np.float64]) -> pictures.Mesh:
+    """A mesh of the world, in the frame `floor`: z up."""
+    mesh = pictures.read_mesh(path)
+    return pictures.Mesh(mesh.vertices_m @ T_floor_world[:3, :3].T + T_floor_world[:3, 3], mesh.triangles)
+
+
+def around(
+    mesh_floor: pictures.Mesh,
+    fitted_m: NDArray[np.float64],
+    azimuths_deg: Sequence[float],
+    elevation_deg: float,
+) -> Rgb:
+    """A mesh from several sides; each picture just holds the fitted points."""
+    up, elevation = np.array([0.0, 0.0, 1.0]), np.deg2rad(elevation_deg)
+    tiles = []
+    for azimuth in np.deg2rad(azimuths_deg):
+        across = np.cos(elevation) * np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
+        looked = pictures.look_along(across - np.sin(elevation) * up, up)
+        tiles.append(pictures.render(mesh_floor, pictures.fit_viewpoint(fitted_m, looked), 380))
+    return sheet(tiles, len(tiles))
+
+
+def views(folder: Path) -> Rgb:
+    """Some views with the object's mask."""
+    rows = json.loads((folder / "views.json").read_text())["views"]
+    tiles = []
+    for row in [rows[i] for i in np.linspace(0, len(rows) - 1, 10).astype(int)]:
+        color = images.read_color(folder / f"{row['view']}.color.jpg")
+        mask = images.read_gray(folder / f"{row['view']}.mask.png") > 0
+        tiles.append(images.shrunk(images.overlay_mask(color, mask), TILE_PX))
+    return sheet(tiles, 5)
+
+
+def pairs(build: Path) -> Rgb:
+    """Three pairs: partial (blue) above the full shape, as `report` draws them, larger."""
+    from kinectbench.report import looks
+
+    looks.TILE_PX = 300
+    plane = json.loads((build / "object" / "floor.json").read_text())["plane_world"]
+    tiles = []
+    for path in sorted((build / "pairs").glob("*.npz"))[::17][:3]:
+        pair = read_pair(path)
+        up_grid = pair.T_world_grid[:3, :3].T @ np.array(plane[:3])
+        drawn = looks.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
+        tiles.append(np.concatenate([drawn[:, :300], drawn[:, 300:]], axis=0))
+    return sheet(tiles, 3)
+
+
+def photograph(page: Path, width: int, cuts: Mapping[str, tuple[int, int]]) -> None:
+    """A page as chromium shows it: each name is a picture from one row of pixels to another."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        sys.stdout.write(f"{', '.join(cuts)}: left as they are, there is no chromium\n")
+        return
+    height = max(bottom for _, bottom in cuts.values())
+    with tempfile.TemporaryDirectory() as folder:
+        shot = Path(folder) / "shot.png"
+        options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--virtual-time-budget=15000"]
+        options += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # 3-D without a graphics card
+        words = [browser, *options, f"--window-size={width},{height}", f"--screenshot={shot}", page.as_uri()]
+        subprocess.run(words, check=True, capture_output=True)
+        whole = cv2.imread(str(shot))[..., ::-1]
+        for name, (top, bottom) in cuts.items():
+            save(name, whole[top:bottom])
+
+
+def draw_walk(path: Path) -> None:
+    """How to walk: from above and from the side."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    matplotlib.rcParams["svg.hashsalt"] = "walk"
+    from matplotlib import pyplot as plt
+    from matplotlib.patches import Circle, Rectangle
+
+    figure, (above, side) = plt.subplots(1, 2, figsize=(9, 3.9), width_ratios=(1, 1.15))
+    angles = np.linspace(0, 2.25 * np.pi, 200)
+    radius = 1.5 - 0.06 * np.linspace(0, 1, 200)
+    above.plot(radius * np.cos(angles), radius * np.sin(angles), color=GOOD, linewidth=2)
+    for angle in np.deg2rad(np.arange(0, 360, 45)):
+        start, end = (
+            1.47 * np.array([np.cos(angle), np.sin(angle)]),
+            1.12 * np.array([np.cos(angle), np.sin(angle)]),
+        )
+        above.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": SOFT})
+    above.add_patch(Rectangle((-0.25, -0.25), 0.5, 0.5, color="#cdbaa0"))
+    above.add_patch(Circle((0, 0), 1.0, fill=False, linestyle=":", color=SOFT))
+    above.text(0, 0, "chair", ha="center", va="center", fontsize=9, color=INK)
+    above.text(0, 0.62, "1 m of floor kept free", ha="center", fontsize=8, color=SOFT)
+    above.text(
+        0,
+        -2.02,
+        "once all the way round and a little more,\nlooking at the chair; 30 to 60 seconds",
+        ha="center",
+        fontsize=9,
+        color=INK,
+    )
+    above.set(xlim=(-1.9, 1.9), ylim=(-2.1, 1.75), aspect="equal", title="from above")
+
+    side.plot([-0.3, 2.6], [0, 0], color=INK, linewidth=1.5)
+    for box in (
+        (-0.25, 0.4, 0.5, 0.06),
+        (-0.25, 0, 0.05, 0.4),
+        (0.2, 0, 0.05, 0.4),
+        (-0.25, 0.46, 0.05, 0.45),
+    ):
+        side.add_patch(Rectangle(box[:2], *box[2:], color="#cdbaa0"))
+    for x, y, words in (
+        (1.5, 1.45, "first half: chest height"),
+        (1.5, 0.6, "second half: knee height, to see\nunder seat and table tops"),
+    ):
+        side.annotate(
+            "", (0.25, 0.5), (x, y), arrowprops={"arrowstyle": "->", "color": GOOD, "linewidth": 1.6}
+        )
+        side.add_patch(Rectangle((x, y - 0.05), 0.2, 0.1, color=GOOD))
+        side.text(x + 0.28, y, words, va="center", fontsize=9, color=INK)
+    side.annotate("", (0.25, -0.14), (1.5, -0.14), arrowprops={"arrowstyle": "<->", "color": SOFT})
+    side.text(0.87, -0.3, "0.8 to 2.5 m", ha="center", fontsize=9, color=INK)
+    side.set(xlim=(-0.5, 3.4), ylim=(-0.45, 1.9), aspect="equal", title="from the side")
+    for axes in (above, side):
+        axes.axis("off")
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Date": None, "Creator": None})
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()
