@@ -27,7 +27,8 @@ def rank(paths: Sequence[Path], protocols: Sequence[str]) -> Ranking:
     """Rank methods by a paired test over objects (see `compare`).
 
     Args:
-        paths: scores.json files of one truth; a rank is given to those that are complete.
+        paths: scores.json files of one truth; a rank is given to those that are complete. Baselines that
+            were added have none: more comparisons would only make methods harder to tell apart.
         protocols: under which to rank.
     """
     tables: dict[int, ScoreTable] = {}
@@ -36,7 +37,7 @@ def rank(paths: Sequence[Path], protocols: Sequence[str]) -> Ranking:
             table = read_scores(path)
         except SettingsError:  # the page shows what can be read of it
             continue
-        if table.complete:
+        if table.complete and not table.baseline:
             tables[index] = table
     if len(tables) < 2 or not any(table.rows for table in tables.values()):
         return Ranking()
