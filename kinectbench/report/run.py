@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from kinectbench.config import BenchmarkSettings, RecordingSettings
+from kinectbench.config import BenchmarkSettings, PairSettings, RecordingSettings
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, read_pair_truth
 from kinectbench.report.gallery_cells import gallery_cells
@@ -61,9 +61,10 @@ def page_of_release(
         RecordingSettings(id=name, path="-", category=r.category, object=r.object, split=r.split)
         for name, r in info.recordings.items()
     ]
-    settings = BenchmarkSettings(name=info.name, license=info.license, recordings=recordings)
+    pairs = PairSettings(framing=info.framing, partial_rule=info.partial_rule)
+    settings = BenchmarkSettings(name=info.name, license=info.license, recordings=recordings, pairs=pairs)
     files, warnings = _files(scores, release, baselines)
-    text = make_page(settings, (), [file.table for file in files], _beside(files, release))
+    text = make_page(settings, (), [file.table for file in files], _beside(files, release), info)
     page = out or _folder(scores, Path("scores")) / INDEX
     with replaced_file(page) as temporary:
         temporary.write_text(text, encoding="utf-8")
