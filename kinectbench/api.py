@@ -43,7 +43,7 @@ class Dataset:
         """
         if name not in ("train", "validation", "test"):
             raise SettingsError(f"no split '{name}': choose train, validation or test")
-        return Dataset(self.release, [target for target in self.targets if target.split == name])
+        return type(self)(self.release, [target for target in self.targets if target.split == name])
 
     def __len__(self) -> int:
         return len(self.targets)
@@ -87,7 +87,11 @@ def load(path: str | Path) -> Dataset:
         ReleaseError: no release there, or it was changed.
     """
     release = open_release(Path(path))
-    return _dataset_class()(release, release.targets)
+    return _dataset(release, release.targets)
+
+
+def _dataset(release: Release, targets: Sequence[Target]) -> Dataset:
+    return _dataset_class()(release, targets)
 
 
 def _dataset_class() -> type[Dataset]:
@@ -95,7 +99,11 @@ def _dataset_class() -> type[Dataset]:
         from torch.utils.data import Dataset as TorchDataset
     except ImportError:
         return Dataset
-    return type("TorchDataset", (Dataset, TorchDataset), {})
+
+    def reduce(self: Dataset) -> tuple[Any, ...]:  # the class is made here: workers make it anew
+        return _dataset, (self.release, self.targets)
+
+    return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})
 
 
 class Scorer:

@@ -1,7 +1,6 @@
 """The command line: parse, call, show. Every algorithm lives in the rooms below."""
 
 import gc
-import json
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from kinectbench import __version__
 from kinectbench.commands import (
     DEFAULT_CONFIG,
     SOME_FAILED,
+    Baselines,
     BenchmarkDir,
     Config,
     Force,
@@ -39,6 +39,7 @@ from kinectbench.commands_exchange import export, import_
 from kinectbench.commands_formats import formats
 from kinectbench.commands_inspect import inspect
 from kinectbench.commands_publish import publish
+from kinectbench.commands_score import score
 from kinectbench.commands_segment import segment
 from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
@@ -57,7 +58,6 @@ app = typer.Typer(
 
 INTERRUPTED = 130
 
-SHOWN_FAILURES = 20
 STAGES = {
     "build": "Run every stage up to the pairs; what is current is not made again.",
     "ingest": "Read recordings of any known format.",
@@ -159,70 +159,7 @@ def baseline(
     exit_for(rows)
 
 
-@app.command()
-def score(
-    predictions: Predictions,
-    benchmark: BenchmarkDir = None,
-    method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
-    protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
-    thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
-    save_thresholds: Annotated[
-        Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
-    ] = None,
-    missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = "error",
-    upsampling: Annotated[
-        str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
-    ] = "half-pixel",
-    surface: Annotated[bool, typer.Option(help="Chamfer distance, F-score, surface Dice, normals")] = True,
-    gallery: Annotated[bool, typer.Option(help="keep some predictions for the page, small")] = True,
-    out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
-    config: Config = DEFAULT_CONFIG,
-    overrides: Set = None,
-    jobs: Jobs = None,
-    as_json: Json = False,
-) -> None:
-    """Score predictions; thresholds come from the validation split or a file."""
-    from kinectbench import console
-    from kinectbench.report.run import write_galleries
-    from kinectbench.scoring.run import score_methods
-    from kinectbench.scoring.terminal import score_table
-
-    release, rows = find_release(benchmark, config, overrides, jobs)
-    folder = out or (Path("scores") if benchmark else config.parent / "scores")
-    with console.bar("score") as progress:
-        tables = score_methods(
-            release,
-            predictions,
-            folder,
-            method=method,
-            protocols=protocol,
-            thresholds_file=thresholds,
-            save_thresholds=save_thresholds,
-            missing=missing,
-            upsampling=upsampling,
-            surface=surface,
-            jobs=workers(jobs),
-            progress=progress,
-        )
-    if gallery:
-        with console.bar("gallery") as progress:
-            write_galleries(release, predictions, tables, folder, upsampling, progress)
-    for table in tables:
-        console.lines(f"{table.method}: warning", table.warnings, "yellow")
-        reasons = [failure["reason"] for failure in table.failures]
-        if len(reasons) > SHOWN_FAILURES:
-            more = f"and {len(reasons) - SHOWN_FAILURES} more; scores.json and `kinectbench check` list all"
-            reasons = [*reasons[:SHOWN_FAILURES], more]
-        console.lines(f"{table.method}: error", reasons, "red")
-    page = release_page(release, folder) if benchmark else write_page(config, overrides, folder)
-    if as_json:
-        typer.echo(json.dumps([{"method": t.method, "overall": t.overall} for t in tables]))
-    else:
-        console.out.print(score_table(tables, published=True))
-        typer.echo(f"page: {page.resolve()}")
-    if not all(table.complete for table in tables):
-        raise typer.Exit(SOME_FAILED)
-    exit_for(rows)
+app.command()(score)
 
 
 @app.command()
@@ -236,6 +173,7 @@ def report(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="default: index.html in the folder of scores")] = None,
     benchmark: BenchmarkDir = None,
+    baselines: Baselines = True,
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:
@@ -243,12 +181,12 @@ def report(
     if benchmark is not None:
         from kinectbench.release.release import open_release
 
-        page = release_page(open_release(benchmark), scores or Path("scores"), out)
+        page = release_page(open_release(benchmark), scores or Path("scores"), out, baselines)
         tell_written([page.resolve()], as_json)
         return
     settings, root = open_benchmark(config, overrides)
     rows = build_recordings(settings, root, ids, "pairs", jobs)
-    page = write_page(config, overrides, scores or config.parent / "scores", out)
+    page = write_page(config, overrides, scores or config.parent / "scores", out, baselines)
     tell_written([page.resolve()], as_json)
     exit_for(rows)
 

@@ -38,6 +38,7 @@ Json = Annotated[bool, typer.Option("--json", help="print JSON for machines")]
 BenchmarkDir = Annotated[
     Path | None, typer.Option("--benchmark", help="a release; default: made from --config")
 ]
+Baselines = Annotated[bool, typer.Option(help="show the baselines beside the methods")]
 Predictions = Annotated[Path, typer.Argument(help="one method's folder, or a folder of methods")]
 
 
@@ -155,7 +156,11 @@ def find_release(
 
 
 def write_page(
-    config: Path, overrides: list[str] | None, scores: Path | list[Path], out: Path | None = None
+    config: Path,
+    overrides: list[str] | None,
+    scores: Path | list[Path],
+    out: Path | None = None,
+    baselines: bool = True,
 ) -> Path:
     """The page of the benchmark here."""
     from kinectbench import console
@@ -164,18 +169,25 @@ def write_page(
     settings, root = open_benchmark(config, overrides)
     with console.recording_bars() as progress:
         page, warnings = page_of_benchmark(
-            settings, root, scores, lambda name, done, total: progress("report", name, done, total), out
+            settings,
+            root,
+            scores,
+            lambda name, done, total: progress("report", name, done, total),
+            out,
+            baselines,
         )
     console.lines("warning", warnings, "yellow")
     return page
 
 
-def release_page(release: "Release", scores: Path | list[Path], out: Path | None = None) -> Path:
+def release_page(
+    release: "Release", scores: Path | list[Path], out: Path | None = None, baselines: bool = True
+) -> Path:
     """The page of the scores of a release alone."""
     from kinectbench import console
     from kinectbench.report.run import page_of_release
 
-    page, warnings = page_of_release(release, scores, out)
+    page, warnings = page_of_release(release, scores, out, baselines)
     console.lines("warning", warnings, "yellow")
     return page
 

@@ -17,7 +17,8 @@ from kinectbench.voxels.resample import reduce_blocks
 
 Bools = NDArray[np.bool_]
 
-RECORDINGS = (
+Recordings = tuple[tuple[str, str, str, str, int], ...]
+RECORDINGS: Recordings = (
     # id, category, object, split, number of views
     ("chair_01", "chair", "red_chair", "test", 2),
     ("chair_02", "chair", "blue_chair", "test", 1),
@@ -74,19 +75,19 @@ def synthetic_pair(number: int, category: str) -> Pair:
     )
 
 
-def synthetic_settings(**more: Any) -> BenchmarkSettings:
+def synthetic_settings(wanted: Recordings = RECORDINGS, **more: Any) -> BenchmarkSettings:
     """Settings of the benchmark that the synthetic release is published from."""
     recordings = [
         {"id": name, "path": f"/home/someone/{name}", "category": category, "object": thing, "split": split}
-        for name, category, thing, split, _ in RECORDINGS
+        for name, category, thing, split, _ in wanted
     ]
     content = {"name": "synthetic", "license": "CC0-1.0", "source": "made up", "recordings": recordings}
     return BenchmarkSettings.model_validate(content | more)
 
 
-def write_build(build: Path) -> None:
+def write_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
     """Write what publish reads of every recording."""
-    for index, (name, category, _, _, count) in enumerate(RECORDINGS):
+    for index, (name, category, _, _, count) in enumerate(wanted):
         views = [f"{view:03d}" for view in range(count)]
         for folder in ("sequence", "trajectory", "reconstruction", "object", "views", "pairs"):
             (build / name / folder).mkdir(parents=True)
@@ -124,8 +125,8 @@ def write_json(path: Path, content: Any) -> None:
     path.write_text(json.dumps(content))
 
 
-def publish_synthetic(root: Path) -> PublishSummary:
+def publish_synthetic(root: Path, wanted: Recordings = RECORDINGS) -> PublishSummary:
     """Build and publish below `root`."""
-    write_build(root / "build")
-    names = [recording[0] for recording in RECORDINGS]
-    return publish(synthetic_settings(), root / "build", root / "benchmark", names)
+    write_build(root / "build", wanted)
+    names = [recording[0] for recording in wanted]
+    return publish(synthetic_settings(wanted), root / "build", root / "benchmark", names)

@@ -1,9 +1,11 @@
 """What people who train use: the same numbers from memory as from files, and an example that runs."""
 
+import pickle
 import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -66,6 +68,42 @@ def test_scorer_refuses(release: Release) -> None:
     assert not table.complete and len(table.failures) == 3 and table.overall is None
     with pytest.raises(SettingsError, match="no protocol 'all'"):
         kinectbench.Scorer(release.folder, protocols=["all"])
+
+
+class StandIn:
+    """What `kinectbench.load` uses of torch's Dataset."""
+
+    def __getitem__(self, index: int) -> None:
+        raise NotImplementedError("the stand-in's")
+
+
+def assert_torch_dataset(dataset: kinectbench.Dataset, torch_dataset: type, release: Release) -> None:
+    assert isinstance(dataset, torch_dataset) and isinstance(dataset, kinectbench.Dataset)
+    test = dataset.split("test")
+    assert isinstance(test, torch_dataset) and len(test) == 4
+    again = pickle.loads(pickle.dumps(test))  # what a DataLoader's workers get
+    assert isinstance(again, torch_dataset) and again.targets == test.targets
+    item = again[1]
+    assert item["pair_id"] == "chair_01/001" and item["full"].shape == (256, 256, 256)
+
+
+def test_a_torch_dataset_where_torch_is_stood_in_for(
+    release: Release, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modules = {name: ModuleType(name) for name in ("torch", "torch.utils", "torch.utils.data")}
+    modules["torch.utils.data"].Dataset = StandIn  # type: ignore[attr-defined]
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    assert_torch_dataset(kinectbench.load(release.folder), StandIn, release)
+
+
+def test_torch_itself_reads_it_in_parallel(release: Release) -> None:
+    data = pytest.importorskip("torch.utils.data")
+    dataset = kinectbench.load(release.folder)
+    assert_torch_dataset(dataset, data.Dataset, release)
+    items = [*data.DataLoader(dataset.split("test"), batch_size=None, num_workers=2)]
+    assert [item["pair_id"] for item in items] == [target.name for target in release.split("test")]
+    assert tuple(items[0]["partial"].shape) == (64, 64, 64)
 
 
 def test_importing_the_package_is_light() -> None:

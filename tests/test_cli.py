@@ -268,6 +268,27 @@ def test_several_methods_and_one(command: Command, scored: Path, tmp_path: Path)
     assert (tmp_path / "all" / "hull" / "scores.json").read_bytes() == alone
 
 
+def test_the_baselines_stand_beside_a_method(command: Command, release: Release, tmp_path: Path) -> None:
+    predict(tmp_path / "mine", release)
+    score = ["score", "mine", "--benchmark", str(release.folder), "--jobs", "1", "--no-surface"]
+    shown = command(tmp_path, *score)
+    alone = (tmp_path / "scores" / "scores.json").read_bytes()
+    page = (tmp_path / "scores" / "index.html").read_text()
+    assert shown.status == 0 and "hull (baseline)" in shown.out and "mine (baseline)" not in shown.out
+    assert page.count(">baseline</span>") == 3 * 6  # protocols, baselines
+    assert "kinectbench build" not in page and "score predictions/ --benchmark benchmark/" in page
+    assert "min_containment" in page  # the release's own settings
+    hidden = command(tmp_path, *score, "--no-baselines")
+    assert hidden.status == 0 and "(baseline)" not in hidden.out
+    assert ">baseline</span>" not in (tmp_path / "scores" / "index.html").read_text()
+    assert (tmp_path / "scores" / "scores.json").read_bytes() == alone
+    compared = command(tmp_path, "compare", "scores", "scores/baselines/hull")
+    assert compared.status == 0 and "mine - hull" in compared.out
+    page_of = ["report", "--benchmark", str(release.folder), "--scores", "scores/scores.json"]
+    assert command(tmp_path, *page_of).status == 0
+    assert (tmp_path / "scores" / "index.html").read_text() == page
+
+
 def test_verify_names_what_is_damaged(command: Command, scored: Path, tmp_path: Path) -> None:
     root = copied(scored, tmp_path / "b", "benchmark")
     assert command(root, "verify").status == 0

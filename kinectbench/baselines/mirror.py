@@ -44,19 +44,19 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
         seen_empty: (64, 64, 64), seen and empty.
         up: (3,) unit vector.
     """
+    from kinectbench.baselines.kernels import mirror_gain
+
     sampled = points[:: max(1, len(points) // SAMPLED)]
     first = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     first /= np.linalg.norm(first)
     second = np.cross(up, first)
     gain = partial.astype(np.int8) - (seen_empty & ~partial).astype(np.int8)
-    best, chosen = -np.inf, (first, 0.0)
+    best, chosen = -len(points) - 1, (first, 0.0)
     for angle in np.arange(ANGLES) * np.pi / ANGLES:
         normal = np.cos(angle) * first + np.sin(angle) * second
         along = sampled @ normal
         for offset in np.linspace(along.min(), along.max() + np.ptp(along), OFFSETS):
-            cells = np.floor(mirrored(sampled, normal, offset) / BLOCK).astype(int)
-            inside = ((cells >= 0) & (cells < len(partial))).all(axis=1)
-            score = float(gain[tuple(cells[inside].T)].sum()) - float((~inside).sum())
+            score = mirror_gain(sampled, along, normal, offset, BLOCK, gain)
             if score > best:
                 best, chosen = score, (normal, float(offset))
     return chosen

@@ -23,24 +23,25 @@ def silhouette(inputs: Inputs) -> Bools:
 
 def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
     """Extrude along the rays from a camera at cell coordinates (3,); along z if it is not before the grid."""
+    from kinectbench.baselines.kernels import sweep_plane
+
     count = len(partial)
     far = np.linspace(-0.5, count - 0.5, PIXELS)
-    hit = np.zeros((PIXELS, PIXELS), bool)
-    filled = partial.copy()
-    for k in range(count):
+    cells = np.arange(count)
+    hit = np.zeros((PIXELS, PIXELS), np.bool_)
+    filled = partial.transpose(2, 0, 1).copy()  # plane by plane
+    for k, plane in enumerate(filled):
         # where the rays that end at `far` on the last plane cross this plane
         share = 1.0 if camera_cells[2] >= 0 else (k - camera_cells[2]) / (count - 1 - camera_cells[2])
-        rows, columns = (camera_cells[axis] * (1 - share) + far * share for axis in (0, 1))
-        i, j = (np.clip(np.rint(values).astype(int), 0, count - 1) for values in (rows, columns))
-        inside = np.outer(np.abs(i - rows) <= 0.5, np.abs(j - columns) <= 0.5)
-        hit |= partial[:, :, k][np.ix_(i, j)] & inside
+        crossings = [camera_cells[axis] * (1 - share) + far * share for axis in (0, 1)]
+        crossed = [np.clip(np.rint(at).astype(np.int64), 0, count - 1) for at in crossings]
+        inside = [np.abs(found - at) <= 0.5 for found, at in zip(crossed, crossings, strict=True)]
         # and which of these rays passes next to each cell's centre
-        cells = np.arange(count)
-        at = [
+        passing = [
             np.rint((((cells - camera_cells[a] * (1 - share)) / share) + 0.5) / count * (PIXELS - 1))
             for a in (0, 1)
         ]
-        p, q = (np.clip(values, 0, PIXELS - 1).astype(int) for values in at)
-        within = np.outer(at[0] == p, at[1] == q)
-        filled[:, :, k] |= hit[np.ix_(p, q)] & within
-    return filled
+        rays = [np.clip(found, 0, PIXELS - 1).astype(np.int64) for found in passing]
+        within = [found == ray for found, ray in zip(passing, rays, strict=True)]
+        sweep_plane(hit, plane, *crossed, *inside, *rays, *within)
+    return np.ascontiguousarray(filled.transpose(1, 2, 0))

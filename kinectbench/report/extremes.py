@@ -27,9 +27,11 @@ class Extremes:
 
 
 def extremes(tables: Sequence[ScoreTable], protocol: str) -> tuple[Extremes, ...]:
-    """Three pairs of each kind under one protocol, for every method that has rows."""
+    """Three pairs of each kind under one protocol, for every method that has rows but added baselines."""
     found = []
     for table in tables:
+        if table.baseline:
+            continue
         scored = [(row.iou, row.pair) for row in table.pairs(protocol) if row.iou is not None]
         rising = [NamedPair(pair, shown(iou)) for iou, pair in sorted(scored)]
         if rising:

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from kinectbench import __version__
 from kinectbench.config import BenchmarkSettings
+from kinectbench.release.metadata import ReleaseInfo
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.report.scores_part import Beside, ScoresPart, scores_part
 from kinectbench.scoring.published import SOURCE
@@ -39,6 +40,7 @@ class Page:
         recordings: a section each.
         scores: tables, charts, gallery.
         published_source: the paper whose own figures are shown.
+        released: benchmark.json of a release whose build is not here; None where the page shows a build.
     """
 
     settings: BenchmarkSettings
@@ -47,10 +49,13 @@ class Page:
     recordings: tuple[RecordingPart, ...]
     scores: ScoresPart
     published_source: str
+    released: ReleaseInfo | None = None
 
     @property
     def n_pairs(self) -> int:
         """Pairs of all recordings."""
+        if self.released:
+            return sum(recording.pairs for recording in self.released.recordings.values())
         return sum(len(part.tiles) for part in self.recordings)
 
 
@@ -59,13 +64,17 @@ def make_page(
     recordings: Sequence[RecordingPart],
     scores: Sequence[Mapping[str, Any]],
     beside: Beside = NOTHING_BESIDE,
+    released: ReleaseInfo | None = None,
 ) -> str:
     """Lay out the page from its parts: HTML text, the same for the same input.
+
+    Of a release alone (`released`) the settings shown are those that it was built with.
 
     Raises:
         StorageError: a score table is not what scores.json should hold.
     """
-    plain = settings.model_dump(mode="json", exclude_none=True)
+    shown = released.settings if released else settings
+    plain = shown.model_dump(mode="json", exclude_none=True)
     page = Page(
         settings=settings,
         settings_yaml=yaml.safe_dump(plain, sort_keys=False, allow_unicode=True),
@@ -73,6 +82,7 @@ def make_page(
         recordings=tuple(recordings),
         scores=scores_part(scores, beside),
         published_source=SOURCE,
+        released=released,
     )
     # Names and reasons come from strangers: all text is escaped but what is our own.
     environment = Environment(

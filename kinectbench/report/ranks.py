@@ -9,9 +9,6 @@ from kinectbench.scoring.compare import ALL, Comparison, compare
 from kinectbench.scoring.read import read_scores
 from kinectbench.scoring.table import ScoreTable
 
-# Exact tests of more objects take seconds for each of the pairs of methods: too long for a page.
-MAX_OBJECTS = 30
-
 
 @dataclass(frozen=True)
 class Ranking:
@@ -30,7 +27,8 @@ def rank(paths: Sequence[Path], protocols: Sequence[str]) -> Ranking:
     """Rank methods by a paired test over objects (see `compare`).
 
     Args:
-        paths: scores.json files of one truth; a rank is given to those that are complete.
+        paths: scores.json files of one truth; a rank is given to those that are complete. Baselines that
+            were added have none: more comparisons would only make methods harder to tell apart.
         protocols: under which to rank.
     """
     tables: dict[int, ScoreTable] = {}
@@ -39,13 +37,10 @@ def rank(paths: Sequence[Path], protocols: Sequence[str]) -> Ranking:
             table = read_scores(path)
         except SettingsError:  # the page shows what can be read of it
             continue
-        if table.complete:
+        if table.complete and not table.baseline:
             tables[index] = table
-    objects = {row.object for table in tables.values() for row in table.rows}
-    if len(tables) < 2 or not objects:
+    if len(tables) < 2 or not any(table.rows for table in tables.values()):
         return Ranking()
-    if len(objects) > MAX_OBJECTS:
-        return Ranking(notes=(f"{len(objects)} objects: `kinectbench compare` ranks the methods",))
     found: dict[str, dict[int, int]] = {}
     notes: list[str] = []
     for protocol in protocols:

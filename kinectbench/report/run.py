@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from kinectbench.config import BenchmarkSettings, RecordingSettings
+from kinectbench.config import BenchmarkSettings, PairSettings, RecordingSettings
 from kinectbench.release.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, read_pair_truth
@@ -11,7 +11,7 @@ from kinectbench.report.gallery_cells import gallery_cells
 from kinectbench.report.gallery_file import write_gallery
 from kinectbench.report.page import Progress, make_page, write_report
 from kinectbench.report.ranks import rank
-from kinectbench.report.score_files import ScoreFile, files_in, files_named
+from kinectbench.report.score_files import ScoreFile, baselines_of, files_in, files_named
 from kinectbench.report.scores_part import Beside
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read import SCORES_JSON
@@ -28,6 +28,7 @@ def page_of_benchmark(
     scores: Path | Sequence[Path],
     progress: Progress | None = None,
     out: Path | None = None,
+    baselines: bool = True,
 ) -> tuple[Path, list[str]]:
     """Write the page of a benchmark from its `build/`, its release if there is one, and score files.
 
@@ -37,6 +38,7 @@ def page_of_benchmark(
         scores: a folder, of which scores of another truth are left out, or files and folders by name.
         progress: see `write_report`.
         out: the page; default: index.html in the folder of scores.
+        baselines: whether those that lie beside the scores are shown too.
 
     Returns:
         Its path, and a warning for each score file that was left out.
@@ -45,14 +47,14 @@ def page_of_benchmark(
         SettingsError: a score file that was named is missing or of another truth.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
-    files, warnings = _files(scores, release)
+    files, warnings = _files(scores, release, baselines)
     tables = [file.table for file in files]
     page = out or _folder(scores, root / "scores") / INDEX
     return write_report(settings, root / "build", tables, page, progress, _beside(files, release)), warnings
 
 
 def page_of_release(
-    release: Release, scores: Path | Sequence[Path], out: Path | None = None
+    release: Release, scores: Path | Sequence[Path], out: Path | None = None, baselines: bool = True
 ) -> tuple[Path, list[str]]:
     """The same with the score tables of a release that has no build folders here."""
     info = release.metadata
@@ -60,9 +62,10 @@ def page_of_release(
         RecordingSettings(id=name, path="-", category=r.category, object=r.object, split=r.split)
         for name, r in info.recordings.items()
     ]
-    settings = BenchmarkSettings(name=info.name, license=info.license, recordings=recordings)
-    files, warnings = _files(scores, release)
-    text = make_page(settings, (), [file.table for file in files], _beside(files, release))
+    pairs = PairSettings(framing=info.framing, partial_rule=info.partial_rule)
+    settings = BenchmarkSettings(name=info.name, license=info.license, recordings=recordings, pairs=pairs)
+    files, warnings = _files(scores, release, baselines)
+    text = make_page(settings, (), [file.table for file in files], _beside(files, release), info)
     page = out or _folder(scores, Path("scores")) / INDEX
     with replaced_file(page) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -94,11 +97,16 @@ def write_galleries(
         write_gallery(cells, scores / SCORES_JSON)
 
 
-def _files(scores: Path | Sequence[Path], release: Release | None) -> tuple[list[ScoreFile], list[str]]:
+def _files(
+    scores: Path | Sequence[Path], release: Release | None, baselines: bool
+) -> tuple[list[ScoreFile], list[str]]:
     sha256 = release.benchmark_sha256 if release else None
+    warnings: list[str] = []
     if isinstance(scores, Path):
-        return files_in(scores, sha256)
-    return files_named(scores, sha256), []
+        files, warnings = files_in(scores, sha256)
+    else:
+        files = files_named(scores, sha256)
+    return [*files, *(baselines_of(files) if baselines else [])], warnings
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:

@@ -8,7 +8,7 @@ from typing import Any
 from kinectbench.errors import ReleaseError, SettingsError, StorageError
 from kinectbench.release.metadata import strict_json
 from kinectbench.report.gallery_file import Gallery, read_gallery
-from kinectbench.scoring.read import MAX_BYTES, SCORES_JSON, find_scores
+from kinectbench.scoring.read import BASELINES_FOLDER, MAX_BYTES, SCORES_JSON, find_scores
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,31 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
             )
         files.append(file)
     return files
+
+
+def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
+    """The baselines that `score` kept beside score files, of the same truth; one of each name.
+
+    One that was scored as a method is not shown twice.
+
+    Args:
+        files: what the page shows, of one truth.
+
+    Raises:
+        StorageError: a file is not JSON.
+    """
+    shown = {str(file.table.get("method")) for file in files}
+    truths = {file.table.get("benchmark_sha256") for file in files}
+    folders = {folder: None for file in files for folder in (file.path.parent, file.path.parent.parent)}
+    found: dict[str, ScoreFile] = {}
+    for folder in folders:
+        for path in sorted((folder / BASELINES_FOLDER).glob(f"*/{SCORES_JSON}")):
+            file = _read(path)
+            name = str(file.table.get("method"))
+            same = file.table.get("baseline") is True and file.table.get("benchmark_sha256") in truths
+            if same and name not in shown:
+                found.setdefault(name, file)
+    return [*found.values()]
 
 
 def _read(path: Path) -> ScoreFile:

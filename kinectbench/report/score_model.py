@@ -79,6 +79,7 @@ class ScoreTable(_Part):
     failures: Any = None
     warnings: Any = None
     notes: Any = None
+    baseline: bool | None = None
 
     def scores(self, protocol: str) -> dict[str, CategoryScore]:
         """The scores of a protocol by category, and under `overall` over all categories."""

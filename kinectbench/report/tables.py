@@ -1,6 +1,6 @@
 """Score tables as they are shown: methods down, categories across, the best of a column marked."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from kinectbench.report.score_model import OVERALL, CategoryScore, ScoreTable
@@ -35,12 +35,14 @@ class Row:
         rank: 1 + the number of methods that are better by a test, as text; "=" after it if it is shared.
         iou: a cell for each category.
         ce: likewise.
+        baseline: whether it was added to stand beside the methods.
     """
 
     method: str
     rank: str
     iou: tuple[Cell, ...]
     ce: tuple[Cell, ...]
+    baseline: bool = False
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ def score_table(tables: Sequence[ScoreTable], protocol: str, ranks: Mapping[str,
         for method, by_category in scores.items()
     }
     note = PROTOCOL_NOTES.get(protocol, "")
-    return _table(f"Protocol “{protocol}”", note, columns, cells, ranks or {})
+    baselines = frozenset(table.method for table in ordered if table.baseline)
+    return _table(f"Protocol “{protocol}”", note, columns, cells, ranks or {}, baselines)
 
 
 def published_table() -> Table:
@@ -157,6 +160,7 @@ def _table(
     columns: tuple[str, ...],
     cells: Mapping[str, Mapping[str, CategoryScore]],
     ranks: Mapping[str, int],
+    baselines: Collection[str] = (),
 ) -> Table:
     best_iou = {c: _best(max, [row[c].iou for row in cells.values()]) for c in columns}
     best_ce = {c: _best(min, [row[c].ce for row in cells.values()]) for c in columns}
@@ -166,6 +170,7 @@ def _table(
             rank_text(ranks, method),
             tuple(_cell(row[c].iou, best_iou[c], row[c].interval("iou")) for c in columns),
             tuple(_cell(row[c].ce, best_ce[c], row[c].interval("ce")) for c in columns),
+            method in baselines,
         )
         for method, row in cells.items()
     )

@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench.errors import SettingsError
 from kinectbench.scoring.averages import AVERAGED, ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
-from kinectbench.scoring.sign_flip import MAX_EXACT, holm, sign_flip_p, smallest_p
+from kinectbench.scoring.sign_flip import MAX_EXACT, holm, sign_flip_ps, smallest_p
 from kinectbench.scoring.table import METRICS, SHARES, SURFACES, ScoreTable
 
 ALPHA = 0.05
@@ -163,8 +163,8 @@ def _differences(
     pairs = list(combinations(range(len(names)), 2))
     raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
     weights = np.array([weight for _, weight in values[0].values()])
-    weighted = [np.array([*found.values()]) * weights for found in raw]
-    p_values = [sign_flip_p(found) for found in weighted]
+    weighted = np.array([[*found.values()] for found in raw]) * weights
+    p_values = sign_flip_ps(weighted)
     count = len(values[0])
     smallest = min(1.0, len(pairs) * smallest_p(count))
     found = []

@@ -127,14 +127,19 @@ def count_job(job: Job) -> PairResult | str:
 def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None) -> PairResult:
     """Count a prediction in memory; `threshold` is for the surface metrics, None leaves them out."""
     side, protocols = len(prediction), counting.protocols
-    ceilings = dict.fromkeys(protocols, 1.0)
-    if side < FULL_CELLS and threshold is not None:
-        best = ceiling(truth, side, counting.upsampling)
-        ceilings = {name: float(ious(protocol_counts(best, name)).max()) for name in protocols}
+    reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface: Mapping[str, SurfaceMetrics] = {}
     if counting.surface and threshold is not None:
         surface = surface_metrics(occupied(prediction, threshold, counting.upsampling), truth, protocols)
-    return PairResult(tally(prediction, truth, counting.upsampling), side, ceilings, surface, None)
+    return PairResult(tally(prediction, truth, counting.upsampling), side, reached, surface, None)
+
+
+def ceilings(truth: Truth, side: int, counting: Counting) -> Mapping[str, float]:
+    """{protocol: the IoU that a prediction of this side can reach}; 1 from 256 on."""
+    if side >= FULL_CELLS:
+        return dict.fromkeys(counting.protocols, 1.0)
+    best = ceiling(truth, side, counting.upsampling)
+    return {name: float(ious(protocol_counts(best, name)).max()) for name in counting.protocols}
 
 
 def _sha256(path: Path) -> str:

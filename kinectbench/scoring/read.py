@@ -10,6 +10,7 @@ from kinectbench.release.metadata import strict_json
 from kinectbench.scoring.table import ScoreRow, ScoreTable
 
 SCORES_JSON = "scores.json"
+BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to every table
 MAX_BYTES = 1 << 30
 NUMBERS = (int, float)
 

@@ -89,6 +89,7 @@ class ScoreTable:
         iou_by_threshold: {protocol: {category: mean IoU at thresholds k / 20, k = 2 to 18}}, or None if not
             complete.
         hashes: {pair: SHA-256 of its truth and of the prediction's file}.
+        baseline: whether kinectbench made the predictions itself, to stand beside a method's.
     """
 
     method: str
@@ -109,6 +110,7 @@ class ScoreTable:
     extremes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     iou_by_threshold: Mapping[str, Mapping[str, list[float]]] | None = None
     hashes: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
+    baseline: bool = False
 
 
 def scores_json(table: ScoreTable) -> str:

@@ -32,8 +32,11 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
     for protocol in protocols:
         for column in columns:
             result.add_column(f"{column}\n{protocol}", justify="right")
-    for table in tables:
-        result.add_row(Text(table.method), *_cells(table, protocols, columns))
+    for group in ([t for t in tables if not t.baseline], [t for t in tables if t.baseline]):
+        for table in group:
+            name = f"{table.method} (baseline)" if table.baseline else table.method
+            result.add_row(Text(name), *_cells(table, protocols, columns))
+        result.add_section()
     if published:
         for entry in PUBLISHED:
             values = dict(zip(CATEGORIES, zip(entry.iou, entry.ce, strict=True), strict=True))

@@ -8,14 +8,17 @@ import pytest
 from scipy.spatial import ConvexHull
 from synthetic_release import ball, synthetic_pair
 
+from kinectbench.baselines.beside import baselines_beside
 from kinectbench.baselines.hull import filled_hull
 from kinectbench.baselines.inputs import Inputs, Training, read_training, up_in_grid
+from kinectbench.baselines.kernels import mirror_gain
 from kinectbench.baselines.learned import mean_shape, nearest
 from kinectbench.baselines.mirror import best_plane, mirror, mirrored
+from kinectbench.baselines.predict import possible_baselines
 from kinectbench.baselines.registry import BASELINES
 from kinectbench.baselines.silhouette import extruded, silhouette
 from kinectbench.baselines.trivial import constant, empty, partial
-from kinectbench.baselines.write import possible_baselines, write_baselines
+from kinectbench.baselines.write import write_baselines
 from kinectbench.errors import ReleaseError, SettingsError
 from kinectbench.release.release import Release
 from kinectbench.scoring.check import check
@@ -209,3 +212,73 @@ def test_baselines_that_learn(release: Release) -> None:
     given = replace(inputs(pairs[1]), training=training)
     np.testing.assert_allclose(mean_shape(given), np.mean(blocks, axis=0), atol=1e-3)
     np.testing.assert_array_equal(nearest(given), unpack(pairs[1].full))
+
+
+def plain_extruded(partial: np.ndarray, camera_cells: np.ndarray) -> np.ndarray:
+    """`extruded`, plane by plane in numpy, for a camera before the grid."""
+    count = len(partial)
+    far, cells = np.linspace(-0.5, count - 0.5, 512), np.arange(count)
+    hit, filled = np.zeros((512, 512), bool), partial.copy()
+    for k in range(count):
+        share = (k - camera_cells[2]) / (count - 1 - camera_cells[2])
+        crossings = [camera_cells[axis] * (1 - share) + far * share for axis in (0, 1)]
+        i, j = (np.clip(np.rint(at).astype(int), 0, count - 1) for at in crossings)
+        inside = np.outer(np.abs(i - crossings[0]) <= 0.5, np.abs(j - crossings[1]) <= 0.5)
+        hit |= partial[:, :, k][np.ix_(i, j)] & inside
+        rays = [
+            np.rint(((cells - camera_cells[a] * (1 - share)) / share + 0.5) / count * 511) for a in (0, 1)
+        ]
+        p, q = (np.clip(found, 0, 511).astype(int) for found in rays)
+        filled[:, :, k] |= hit[np.ix_(p, q)] & np.outer(rays[0] == p, rays[1] == q)
+    return filled
+
+
+@pytest.mark.parametrize("camera", [(30.0, 35.0, -40.0), (-20.0, 90.0, -5.0), (32.0, 32.0, -900.0)])
+def test_silhouette_plane_by_plane(camera: tuple[float, float, float]) -> None:
+    partial = np.random.default_rng(5).random((64, 64, 64)) < 0.003
+    partial[:, :, :9] = False
+    found = extruded(partial, np.array(camera))
+    np.testing.assert_array_equal(found, plain_extruded(partial, np.array(camera)))
+    assert found.sum() > 3 * partial.sum()
+
+
+def test_mirror_gain_by_hand() -> None:
+    rng = np.random.default_rng(6)
+    points, gain = rng.random((200, 3)) * 80 - 4, rng.integers(-1, 2, (18, 18, 18)).astype(np.int8)
+    normal = np.array([0.6, 0.0, 0.8])
+    cells = np.floor(mirrored(points, normal, 40.0) / 4).astype(int)
+    expected = sum(int(gain[tuple(cell)]) if ((cell >= 0) & (cell < 18)).all() else -1 for cell in cells)
+    assert mirror_gain(points, points @ normal, normal, 40.0, 4, gain) == expected
+
+
+@pytest.mark.parametrize("upsampling", ["half-pixel", "corner-aligned"])
+def test_baselines_beside_are_what_their_files_score(
+    release: Release, tmp_path: Path, upsampling: str
+) -> None:
+    names = write_baselines(release, tmp_path / "predictions")
+    beside = {"protocols": ["known", "paper"], "upsampling": upsampling}
+    found = baselines_beside(release, tmp_path / "scores", **beside, without=["hull"])
+    assert [table.method for table in found] == [name for name in names if name != "hull"]
+    for table in found:
+        folder = tmp_path / "predictions" / table.method
+        expected = score(release, folder, method=table.method, surface=False, **beside)
+        assert table.baseline and not expected.baseline
+        assert replace(table, baseline=False, hashes={}) == replace(expected, hashes={})
+
+
+def test_baselines_beside_are_kept(release: Release, tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def made(protocols: list[str]) -> int:
+        """How many pairs are counted."""
+        calls.clear()
+        baselines_beside(release, tmp_path, protocols=protocols, progress=lambda done, _: calls.append(done))
+        return len(calls)
+
+    assert made(["known"]) == len(release.targets)
+    kept = tmp_path / "baselines" / "partial" / "scores.json"
+    first = kept.read_bytes()
+    assert made(["known"]) == 0
+    kept.write_text("{")
+    assert made(["known"]) == len(release.targets) and kept.read_bytes() == first
+    assert made(["paper"]) == len(release.targets)

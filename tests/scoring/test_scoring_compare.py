@@ -15,7 +15,7 @@ from kinectbench.scoring.averages import AVERAGED, object_means
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.intervals import bootstrap_interval, student_interval
 from kinectbench.scoring.read import find_scores, read_scores
-from kinectbench.scoring.sign_flip import holm, sign_flip_p, smallest_p
+from kinectbench.scoring.sign_flip import holm, sign_flip_ps, smallest_p
 from kinectbench.scoring.table import ScoreRow, ScoreTable, write_scores
 
 RNG = np.random.default_rng(4)
@@ -93,6 +93,11 @@ def test_bootstrap_covers_as_it_says_and_is_stratified() -> None:
     assert bootstrap_interval([far[0], (np.ones((2, 1)), np.ones(2))]) is None
 
 
+def sign_flip_p(differences: np.ndarray) -> float:
+    (found,) = sign_flip_ps(differences[None])
+    return found
+
+
 @pytest.mark.parametrize("count", [1, 2, 5, 9])
 def test_sign_flips_against_all_of_them(count: int) -> None:
     differences = np.round(RNG.normal(0.3, 1, count), 1)  # rounded: with ties
@@ -110,7 +115,19 @@ def test_sign_flips_of_many_objects() -> None:
         stats.binomtest(20, 30).pvalue, rel=1e-9
     )
     sampled = sign_flip_p(np.array([1.0] * 30 + [-1.0] * 20))
-    assert sampled == pytest.approx(stats.binomtest(30, 50).pvalue, abs=0.003)
+    assert sampled == pytest.approx(stats.binomtest(30, 50).pvalue, abs=0.001)
+
+
+def test_drawn_signs_give_what_all_of_them_give(monkeypatch: pytest.MonkeyPatch) -> None:
+    tests = RNG.normal(0.2, 1, (4, 24)) * RNG.random(24)
+    tests[3] = 0
+    exact = sign_flip_ps(tests)
+    monkeypatch.setattr("kinectbench.scoring.sign_flip.MAX_EXACT", 23)
+    drawn = sign_flip_ps(tests)
+    np.testing.assert_allclose(drawn, exact, atol=0.002)  # four deviations of a million draws
+    assert drawn[3] == exact[3] == 1
+    # a method more or less in the comparison changes no other p-value
+    assert [sign_flip_ps(tests[n : n + 1])[0] for n in range(4)] == drawn
 
 
 def test_holm_by_hand() -> None:

@@ -1,6 +1,5 @@
 """Meshes, packed bits, orders of bytes, hostile folders: each is scored, or refused in one line."""
 
-import io
 import tracemalloc
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
-from hypothesis import strategies as st
+from score_fuzz import FILES, good_files, read_one
 
 from kinectbench.errors import PredictionError
 from kinectbench.release.release import Release
@@ -169,42 +168,15 @@ def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) 
     assert len(keys) == 4
 
 
-def good_files() -> list[tuple[str, bytes]]:
-    small = np.random.default_rng(0).random((5, 5, 5)).astype(np.float16)
-    buffers = [io.BytesIO(), io.BytesIO()]
-    np.save(buffers[0], small)
-    np.savez_compressed(buffers[1], small)
-    return [
-        ("npy", buffers[0].getvalue()),
-        ("npz", buffers[1].getvalue()),
-        ("ply", exported(BOX, "ply")),
-        ("obj", exported(BOX, "obj")),
-    ]
-
-
-GOOD = good_files()
-
-
 @settings(max_examples=150, deadline=None)
-@given(
-    which=st.integers(0, len(GOOD) - 1),
-    cuts=st.tuples(st.integers(0, 4000), st.integers(0, 4000)),
-    junk=st.binary(max_size=40),
-    keep_rest=st.booleans(),
-)
-def test_no_bytes_crash_the_reader(
-    which: int, cuts: tuple[int, int], junk: bytes, keep_rest: bool, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    kind, content = GOOD[which]
-    first, second = sorted(cut % (len(content) + 1) for cut in cuts)
-    path = tmp_path_factory.getbasetemp() / f"fuzz.{kind}"
-    path.write_bytes(content[:first] + junk + (content[second:] if keep_rest else b""))
-    try:
-        loaded = load_prediction(path, "fuzz", VOXEL_M)
-    except PredictionError as error:
-        assert "\n" not in str(error)
-    else:
-        assert loaded.ndim == 3 and loaded.min() >= 0 and loaded.max() <= 1
+@given(file=FILES)
+def test_no_bytes_crash_the_reader(file: tuple[str, bytes], tmp_path_factory: pytest.TempPathFactory) -> None:
+    kind, content = file
+    read_one(tmp_path_factory.getbasetemp() / f"fuzz.{kind}", content)
+
+
+def test_the_fuzzed_files_are_good_ones_too(tmp_path: Path) -> None:
+    assert all(read_one(tmp_path / f"000.{kind}", content) for kind, content in good_files())
 
 
 def test_truth_as_packed_bits_is_perfect(release: Release, tmp_path: Path) -> None:
