@@ -68,7 +68,7 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     are enough if the hollows found so far leave the voxel hardly enclosed. The uppermost layer of a hollow
     must be overhung nearly as far as the one below it. What is less than 35 mm high is no hollow: cushions
     are rounded below. What would be a hollow but for its flush sides is doubtful, unless its sides go down
-    further than 12 cm, as no apron does. Own rule.
+    further than 12 cm, as no apron does, or a hollow begins under it. Own rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
@@ -94,7 +94,8 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     hollow[:, :, 1:] &= ~frayed
     inside = (state == UNSEEN) & (opened >= ENCLOSED)
     body = (inside & ~under & (below_m < NOT_UNDER * voxel_size_m)).any(axis=2, keepdims=True)
-    flush = inside & under & (outside >= OPEN_BELOW) & ~hollow & ~body
+    slab = hollow.any(axis=2, keepdims=True)
+    flush = inside & under & (outside >= OPEN_BELOW) & ~slab & ~body
     return Hollows(hollow, ndimage.binary_opening(flush, high))
 
 
