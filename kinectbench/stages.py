@@ -70,7 +70,7 @@ def _ingest(job: Job, folder: Path, progress: Progress) -> None:
 
     recording = open_recording(job.source, job.recording.camera)
     refuse_hopeless(recording)
-    write_sequence(recording, folder, progress)
+    write_sequence(recording, folder, progress, needs_trajectory=job.recording.trajectory != "ignore")
 
 
 def _track(job: Job, folder: Path, progress: Progress) -> None:

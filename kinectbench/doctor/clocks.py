@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
-from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults
+from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults, usual_period_ns
 from kinectbench.ingest.stamps import NS_PER_S
 
 # Steps this far from whole periods are uneven, not frames that are missing in between.
@@ -37,16 +37,6 @@ def check_clock(look: Look) -> Iterator[Finding]:
             yield from _stream(look, stream, stamps_ns)
     yield from _doubled(look)
     yield from _partners(look)
-
-
-def usual_period_ns(stamps_ns: NDArray[np.int64]) -> int:
-    """The step between frames where none is missing: the lower quartile of the steps forward; 0: unknown.
-
-    The median is that of two steps where every third frame is gone (own rule).
-    """
-    steps = np.diff(stamps_ns)
-    forward = steps[steps > 0]
-    return int(np.quantile(forward, 0.25, method="lower")) if len(forward) else 0
 
 
 def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:

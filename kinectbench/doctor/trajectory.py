@@ -109,6 +109,10 @@ def _disagreements(
 def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
     """Judge the trajectory that came with a recording."""
     given = look.recording.given_trajectory
+    if look.recording.trajectory_error:
+        advice = "correct it, or `trajectory: ignore`"
+        yield Finding("trajectory_unreadable", "stops", look.recording.trajectory_error, look.where, advice)
+        return
     if given is None:
         yield Finding("no_trajectory", "note", "no trajectory: the camera will be tracked", look.where)
         return
