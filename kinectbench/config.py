@@ -130,6 +130,7 @@ class ViewSettings(Settings):
         "random", description="random: uniform over the good frames (paper); coverage: every side alike"
     )
     min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
+    recorded_masks: bool = Field(True, description="use the masks that came with a recording, such as BOP's")
 
 
 class PairSettings(Settings):
