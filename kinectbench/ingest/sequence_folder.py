@@ -15,7 +15,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,25 @@ DEPTH_SUFFIX = ".kbd"
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
+class Watch(Protocol):
+    """Looks on while frames are written."""
+
+    def see(self, index: int, frame: RawFrame) -> None:
+        """Look at a frame of the recording."""
+        ...
+
+    def warnings(self) -> list[str]:
+        """What there is to say after the last one, one line each."""
+        ...
+
+
 def write_sequence(
     recording: Recording,
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
     *,
     needs_trajectory: bool = True,
-    seen: Callable[[int, RawFrame], None] | None = None,
+    watch: Watch | None = None,
 ) -> list[str]:
     """Write a recording into an empty folder, holding one frame at a time, and check it on the way.
 
@@ -62,7 +74,7 @@ def write_sequence(
         progress: called with (frames done, frames in all) after each.
         needs_trajectory: refuse a recording whose given trajectory is broken or of another time; else it is
             left out with a warning.
-        seen: called with the index and the frame for each that is whole, as it was recorded.
+        watch: is shown each frame that is whole, as it was recorded, and adds its warnings.
 
     Returns:
         Warnings, one line each; they are stored in camera.json too.
@@ -87,8 +99,8 @@ def write_sequence(
     for done, frame in enumerate(recording.frames(), start=1):
         try:
             rows += _write_checked(frame, len(rows), folder, checks, tally, register)
-            if seen and isinstance(frame, RawFrame):
-                seen(done - 1, frame)
+            if watch and isinstance(frame, RawFrame):
+                watch.see(done - 1, frame)
         except DamagedImageError as error:
             tally.leave_out(str(error))
         if progress:
@@ -96,6 +108,8 @@ def write_sequence(
     warnings = [*recording.warnings, *tally.verdict(), *checks.verdict()]
     if problem:
         warnings.append(f"{problem}; it is ignored")
+    if watch:
+        warnings += watch.warnings()
     head = {"format_version": FORMAT_VERSION, **asdict(recording.camera)}
     head |= {"depth_scale": recording.depth_scale, "color_registered": registered_by is not None}
     head |= {"registered_by": registered_by}

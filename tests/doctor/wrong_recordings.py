@@ -175,6 +175,7 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
     ),
     "no intrinsics": (lambda folder: (folder / "camera.json").unlink(), "intrinsics", "does not say"),
     "poses 200 ms late": (stamps("groundtruth", lambda t: t + 0.2), "trajectory_delay", "late"),
+    "poses 150 ms early": (stamps("groundtruth", lambda t: t - 0.15), "trajectory_delay", "early"),
     "colour three frames late": (
         change_rows("rgb", lambda rows: _frames_late(rows, 3)),
         "color_delay",
