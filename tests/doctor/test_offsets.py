@@ -44,7 +44,8 @@ def test_the_line_that_is_offered_takes_it_away(name: str, tmp_path: Path) -> No
     assert told == [(key, value)]  # the doctor says the same
     corrected = CameraSettings.model_validate({key: value})
     assert ingested(folder, corrected, tmp_path / "second") == []
-    assert inspect(folder, corrected)[0].verdict == "usable"
+    left = [found for found in inspect(folder, corrected)[0].findings if found.name != "reader"]
+    assert left == []  # the reader warns of frames at an end that now have no colour
     if name == "colour three frames late":
         # Each depth image has got its own colour.
         again, right = (read_sequence(tmp_path / "second"), open_recording(CHAIR))
@@ -56,7 +57,7 @@ def test_the_line_that_is_offered_takes_it_away(name: str, tmp_path: Path) -> No
 def test_what_is_offered_is_the_whole_delay(name: str, tmp_path: Path) -> None:
     key, late_s, tolerance_s = OFFSETS[name]
     folder = make_wrong(CHAIR, name, tmp_path / "r")
-    part = CameraSettings.model_validate({key: late_s - 0.2 if key == "color_delay_s" else late_s - 0.1})
+    part = CameraSettings.model_validate({key: 0.2 if key == "color_delay_s" else 0.1})
     ((said, value),) = ingested(folder, part, tmp_path / "first")
     assert said == key and value == pytest.approx(late_s, abs=tolerance_s)
 
