@@ -1,7 +1,7 @@
 """What reading costs: CPU a frame of a folder and of bags, memory on a big bag, seconds of the doctor.
 
 FOLDER is a recording with PNG depth and JPEG colour. Its frames are read as they lie, and wrapped in ROS 1
-bags with raw depth and JPEG colour: chunks plain, lz4, bz2. The big bags repeat them until they have so many GB.
+bags with raw depth and JPEG colour: chunks plain, lz4, bz2. The big bags repeat them up to so many GB.
 """
 
 import json
