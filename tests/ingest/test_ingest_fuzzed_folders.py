@@ -1,4 +1,4 @@
-"""Folders of every format with bytes of one file changed: read, or refused in one line; no memory is taken."""
+"""Folders of every format with bytes of one file changed are read, or refused in one line."""
 
 import shutil
 import tracemalloc
