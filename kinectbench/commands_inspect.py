@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.commands import CANNOT_BE_USED, Json
+from kinectbench.commands import CANNOT_BE_USED, DEFAULT_CONFIG, Json, open_benchmark
 
 if TYPE_CHECKING:
+    from kinectbench.config import RecordingSettings
     from kinectbench.doctor import Diagnosis
 
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 
 
 def inspect(
-    recording: Annotated[Path, typer.Argument(help="folder or file")],
+    recording: Annotated[str, typer.Argument(help="folder or file, or an id of the benchmark.yaml here")],
     overrides: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="of its camera, such as fx=525; as under `camera:`"),
@@ -29,8 +30,12 @@ def inspect(
     from kinectbench.doctor import inspect as look_over
     from kinectbench.options import settings_from_options
 
-    camera = settings_from_options(CameraSettings, {}, overrides or [], "camera")
-    diagnosis, look = look_over(recording, camera if overrides else None)
+    known = _of_benchmark(recording)
+    said = known.camera.model_dump(exclude_unset=True) if known and known.camera else {}
+    camera = settings_from_options(CameraSettings, said, overrides or [], "camera")
+    path = DEFAULT_CONFIG.parent / known.path if known else Path(recording)
+    ignored = known is not None and known.trajectory == "ignore"
+    diagnosis, look = look_over(path, camera if said or overrides else None, without_trajectory=ignored)
     if page is not None:
         from kinectbench.doctor.page import write_page
 
@@ -44,6 +49,16 @@ def inspect(
             typer.echo(f"page: {page.resolve()}")
     if diagnosis.stops:
         raise typer.Exit(CANNOT_BE_USED)
+
+
+def _of_benchmark(name: str) -> "RecordingSettings | None":
+    """The recording of that id of the benchmark here; None if there is none, or another path of that name."""
+    if not DEFAULT_CONFIG.is_file():
+        return None
+    if Path(name).exists() or "/" in name:
+        return None
+    settings, _ = open_benchmark(DEFAULT_CONFIG, None)
+    return next((known for known in settings.recordings if known.id == name), None)
 
 
 def _show(diagnosis: "Diagnosis") -> None:

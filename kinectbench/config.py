@@ -49,7 +49,7 @@ class CameraSettings(Settings):
     depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
     color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
     pose_topic: str | None = Field(None, description="of a bag: the topic of poses, or tf")
-    color_delay_s: float = Field(0.0, ge=-10, le=10, description="stamps of colour are late by this")
+    color_delay_s: float = Field(0.0, ge=-1e10, le=1e10, description="stamps of colour are late by this")
     trajectory_delay_s: float = Field(
         0.0, ge=-1e10, le=1e10, description="stamps of given poses are late by this"
     )
@@ -140,6 +140,7 @@ class ViewSettings(Settings):
         "random", description="random: uniform over the good frames (paper); coverage: every side alike"
     )
     min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
+    recorded_masks: bool = Field(True, description="use the masks that came with a recording, such as BOP's")
 
 
 class PairSettings(Settings):

@@ -51,6 +51,7 @@ class Sequence:
         depth_correction_per_m: (height, width) float32, added to 1 / depth; None: depth as recorded.
         masks: the masks that came with the recording, or None: index -> (height, width) bool, the object, or
             None for a frame without one.
+        trajectory_error: why a trajectory that came with the recording cannot be used, or "".
     """
 
     camera: Camera
@@ -61,6 +62,7 @@ class Sequence:
     frames: FrameStore
     depth_correction_per_m: NDArray[np.float32] | None = None
     masks: Callable[[int], NDArray[np.bool_] | None] | None = None
+    trajectory_error: str = ""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

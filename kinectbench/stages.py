@@ -1,7 +1,7 @@
 """The stages in their order: what each stands on, which settings it depends on, and what it writes."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +65,15 @@ class Stage:
 
 def _ingest(job: Job, folder: Path, progress: Progress) -> None:
     from kinectbench.doctor.hopeless import refuse_hopeless
+    from kinectbench.doctor.offsets import OffsetWatch
     from kinectbench.ingest.registry import open_recording
     from kinectbench.ingest.sequence_folder import write_sequence
 
     recording = open_recording(job.source, job.recording.camera)
     refuse_hopeless(recording)
-    write_sequence(recording, folder, progress)
+    needed = job.recording.trajectory != "ignore"
+    watched = recording if needed else replace(recording, given_trajectory=None)
+    write_sequence(recording, folder, progress, needs_trajectory=needed, watch=OffsetWatch(watched))
 
 
 def _track(job: Job, folder: Path, progress: Progress) -> None:

@@ -60,7 +60,7 @@ def fit_of_view(
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         rendered_m: (height, width) float32, the object as it should be seen, 0 = not on it.
-        mask: (height, width) bool, the automatic mask.
+        mask: (height, width) bool, by depth or as recorded; a person's PNGs do not count.
         sequence: the recording.
         T_world_camera: (4, 4), the view's pose.
         model: the object.

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from kinectbench.alignment import UNCHECKED_SIGMA_M, Alignment, align_view
 from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.segmentation.masks import object_mask, override_mask, stray_masks
+from kinectbench.geometry import transform_points
+from kinectbench.segmentation.masks import object_mask, override_mask, recorded_mask, stray_masks
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.sequence import Sequence
 from kinectbench.shape.object_model import ObjectModel
@@ -33,7 +34,7 @@ class View:
         reason: why it was chosen.
         alignment: its pose, corrected by its own depth.
         mask: (height, width) bool, the object, in depth pixels.
-        fit: figures of the automatic mask.
+        fit: figures of the mask before a person's PNGs.
         blur: of the colour against the recording's sharpest frames, as health.json has it; None if unknown.
         pose_residual_m: distance to other frames under the trajectory's pose, metres; None if unknown.
     """
@@ -77,7 +78,8 @@ def sample_views(
         sequence: the recording.
         trajectory: its poses.
         model: floor, closed mesh.
-        settings: how many, which strategy and seed.
+        settings: how many, which strategy and seed; whether masks that came with the recording are the
+            object's, in the frames that have one.
         segmentation: tolerance of the masks.
         pairs: least containment, largest residual, least visible share.
         masks: folder of a person's PNGs, or None.
@@ -95,14 +97,18 @@ def sample_views(
         if len(views) == settings.count:
             break
         depth_m = sequence.depth_m(frame)
+        recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
+        if recorded is not None:
+            # What stands before the object or touches it says nothing of how well it fits.
+            depth_m = np.where(recorded, depth_m, np.float32(0))
         pose_sigma_m = trajectory.pose_sigma_m(frame) or UNCHECKED_SIGMA_M
         alignment = align_view(
             depth_m, sequence.camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m
         )
         T_world_camera = alignment.T_world_camera
         rendered_m = renderer.depth_m(sequence.camera, T_world_camera)
-        heights_m = model.floor.heights_m(depth_m, sequence.camera, T_world_camera)
-        mask = object_mask(depth_m, rendered_m, heights_m, segmentation.mask_tolerance_m)
+        tolerance_m = segmentation.mask_tolerance_m
+        mask = _mask(depth_m, rendered_m, sequence, T_world_camera, model, tolerance_m, recorded)
         fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
         reason = refusal(fit, settings, pairs)
         if reason:
@@ -123,6 +129,24 @@ def sample_views(
     if masks is not None:
         warnings += stray_masks(masks, [view.name for view in views])
     return Views(views, refused, warnings)
+
+
+def _mask(
+    depth_m: NDArray[np.float32],
+    rendered_m: NDArray[np.float32],
+    sequence: Sequence,
+    T_world_camera: NDArray[np.float64],
+    model: ObjectModel,
+    tolerance_m: float,
+    recorded: NDArray[np.bool_] | None,
+) -> NDArray[np.bool_]:
+    """The mask of a view by its recorded mask, or else by its depth."""
+    if recorded is None:
+        heights_m = model.floor.heights_m(depth_m, sequence.camera, T_world_camera)
+        return object_mask(depth_m, rendered_m, heights_m, tolerance_m)
+    points = sequence.camera.backproject(depth_m)
+    points_floor = transform_points(model.floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
+    return recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
 
 
 def _health_figures(row: Mapping[str, Any]) -> tuple[float | None, float | None]:

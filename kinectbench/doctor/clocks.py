@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.doctor.finding import Finding, Severity
+from kinectbench.doctor.finding import Finding, Severity, camera_line
 from kinectbench.doctor.look import Look
-from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults
+from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults, usual_period_ns
 from kinectbench.ingest.stamps import NS_PER_S
 
 # Steps this far from whole periods are uneven, not frames that are missing in between.
@@ -36,17 +36,7 @@ def check_clock(look: Look) -> Iterator[Finding]:
         if len(stamps_ns) > 2:
             yield from _stream(look, stream, stamps_ns)
     yield from _doubled(look)
-    yield from _partners(look)
-
-
-def usual_period_ns(stamps_ns: NDArray[np.int64]) -> int:
-    """The step between frames where none is missing: the lower quartile of the steps forward; 0: unknown.
-
-    The median is that of two steps where every third frame is gone (own rule).
-    """
-    steps = np.diff(stamps_ns)
-    forward = steps[steps > 0]
-    return int(np.quantile(forward, 0.25, method="lower")) if len(forward) else 0
+    yield from check_partners(look)
 
 
 def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
@@ -123,7 +113,7 @@ def _doubled(look: Look) -> Iterator[Finding]:
         yield Finding("doubled_frames", severity, what, look.where, advice)
 
 
-def _partners(look: Look) -> Iterator[Finding]:
+def check_partners(look: Look) -> Iterator[Finding]:
     """Whether depth frames have colour, where there is colour at all."""
     depth_ns, color_ns = look.recording.recorded_stamps_ns
     without = [frame.index for frame in look.frames if frame.gray is None]
@@ -134,9 +124,11 @@ def _partners(look: Look) -> Iterator[Finding]:
         return
     if share >= PAIRED_SHARE:
         return
-    apart_s = (int(np.median(color_ns)) - int(np.median(depth_ns))) / 1e9
+    apart_s = (int(np.median(color_ns)) - int(np.median(depth_ns))) / 1e9 - look.recording.color_delay_s
     what = f"{len(without)} of the {len(look.frames)} frames looked at have no colour within 20 ms"
-    if not (depth_ns.min() <= color_ns.max() and color_ns.min() <= depth_ns.max()):
+    delay_ns = round(look.recording.color_delay_s * NS_PER_S)
+    if depth_ns.min() > color_ns.max() - delay_ns or color_ns.min() - delay_ns > depth_ns.max():
         what += f"; the clocks of colour and depth are {apart_s:.3f} s apart"
-    advice = f"if colour is late, give `color_delay_s`, such as {apart_s:.3f}"
+    line = camera_line("color_delay_s", look.recording.color_delay_s + apart_s)
+    advice = f"if both show the same time, {line}; what is then left is found by motion"
     yield Finding("color_unpaired", "warning", what, look.where, advice)

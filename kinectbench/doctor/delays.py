@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.doctor.edges import color_edges, depth_jumps
-from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import Pair, disagreement, frames_of
 from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.doctor.readings import Reading
+from kinectbench.ingest.association import TOLERANCE_NS
 from kinectbench.ingest.delay import estimate_delay, image_motion
+from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.sequence import GivenTrajectory
 from kinectbench.tracking.given import poses_at
 
@@ -25,6 +27,7 @@ BETTER = 0.93
 EDGE_FRAMES, EDGE_LAGS, EDGE_SIZE = 40, 12, (160, 120)
 EDGE_BETTER = 1.15
 MAX_GAP_S = 0.2
+PAIRED_SHARE = 0.8
 
 
 def check_color_delay(look: Look) -> Iterator[Finding]:
@@ -37,9 +40,12 @@ def check_color_delay(look: Look) -> Iterator[Finding]:
     delay_ns = _color_delay_ns(look, run, stamps_ns)
     if delay_ns is None or abs(delay_ns) < max(LEAST_NS, LEAST_PERIODS * period_ns):
         return
+    delay_ns = _with_partners_ns(look, delay_ns)
     late, frames = delay_ns / 1e9, delay_ns / period_ns
+    own_clock = len(look.recording.recorded_stamps_ns[1]) > 0 and not look.counts_frames
+    line = camera_line("color_delay_s", look.recording.color_delay_s + late)
     what = f"colour is {_offset(late)} against depth (about {abs(frames):.1f} frames), by what both show"
-    advice = f"if both have stamps: `color_delay_s: {late:.3f}`; else pair the images anew"
+    advice = line if own_clock else "pair the images anew: they have no stamps of their own"
     yield Finding("color_delay", "warning", what, look.where, advice)
 
 
@@ -51,7 +57,7 @@ def check_trajectory_delay(
     if delay_ns is None or abs(delay_ns) < LEAST_NS:
         return
     what = f"the stamps of the given poses are {_offset(delay_ns / 1e9)}: so moved, they fit the depth best"
-    advice = f"`trajectory_delay_s: {delay_ns / 1e9:.3f}`"
+    advice = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + delay_ns / 1e9)
     if look.counts_frames:
         which = "late" if delay_ns > 0 else "early"
         what = f"the given poses are {abs(delay_ns) * ASSUMED_HZ / 1e9:.0f} frames {which}"
@@ -123,6 +129,20 @@ def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[
     if found is not None and found.correlation > LEAST_CORRELATION:
         return found.delay_ns
     return _edge_delay_ns(run, stamps_ns) if look.recording.color_registered else None
+
+
+def _with_partners_ns(look: Look, delay_ns: int) -> int:
+    """The delay, moved to where images have partners again, if it is not told well enough for that."""
+    depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in look.recording.recorded_stamps_ns)
+    if len(depth_ns) < 2 or not len(color_ns):
+        return delay_ns
+    color_ns = color_ns - round(look.recording.color_delay_s * NS_PER_S) - delay_ns
+    after = np.clip(np.searchsorted(depth_ns, color_ns), 1, len(depth_ns) - 1)
+    apart_ns = np.stack([color_ns - depth_ns[after - 1], color_ns - depth_ns[after]])
+    nearest_ns = np.where(np.abs(apart_ns[0]) < np.abs(apart_ns[1]), *apart_ns)
+    if (np.abs(nearest_ns) <= TOLERANCE_NS).mean() >= PAIRED_SHARE:
+        return delay_ns
+    return delay_ns + int(np.median(nearest_ns))
 
 
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.config import CameraSettings
-from kinectbench.doctor.clocks import check_clock, usual_period_ns
+from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.delays import check_color_delay
 from kinectbench.doctor.depth import check_depth, depth_quantiles_m
 from kinectbench.doctor.edges import EdgeFit, check_edges, fit_edges
@@ -20,18 +20,22 @@ from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.opening import open_anyhow
 from kinectbench.doctor.optics import check_intrinsics
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
+from kinectbench.ingest.clock import usual_period_ns
 from kinectbench.tracking.coverage import covered_arc_rad
 
 # Depth that is no depth: nothing that is computed from it says anything.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 
 
-def inspect(path: Path, settings: CameraSettings | None = None) -> tuple[Diagnosis, Look | None]:
+def inspect(
+    path: Path, settings: CameraSettings | None = None, *, without_trajectory: bool = False
+) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
     Args:
         path: folder or file.
         settings: of its camera, as under `camera:` in benchmark.yaml.
+        without_trajectory: take no notice of a given trajectory.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
@@ -39,6 +43,8 @@ def inspect(path: Path, settings: CameraSettings | None = None) -> tuple[Diagnos
     recording, found = open_anyhow(path, settings)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(found)), None
+    if without_trajectory:
+        recording = replace(recording, given_trajectory=None, trajectory_error="")
     look = take_look(recording)
     found += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
     early = [*check_clock(look), *check_depth(look)]

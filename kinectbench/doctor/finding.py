@@ -57,6 +57,11 @@ class Diagnosis:
         return "usable"
 
 
+def camera_line(key: str, value: float) -> str:
+    """What to write into benchmark.yaml for a setting of the camera."""
+    return f"put `camera: {{{key}: {value:.3f}}}` into benchmark.yaml"
+
+
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """The findings by severity, otherwise in their order, none twice."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda found: SEVERITIES.index(found.severity)))

@@ -1,7 +1,7 @@
 """A look at a recording: some of its frames, small, and a few whole."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,34 +99,60 @@ class Look:
         return self.frames[starts[longest] : starts[longest + 1]] if len(indices) else ()
 
 
+class Gathering:
+    """A look in the making: it is given frames as they are read, and keeps of them what the checks need."""
+
+    def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
+        """Gather these frames (indices, increasing), and as many of them whole, evenly spread."""
+        places = np.linspace(0, len(indices) - 1, min(whole, len(indices))).astype(int)
+        self.indices = indices
+        self._wanted = frozenset(indices.tolist())
+        self._whole_at = frozenset(indices[places].tolist())
+        self._recording = recording
+        self._step = max(1, round(recording.camera.width / DEPTH_COLUMNS))
+        self._frames: list[SmallFrame] = []
+        self._whole: list[WholeFrame] = []
+
+    def take(self, index: int, raw: RawFrame) -> None:
+        """Take a frame, if it is wanted.
+
+        Raises:
+            DamagedImageError: its colour cannot be decoded.
+        """
+        if index not in self._wanted:
+            return
+        step, scale = self._step, np.float32(self._recording.depth_scale)
+        bgr = _color(raw) if index in self._whole_at else None
+        gray = _gray(raw)
+        depth_m = raw.depth[::step, ::step].astype(np.float32) / scale
+        digest = hashlib.blake2b(raw.depth.tobytes(), digest_size=16).digest()
+        self._frames.append(SmallFrame(index, raw.stamp_ns, depth_m, gray, digest))
+        if index in self._whole_at:
+            self._whole.append(WholeFrame(index, raw.depth, bgr))
+
+    def look(self, damaged: Sequence[str] = (), refused: Sequence[str] = ()) -> Look:
+        """What was gathered."""
+        frames, whole = tuple(self._frames), tuple(self._whole)
+        return Look(self._recording, frames, whole, tuple(damaged), tuple(refused), self._step)
+
+
 def take_look(recording: Recording, few: bool = False) -> Look:
     """Read some frames of a recording: all of up to 250, or else runs of frames; or only eight."""
     count = len(recording)
     indices = (
         np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)
     )
-    whole_at = set(indices[np.linspace(0, len(indices) - 1, min(WHOLE_FRAMES, len(indices))).astype(int)])
-    step = max(1, round(recording.camera.width / DEPTH_COLUMNS))
-    frames, whole = [], []
+    gathering = Gathering(recording, indices)
     damaged: list[str] = []
     refused: list[str] = []
     for index in indices.tolist():
         try:
-            raw = recording.frame(index)
-            bgr = _color(raw) if index in whole_at else None
-            gray = _gray(raw)
+            gathering.take(index, recording.frame(index))
         except DamagedImageError as error:
             damaged.append(str(error))
-            continue
         except RecordingError as error:
             refused.append(str(error))
-            continue
-        depth_m = raw.depth[::step, ::step].astype(np.float32) / np.float32(recording.depth_scale)
-        digest = hashlib.blake2b(raw.depth.tobytes(), digest_size=16).digest()
-        frames.append(SmallFrame(index, raw.stamp_ns, depth_m, gray, digest))
-        if index in whole_at:
-            whole.append(WholeFrame(index, raw.depth, bgr))
-    return Look(recording, tuple(frames), tuple(whole), tuple(damaged), tuple(refused), step)
+    return gathering.look(damaged, refused)
 
 
 def frames_to_read(count: int) -> NDArray[np.int64]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_gap_s, on_clock
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
-from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import Pair, choose_pairs, frames_of, pair_disagreement, residual_m
 from kinectbench.doctor.look import Look
 from kinectbench.doctor.readings import Reading, further_readings, likely_readings
@@ -109,6 +109,10 @@ def _disagreements(
 def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
     """Judge the trajectory that came with a recording."""
     given = look.recording.given_trajectory
+    if look.recording.trajectory_error:
+        advice = "correct it, or `trajectory: ignore`"
+        yield Finding("trajectory_unreadable", "stops", look.recording.trajectory_error, look.where, advice)
+        return
     if given is None:
         yield Finding("no_trajectory", "note", "no trajectory: the camera will be tracked", look.where)
         return
@@ -148,7 +152,8 @@ def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]
         if first_s * factor <= end_s and last_s * factor >= start_s:
             what = f"{what}: their stamps are {said}"
             return Finding("trajectory_time_unit", "stops", what, look.where, f"multiply them by {factor:g}")
-    advice = f"give `trajectory_delay_s` ({first_s - start_s:.3f} if both begin together), or remove them"
+    line = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + first_s - start_s)
+    advice = f"if both begin together, {line}; or `trajectory: ignore`"
     return Finding("trajectory_time", "stops", what, look.where, advice)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.geometry import rigid
-from kinectbench.ingest.intrinsics import Intrinsics
+from kinectbench.ingest.intrinsics import Intrinsics, scale_warnings
 from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size
 from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.ingest.text_rows import read_text
@@ -62,7 +62,7 @@ class BopRecording(FileRecording):
             depth_scale=intrinsics.depth_scale or MM_PER_M,
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
-            warnings=(*warnings, *lost),
+            warnings=(*warnings, *scale_warnings(path, said.depth_scale, settings), *lost),
         )
 
 

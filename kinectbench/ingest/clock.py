@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 # A longer pause is not a few dropped frames.
 JUMP_PERIODS, JUMP_NS = 10, 1_000_000_000
@@ -17,7 +17,7 @@ class StampFaults:
     """What is wrong with the stamps of a stream, in the order in which it was recorded.
 
     Attributes:
-        period_ns: the usual step between frames, the median of all steps forward; 0 for fewer than two.
+        period_ns: the usual step between frames, as `usual_period_ns` has it.
         dropped: frames that are missing in gaps between two frames.
         repeated: frames with the stamp of the one before.
         backwards: frames that are a little earlier than the one before.
@@ -38,15 +38,28 @@ class StampFaults:
         return bool(self.dropped or self.repeated or self.backwards or self.jumps or self.resets)
 
 
+def usual_period_ns(stamps_ns: NDArray[np.int64]) -> int:
+    """The step between frames where none is missing; 0: unknown.
+
+    The median of the steps forward that are shorter than one and a half of their lower quartile: where every
+    third frame is gone, the median of all is that of two steps (own rule).
+    """
+    steps = np.diff(stamps_ns)
+    forward = steps[steps > 0]
+    if not len(forward):
+        return 0
+    single = forward[forward < 1.5 * np.quantile(forward, 0.25, method="lower")]
+    return int(np.median(single))
+
+
 def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
     """Look over the stamps of one stream (own rule).
 
     Args:
         stamps_ns: (n,) nanoseconds, in the order of recording.
     """
-    steps = np.diff(np.asarray(stamps_ns, np.int64))
-    forward = steps[steps > 0]
-    period_ns = int(np.median(forward)) if len(forward) else 0
+    stamps = np.asarray(stamps_ns, np.int64)
+    steps, period_ns = np.diff(stamps), usual_period_ns(stamps)
     is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * period_ns)
     gaps = steps[(steps > 0) & ~is_jump]
     missing = np.rint(gaps / period_ns).astype(np.int64) - 1 if period_ns else np.zeros(0, np.int64)

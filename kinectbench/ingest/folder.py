@@ -15,6 +15,7 @@ from kinectbench.ingest.intrinsics import (
     read_color_calibration,
     read_intrinsics_json,
     read_intrinsics_matrix,
+    scale_warnings,
 )
 from kinectbench.ingest.recording import (
     ColorCalibration,
@@ -25,7 +26,7 @@ from kinectbench.ingest.recording import (
 )
 from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.ingest.text_rows import parse_floats, text_rows
-from kinectbench.ingest.trajectory_file import read_trajectory, trajectory_from_matrices
+from kinectbench.ingest.trajectory_file import read_given, read_trajectory, trajectory_from_matrices
 from kinectbench.sequence import GivenTrajectory
 
 DEPTH_SCALE = 1000.0
@@ -73,7 +74,7 @@ class FolderRecording(FileRecording):
         intrinsics = said.overridden_by(settings)
         calibration = _read_calibration(path)
         registered = intrinsics.color_registered
-        trajectory, warnings = _read_trajectory(path, stamps_ns)
+        trajectory, warnings, error = read_given(lambda: _read_trajectory(path, stamps_ns))
         return cls(
             path=path,
             files=files,
@@ -82,7 +83,8 @@ class FolderRecording(FileRecording):
             color_registered=_same_size(files, size_px) if registered is None else registered,
             color_calibration=calibration,
             given_trajectory=trajectory,
-            warnings=(*said_warnings, *warnings),
+            trajectory_error=error,
+            warnings=(*said_warnings, *scale_warnings(path, said.depth_scale, settings), *warnings),
         )
 
 

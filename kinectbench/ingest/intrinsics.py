@@ -78,6 +78,17 @@ class Intrinsics:
         return Camera(width, height, fx, fy, cx, cy)
 
 
+def scale_warnings(path: Path, said_scale: float | None, settings: CameraSettings | None) -> list[str]:
+    """A warning where the settings give another depth scale than the recording itself."""
+    given = None if settings is None else settings.depth_scale
+    if said_scale is None or given is None or math.isclose(said_scale, given, rel_tol=1e-6):
+        return []
+    return [
+        f"{path}: says that 1 m is {said_scale:g} units of depth, but `depth_scale: {given:g}` in "
+        "benchmark.yaml is taken; remove it there if that is not meant"
+    ]
+
+
 def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 

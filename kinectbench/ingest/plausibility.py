@@ -86,18 +86,17 @@ class FrameChecks:
         self._look_at_depth(frame)
         return suffix
 
-    def verdict(self, stamps_ns: list[int]) -> list[str]:
-        """Judge the recording as a whole, after the last frame with these stamps; returns warnings.
+    def verdict(self) -> list[str]:
+        """Judge the recording as a whole, after the last frame; returns warnings.
 
         Raises:
-            RecordingError: no depth at all, an absurd depth scale, or a trajectory of another time.
+            RecordingError: no depth at all, or an absurd depth scale.
         """
         if len(self._empty) == self._seen:
             raise RecordingError(
                 f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)"
             )
         self._check_scale()
-        self._check_trajectory(stamps_ns)
         if not self._empty:
             return []
         return [f"{len(self._empty)} depth images are empty, the first is {self._empty[0]}"]
@@ -135,17 +134,19 @@ class FrameChecks:
             f"it is {native / better:.3g} m"
         )
 
-    def _check_trajectory(self, stamps_ns: list[int]) -> None:
-        trajectory = self._recording.given_trajectory
-        if trajectory is None:
-            return
-        first_ns, last_ns = int(trajectory.stamps_ns[0]), int(trajectory.stamps_ns[-1])
-        if first_ns > stamps_ns[-1] or last_ns < stamps_ns[0]:
-            raise RecordingError(
-                f"{self._recording.path}: the trajectory ({_span(first_ns, last_ns)}) shares no time with "
-                f"the frames ({_span(stamps_ns[0], stamps_ns[-1])}): it is of another recording or clock; "
-                "correct it, or remove it from the recording"
-            )
+
+def trajectory_problem(recording: Recording) -> str:
+    """Why the trajectory that came with a recording cannot be used, one line; "" where it can, or is none."""
+    trajectory, stamps_ns = recording.given_trajectory, recording.stamps_ns
+    if trajectory is None or not len(stamps_ns):
+        return recording.trajectory_error
+    first_ns, last_ns = int(trajectory.stamps_ns[0]), int(trajectory.stamps_ns[-1])
+    if first_ns <= stamps_ns[-1] and last_ns >= stamps_ns[0]:
+        return ""
+    return (
+        f"{recording.path}: the trajectory ({_span(first_ns, last_ns)}) shares no time with the frames "
+        f"({_span(int(stamps_ns[0]), int(stamps_ns[-1]))}): it is of another recording or clock; correct it"
+    )
 
 
 def _span(first_ns: int, last_ns: int) -> str:

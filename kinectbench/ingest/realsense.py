@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from kinectbench.geometry import closest_rotation, rigid
 from kinectbench.ingest.images import DamagedImageError
 from kinectbench.ingest.ros_camera import CameraInfo, camera_info
-from kinectbench.ingest.ros_images import INTEGER_SCALE
 from kinectbench.ingest.ros_messages import BagMessages, BagTopic, RosBag
 from kinectbench.ingest.ros_topics import WANTED, ImageTopic
 from kinectbench.ingest.ros_transforms import TransformTree, matrix_of
@@ -60,8 +59,8 @@ class RealsenseRecording(Rosbag1Recording):
         return any(word in part for word in TELL_TALES for part in (start, end))
 
     @classmethod
-    def integer_scale(cls, bag: RosBag, messages: BagMessages, depth: ImageTopic) -> float:
-        """1 / Depth Units (metres) of the depth's sensor, or else 1000."""
+    def integer_scale(cls, bag: RosBag, messages: BagMessages, depth: ImageTopic) -> float | None:
+        """1 / Depth Units (metres) of the depth's sensor."""
         found = STREAM.fullmatch(depth.name)
         prefix = found[1] if found else "/"
         for topic in bag.topics:
@@ -70,7 +69,7 @@ class RealsenseRecording(Rosbag1Recording):
                 if units_m is not None:
                     # Stored as float32: 0.001 comes back as 0.0010000000474.
                     return float(np.round(1 / units_m, 3))
-        return INTEGER_SCALE
+        return None
 
     @classmethod
     def color_place(

@@ -82,6 +82,9 @@ class Recording(ABC):
         color_registered: colour pixels lie on depth pixels.
         color_calibration: how colour can be registered, where it is not and that is known; or None.
         given_trajectory: the trajectory that came with it, or None.
+        trajectory_error: why the trajectory that came with it cannot be used, or "".
+        color_delay_s: taken off the stamps of colour, as the settings say, seconds.
+        trajectory_delay_s: taken off the stamps of given poses, as the settings say, seconds.
         warnings: what its user should know, one line each.
     """
 
@@ -94,6 +97,9 @@ class Recording(ABC):
     color_registered: bool
     color_calibration: ColorCalibration | None = None
     given_trajectory: GivenTrajectory | None = None
+    trajectory_error: str = ""
+    color_delay_s: float = 0.0
+    trajectory_delay_s: float = 0.0
     warnings: tuple[str, ...] = ()
 
     @classmethod

@@ -60,7 +60,7 @@ def open_recording(path: Path, camera: CameraSettings | None = None) -> Recordin
         if name is None:
             raise RecordingError(_unknown(path))
         recording = reader_of(name).open(path, camera)
-        return _with_delay(recording, 0 if camera is None else round(camera.trajectory_delay_s * NS_PER_S))
+        return recording if camera is None else _with_delays(recording, camera)
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
 
@@ -89,13 +89,17 @@ def find_recordings(folder: Path) -> list[tuple[Path, str]]:
     return [recording for recordings in found for recording in recordings]
 
 
-def _with_delay(recording: Recording, delay_ns: int) -> Recording:
-    """The recording with the stamps of its given poses moved back by a delay."""
-    given = recording.given_trajectory
-    if given is None or not delay_ns:
-        return recording
-    moved = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
-    return replace(recording, given_trajectory=moved)
+def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
+    """The recording with the stamps of its given poses moved back; its reader moved those of colour."""
+    given, delay_ns = recording.given_trajectory, round(camera.trajectory_delay_s * NS_PER_S)
+    if given is not None:
+        given = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
+    return replace(
+        recording,
+        given_trajectory=given,
+        color_delay_s=camera.color_delay_s,
+        trajectory_delay_s=camera.trajectory_delay_s,
+    )
 
 
 def _walk(folder: Path) -> Iterator[Path]:

@@ -193,6 +193,11 @@ class ChunkCache:
         self._unpack = unpack
         self._chunks: dict[int, bytes] = {}
 
+    def keep(self, position: int, data: bytes) -> None:
+        """Keep a chunk that was unpacked already, as long as there is room: the first are read first."""
+        if sum(map(len, self._chunks.values())) + len(data) <= CACHED_BYTES:
+            self._chunks[position] = data
+
     def __call__(self, position: int) -> bytes:
         """The unpacked chunk at a position."""
         if position not in self._chunks:

@@ -9,10 +9,11 @@ from kinectbench.errors import RecordingError
 from kinectbench.ingest.ros_messages import BagMessages, BagTopic
 from kinectbench.ingest.ros_topics import ODOMETRY, POSE, ImageTopic
 from kinectbench.ingest.ros_transforms import TransformTree
-from kinectbench.ingest.trajectory_file import TimedPose, trajectory_from_poses
+from kinectbench.ingest.trajectory_file import TimedPose, read_given, trajectory_from_poses
 from kinectbench.sequence import GivenTrajectory
 
 Given = tuple[GivenTrajectory | None, list[str]]
+MaybeGiven = tuple[GivenTrajectory | None, list[str], str]
 
 
 def read_poses(
@@ -22,15 +23,15 @@ def read_poses(
     tree: TransformTree,
     depth: ImageTopic,
     named: str | None,
-) -> Given:
-    """The trajectory of the depth camera, camera to world, and warnings.
+) -> MaybeGiven:
+    """The trajectory of the depth camera, camera to world; warnings; and why it cannot be used, or "".
 
     It is that of the topic that the settings name ("tf" for the tree of frames), or else of the one topic of
     PoseStamped or Odometry, or else of tf. Where Odometry is of another frame than the camera's, and tf says
     how both lie to each other, it is moved to the camera.
 
     Raises:
-        RecordingError: the named topic holds no poses, or a pose is not finite.
+        RecordingError: the named topic holds no poses.
     """
     found = [topic for topic in topics if topic.type in (POSE, ODOMETRY)]
     if named is not None and named != "tf":
@@ -40,11 +41,11 @@ def read_poses(
             raise RecordingError(f"{path}: `pose_topic: {named}` holds no poses; those that fit are: {names}")
         found = chosen
     if named == "tf" or not found:
-        return _from_tree(path, tree, depth, named)
+        return *_from_tree(path, tree, depth, named), ""
     if len(found) > 1:
         names = ", ".join(topic.name for topic in found)
-        return None, [f"{path}: {names} all hold poses; none of them is used: name one as `pose_topic`"]
-    return _from_topic(path, found[0], messages, tree, depth)
+        return None, [f"{path}: {names} all hold poses; none of them is used: name one as `pose_topic`"], ""
+    return read_given(lambda: _from_topic(path, found[0], messages, tree, depth))
 
 
 def _from_topic(

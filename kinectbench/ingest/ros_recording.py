@@ -12,6 +12,7 @@ from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.association import associate
 from kinectbench.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
+from kinectbench.ingest.intrinsics import scale_warnings
 from kinectbench.ingest.recording import ColorCalibration, RawFrame, Recording
 from kinectbench.ingest.ros_camera import (
     CameraInfo,
@@ -76,9 +77,9 @@ class RosRecording(Recording):
         """
 
     @classmethod
-    def integer_scale(cls, bag: RosBag, messages: BagMessages, depth: ImageTopic) -> float:
-        """Native units per metre of integer depth, where the settings do not say."""
-        return INTEGER_SCALE
+    def integer_scale(cls, bag: RosBag, messages: BagMessages, depth: ImageTopic) -> float | None:
+        """Native units per metre of integer depth, or None if the bag does not say it."""
+        return None
 
     @classmethod
     def color_place(
@@ -109,11 +110,14 @@ class RosRecording(Recording):
         intrinsics = intrinsics_of(info, depth).overridden_by(settings)
         camera = intrinsics.camera(size_px, path)
         tree = read_transforms(bag.topics, messages)
-        trajectory, pose_warnings = read_poses(path, bag.topics, messages, tree, depth, named.pose_topic)
+        trajectory, pose_warnings, pose_error = read_poses(
+            path, bag.topics, messages, tree, depth, named.pose_topic
+        )
         pairs, pair_warnings = _pair(depth, color, named)
         registered, size_warnings = _is_registered(depth, color, size_px, messages)
         scale = intrinsics.depth_scale
         is_float = depth.encoding == FLOAT_DEPTH
+        own_scale = None if is_float else cls.integer_scale(bag, messages, depth)
         calibration = None
         if color is not None and not registered:
             T_color_depth = cls.color_place(bag, messages, tree, depth, color)
@@ -130,16 +134,18 @@ class RosRecording(Recording):
             undistortion=undistortion_of(camera, distortion_of(path, info, depth)),
             messages=messages,
             camera=camera,
-            depth_scale=FLOAT_SCALE if is_float else scale or cls.integer_scale(bag, messages, depth),
+            depth_scale=FLOAT_SCALE if is_float else scale or own_scale or INTEGER_SCALE,
             color_registered=registered,
             color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
+            trajectory_error=pose_error,
             warnings=(
                 *([bag.trouble] if bag.trouble else []),
                 *depth_warnings,
                 *color_warnings,
                 *pair_warnings,
                 *size_warnings,
+                *scale_warnings(path, own_scale, settings),
                 *pose_warnings,
             ),
         )

@@ -27,8 +27,9 @@ class Rosbag1Recording(RosRecording):
     @classmethod
     def walk(cls, path: Path) -> RosBag:
         """Walk through the bag's chunks."""
-        contents = scan_bag(path, cls.wanted, cls.own_types)
-        return RosBag(contents.topics, BagFile(path), _trouble(path, contents), contents.backwards)
+        read = BagFile(path)
+        contents = scan_bag(path, cls.wanted, cls.own_types, read.keep)
+        return RosBag(contents.topics, read, _trouble(path, contents), contents.backwards)
 
 
 def _trouble(path: Path, contents: BagContents) -> str:

@@ -8,7 +8,7 @@ headers. Layout: http://wiki.ros.org/Bags/Format/2.0.
 import bz2
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -52,18 +52,24 @@ class _CutOffError(Exception):
     """The file ends within a record, or does not go on with one."""
 
 
-def scan_bag(path: Path, types: frozenset[str], own_types: frozenset[str] = frozenset()) -> BagContents:
+def scan_bag(
+    path: Path,
+    types: frozenset[str],
+    own_types: frozenset[str] = frozenset(),
+    keep: Callable[[int, bytes], None] | None = None,
+) -> BagContents:
     """Walk through a bag and note where the messages of these types lie.
 
     Args:
         path: the bag.
         types: such as "sensor_msgs/Image".
         own_types: those of them whose definition is to be taken from the bag.
+        keep: is given the position and the bytes of each chunk that had to be unpacked.
 
     Raises:
         RecordingError: not a bag of format 2.0, or encrypted.
     """
-    walk = _Walk(types)
+    walk = _Walk(types, keep)
     size = path.stat().st_size
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
@@ -89,6 +95,7 @@ class BagFile:
         """Read from this bag, which `scan_bag` has walked through."""
         self._path = path
         self._chunk = ChunkCache(self._unpacked)
+        self.keep = self._chunk.keep
 
     def __call__(self, place: MessagePlace) -> bytes:
         """The serialised message that lies there."""
@@ -109,7 +116,8 @@ class BagFile:
 class _Walk:
     """What has been met so far."""
 
-    def __init__(self, types: frozenset[str]) -> None:
+    def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None] | None) -> None:
+        self._keep = keep
         self.chunks = 0
         self.damaged_chunks = 0
         self._types = types
@@ -147,9 +155,12 @@ class _Walk:
         data = _read_exactly(file, size, end)
         self.chunks += 1
         try:
-            unpacked = BytesIO(_decompress(fields, data))
-            for inner, offset, length in _records_of(unpacked, len(unpacked.getbuffer())):
+            chunk = _decompress(fields, data)
+            unpacked = BytesIO(chunk)
+            for inner, offset, length in _records_of(unpacked, len(chunk)):
                 self._take(inner, unpacked, offset, length, chunk=position)
+            if self._keep:
+                self._keep(position, chunk)
         except (_CutOffError, OSError, ValueError, EOFError, RuntimeError, MemoryError):
             self.damaged_chunks += 1
 

@@ -4,7 +4,7 @@ Layout: https://mcap.dev/spec. The summary at the end is not needed.
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -45,7 +45,8 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
     Raises:
         RecordingError: the topics are serialised in a way that cannot be read.
     """
-    found = _Found(types)
+    reader = _Reader(path)
+    found = _Found(types, reader.keep)
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(len(MAGIC))
@@ -66,7 +67,7 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
             f"{path}: is {'damaged' if complete else 'cut off'}: {count} messages were saved "
             f"({found.damaged_chunks} chunks are damaged); copy it again, or run `mcap recover`"
         )
-    return RosBag(topics, _Reader(path), trouble, backwards)
+    return RosBag(topics, reader, trouble, backwards)
 
 
 class _Reader:
@@ -75,6 +76,7 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._chunk = ChunkCache(self._unpacked)
+        self.keep = self._chunk.keep
 
     def __call__(self, place: MessagePlace) -> bytes:
         if place.chunk >= 0:
@@ -95,6 +97,7 @@ class _Found:
     """What has been met so far."""
 
     types: frozenset[str]
+    keep: Callable[[int, bytes], None]
     schemas: dict[int, str] = field(default_factory=dict)
     channels: dict[int, tuple[str, str, Encoding]] = field(default_factory=dict)
     messages: dict[int, list[MessagePlace]] = field(default_factory=dict)
@@ -179,6 +182,7 @@ class _Found:
                 return
             data = _unpack_chunk(file, parts)
             self.take_all(BytesIO(data), 0, len(data), chunk=body - RECORD.size, nested=True)
+            self.keep(body - RECORD.size, data)
         except _DamagedError:
             self.damaged_chunks += 1
 

@@ -16,7 +16,8 @@ from kinectbench.ingest.phone_images import COLOR_PX, PhoneRecording, scaled
 from kinectbench.ingest.recording import FrameFiles, first_depth_size, read_image_file
 from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.ingest.text_rows import read_text
-from kinectbench.ingest.trajectory_file import trajectory_from_matrices
+from kinectbench.ingest.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.sequence import GivenTrajectory
 
 DEPTH_SCALE = 1000.0
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
@@ -53,9 +54,7 @@ class ScannerAppRecording(PhoneRecording):
         size_px = first_depth_size(files)
         K = next((_matrix(camera, "intrinsics", 3) for camera in cameras if camera), None)
         said = scaled(np.full((3, 3), np.nan) if K is None else K, _color_size(files), size_px)
-        poses = [_pose(camera) for camera in cameras]
-        has_poses = any(pose is not None for pose in poses)
-        trajectory, lost = trajectory_from_matrices(stamps_ns, poses, str(path)) if has_poses else (None, [])
+        trajectory, lost, error = read_given(lambda: _read_poses(path, stamps_ns, cameras))
         confidence = (path / f"conf_{stem}.png" for stem in stems)
         intrinsics = said.overridden_by(settings)
         return cls(
@@ -65,6 +64,7 @@ class ScannerAppRecording(PhoneRecording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
+            trajectory_error=error,
             warnings=(*warnings, *lost),
             confidence=tuple(file if file.is_file() else None for file in confidence),
             min_confidence=(settings or CameraSettings()).min_confidence,
@@ -93,6 +93,15 @@ def _matrix(camera: dict[str, Any], key: str, side: int) -> NDArray[np.float64]:
     if numbers.size != side * side:
         raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")
     return numbers.reshape(side, side)
+
+
+def _read_poses(
+    path: Path, stamps_ns: list[int], cameras: list[dict[str, Any] | None]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    poses = [_pose(camera) for camera in cameras]
+    if all(pose is None for pose in poses):
+        return None, []
+    return trajectory_from_matrices(stamps_ns, poses, str(path))
 
 
 def _pose(camera: dict[str, Any] | None) -> NDArray[np.float64] | None:

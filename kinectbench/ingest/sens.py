@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.images import encode_png
-from kinectbench.ingest.intrinsics import Intrinsics
+from kinectbench.ingest.intrinsics import Intrinsics, scale_warnings
 from kinectbench.ingest.klg import inflated
 from kinectbench.ingest.recording import ColorCalibration, RawFrame, Recording
 from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp
@@ -130,7 +130,7 @@ class SensRecording(Recording):
             color_registered=registered,
             color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
-            warnings=(*warnings, *lost),
+            warnings=(*warnings, *scale_warnings(path, head.depth_shift, settings), *lost),
         )
 
     def __len__(self) -> int:

@@ -2,8 +2,7 @@
 
 camera.json           format_version, width, height, fx, fy, cx, cy, depth_scale, color_registered,
                       registered_by (recording, calibration or null), source_format, frames (their number),
-
-Warnings:
+                      warnings, trajectory_error (why a given trajectory is not used, or "")
 frames.json           rows: index, stamp_ns, depth, color, mask (paths in the folder; color and mask may be
                       null)
 depth/000000.kbd      uint16 in native units, 0 = no measurement, as `depth_code` packs it; PNG in version 1
@@ -16,7 +15,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from kinectbench.ingest.images import (
     decode_mask,
     encode_png,
 )
-from kinectbench.ingest.plausibility import FrameChecks, Tally
+from kinectbench.ingest.plausibility import FrameChecks, Tally, trajectory_problem
 from kinectbench.ingest.recording import ColorCalibration, DamagedFrame, RawFrame, Recording
 from kinectbench.ingest.registration import ColorRegistration
 from kinectbench.ingest.trajectory_file import read_trajectory, trajectory_text
@@ -47,8 +46,25 @@ DEPTH_SUFFIX = ".kbd"
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
+class Watch(Protocol):
+    """Looks on while frames are written."""
+
+    def see(self, index: int, frame: RawFrame) -> None:
+        """Look at a frame of the recording."""
+        ...
+
+    def warnings(self) -> list[str]:
+        """What there is to say after the last one, one line each."""
+        ...
+
+
 def write_sequence(
-    recording: Recording, folder: Path, progress: Callable[[int, int], None] | None = None
+    recording: Recording,
+    folder: Path,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    needs_trajectory: bool = True,
+    watch: Watch | None = None,
 ) -> list[str]:
     """Write a recording into an empty folder, holding one frame at a time, and check it on the way.
 
@@ -56,6 +72,9 @@ def write_sequence(
         recording: what to write; its damaged frames are left out while they are less than 5 %.
         folder: is made if it is not there.
         progress: called with (frames done, frames in all) after each.
+        needs_trajectory: refuse a recording whose given trajectory is broken or of another time; else it is
+            left out with a warning.
+        watch: is shown each frame that is whole, as it was recorded, and adds its warnings.
 
     Returns:
         Warnings, one line each; they are stored in camera.json too.
@@ -64,6 +83,9 @@ def write_sequence(
         RecordingError: the recording cannot be used; the message says what is wrong and where.
         StorageError: the folder cannot be written.
     """
+    problem = trajectory_problem(recording)
+    if problem and needs_trajectory:
+        raise RecordingError(f"{problem}; `trajectory: ignore` does without it")
     with storage_errors(folder):
         for name in ("depth", "color"):
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -77,19 +99,26 @@ def write_sequence(
     for done, frame in enumerate(recording.frames(), start=1):
         try:
             rows += _write_checked(frame, len(rows), folder, checks, tally, register)
+            if watch and isinstance(frame, RawFrame):
+                watch.see(done - 1, frame)
         except DamagedImageError as error:
             tally.leave_out(str(error))
         if progress:
             progress(done, len(recording))
-    warnings = [*recording.warnings, *tally.verdict(), *checks.verdict([row["stamp_ns"] for row in rows])]
+    warnings = [*recording.warnings, *tally.verdict(), *checks.verdict()]
+    if problem:
+        warnings.append(f"{problem}; it is ignored")
+    if watch:
+        warnings += watch.warnings()
     head = {"format_version": FORMAT_VERSION, **asdict(recording.camera)}
     head |= {"depth_scale": recording.depth_scale, "color_registered": registered_by is not None}
     head |= {"registered_by": registered_by}
     head |= {"source_format": recording.format, "frames": len(rows), "warnings": warnings}
+    head |= {"trajectory_error": problem}
     with storage_errors(folder):
         (folder / CAMERA).write_text(pretty_json(head))
         (folder / FRAMES).write_text(pretty_json(rows))
-        if recording.given_trajectory is not None:
+        if recording.given_trajectory is not None and not problem:
             (folder / TRAJECTORY).write_text(trajectory_text(recording.given_trajectory))
     return warnings
 
@@ -118,6 +147,7 @@ def read_sequence(folder: Path) -> Sequence:
             stamps_ns=np.array([row["stamp_ns"] for row in rows], np.int64),
             color_registered=head["color_registered"],
             given_trajectory=trajectory,
+            trajectory_error=head.get("trajectory_error", ""),
             frames=frames,
             masks=frames.mask if any(masks) else None,
         )

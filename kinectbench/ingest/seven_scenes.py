@@ -12,7 +12,8 @@ from kinectbench.ingest.intrinsics import Intrinsics, read_intrinsics_matrix
 from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size
 from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.ingest.text_rows import read_matrix
-from kinectbench.ingest.trajectory_file import trajectory_from_matrices
+from kinectbench.ingest.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.sequence import GivenTrajectory
 
 DEPTH_SCALE = 1000.0
 INVALID = 65535
@@ -48,11 +49,7 @@ class SevenScenesRecording(FileRecording):
             for stamp_ns, file in zip(stamps_ns, depth, strict=True)
         )
         size_px = first_depth_size(files)
-        matrices = [_pose_beside(file) for file in depth]
-        has_poses = any(matrix is not None for matrix in matrices)
-        trajectory, warnings = (
-            trajectory_from_matrices(stamps_ns, matrices, str(path)) if has_poses else (None, [])
-        )
+        trajectory, warnings, error = read_given(lambda: _read_poses(path, stamps_ns, depth))
         matrix_file = path / "camera-intrinsics.txt"
         default = KINECT if size_px == (KINECT.width, KINECT.height) else Intrinsics()
         said = read_intrinsics_matrix(matrix_file) if matrix_file.is_file() else default
@@ -64,6 +61,7 @@ class SevenScenesRecording(FileRecording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=False,
             given_trajectory=trajectory,
+            trajectory_error=error,
             warnings=tuple(warnings),
         )
 
@@ -77,6 +75,15 @@ def _color_beside(depth: Path) -> Path | None:
     stem = depth.name.removesuffix(".depth.png")
     candidates = (depth.with_name(f"{stem}.color.{suffix}") for suffix in ("png", "jpg", "jpeg"))
     return next((file for file in candidates if file.is_file()), None)
+
+
+def _read_poses(
+    path: Path, stamps_ns: list[int], depth: list[Path]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    matrices = [_pose_beside(file) for file in depth]
+    if all(matrix is None for matrix in matrices):
+        return None, []
+    return trajectory_from_matrices(stamps_ns, matrices, str(path))
 
 
 def _pose_beside(depth: Path) -> NDArray[np.float64] | None:

@@ -14,7 +14,7 @@ from kinectbench.ingest.phone_images import COLOR_PX, PhoneRecording, scaled
 from kinectbench.ingest.recording import FrameFiles, first_depth_size
 from kinectbench.ingest.stamps import first_by_stamp, parse_stamp_ns
 from kinectbench.ingest.text_rows import parse_floats, read_matrix, text_rows
-from kinectbench.ingest.trajectory_file import TimedPose, trajectory_from_poses
+from kinectbench.ingest.trajectory_file import TimedPose, read_given, trajectory_from_poses
 
 DEPTH_SCALE = 1000.0
 NUMBER = re.compile(r"\d{1,9}")
@@ -90,7 +90,8 @@ class StrayScannerRecording(PhoneRecording):
             warnings.append(f"{path}: rgb.mp4 is missing or cannot be read; there will be no colour")
         K = read_matrix(path / "camera_matrix.csv", 3)
         intrinsics = scaled(K, color_px or COLOR_PX, size_px).overridden_by(settings)
-        trajectory, pose_warnings = trajectory_from_poses([row for _, row in paired], str(path))
+        poses = [row for _, row in paired]
+        trajectory, pose_warnings, error = read_given(lambda: trajectory_from_poses(poses, str(path)))
         confidence = (path / "confidence" / depth[number].name for number in numbers)
         return cls(
             path=path,
@@ -99,6 +100,7 @@ class StrayScannerRecording(PhoneRecording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=color_px is not None,
             given_trajectory=trajectory,
+            trajectory_error=error,
             warnings=(*warnings, *pose_warnings),
             confidence=tuple(file if file.is_file() else None for file in confidence),
             min_confidence=(settings or CameraSettings()).min_confidence,

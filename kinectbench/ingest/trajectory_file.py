@@ -1,6 +1,6 @@
 """Trajectories in TUM text format (`t tx ty tz qx qy qz qw`, camera to world), in and out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +26,23 @@ class TimedPose(NamedTuple):
     translation_m: tuple[float, ...]
     quaternion_xyzw: tuple[float, ...]
     where: str
+
+
+def read_given(
+    read: Callable[[], tuple[GivenTrajectory | None, list[str]]],
+) -> tuple[GivenTrajectory | None, list[str], str]:
+    """Read the trajectory that came with a recording, which may be broken: frames can be used without it.
+
+    Args:
+        read: reads it; gives the trajectory, and warnings.
+
+    Returns:
+        The trajectory or None, warnings, and why it cannot be used, or "".
+    """
+    try:
+        return *read(), ""
+    except RecordingError as error:
+        return None, [], str(error)
 
 
 def read_trajectory(path: Path) -> tuple[GivenTrajectory, list[str]]:

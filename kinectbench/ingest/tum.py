@@ -6,11 +6,16 @@ from typing import ClassVar, Self
 from kinectbench.config import CameraSettings
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.association import associate
-from kinectbench.ingest.intrinsics import Intrinsics, read_color_calibration, read_intrinsics_json
+from kinectbench.ingest.intrinsics import (
+    Intrinsics,
+    read_color_calibration,
+    read_intrinsics_json,
+    scale_warnings,
+)
 from kinectbench.ingest.recording import FileRecording, FrameFiles, first_depth_size
-from kinectbench.ingest.stamps import NS_PER_S, first_by_stamp, parse_stamp_ns
+from kinectbench.ingest.stamps import NS_PER_S, check_unit, first_by_stamp, parse_stamp_ns
 from kinectbench.ingest.text_rows import text_rows
-from kinectbench.ingest.trajectory_file import read_trajectory
+from kinectbench.ingest.trajectory_file import read_given, read_trajectory
 from kinectbench.sequence import GivenTrajectory
 
 DEPTH_SCALE = 5000.0
@@ -52,7 +57,7 @@ class TumRecording(FileRecording):
         camera_json = path / "camera.json"
         said = read_intrinsics_json(camera_json) if camera_json.is_file() else Intrinsics()
         intrinsics = said.overridden_by(settings)
-        trajectory, trajectory_warnings = _read_groundtruth(path)
+        trajectory, trajectory_warnings, error = read_given(lambda: _read_groundtruth(path))
         return cls(
             path=path,
             files=files,
@@ -62,7 +67,13 @@ class TumRecording(FileRecording):
             color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
             recorded=(tuple(depth_ns), tuple(color_ns)),
             given_trajectory=trajectory,
-            warnings=(*warnings, *color_warnings, *trajectory_warnings),
+            trajectory_error=error,
+            warnings=(
+                *warnings,
+                *color_warnings,
+                *scale_warnings(path, said.depth_scale, settings),
+                *trajectory_warnings,
+            ),
         )
 
 
@@ -77,7 +88,7 @@ def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[int], list[str]
     stamps_ns = [stamp for stamp, _ in rows]
     order, repeated = first_by_stamp(stamps_ns)
     warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
-    return [rows[i] for i in order], stamps_ns, warnings
+    return [rows[i] for i in order], stamps_ns, [*warnings, *check_unit(stamps_ns, str(path))]
 
 
 def _read_groundtruth(path: Path) -> tuple[GivenTrajectory | None, list[str]]:

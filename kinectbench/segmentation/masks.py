@@ -1,4 +1,4 @@
-"""Masks of a view: the rendered object where the measured depth agrees with it, or a person's PNG."""
+"""Masks of a view: the rendered object where the measured depth agrees, the recording's own, a person's."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import SegmentationError
+from kinectbench.geometry import OrientedBox
 from kinectbench.geometry.depth_noise import depth_sigma_m
 
 Bools = NDArray[np.bool_]
@@ -57,6 +58,25 @@ def object_mask(
     above = heights_m > np.maximum(CLEAR_OF_FLOOR_M, CLEAR_SIGMAS * depth_sigma_m(measured_m))
     fringe = agreement_mask(measured_m, beside_m, tolerance_m) & above
     return np.asarray(agreement_mask(measured_m, rendered_m, tolerance_m) | fringe)
+
+
+def recorded_mask(
+    measured_m: Depth, recorded: Bools, points_floor: NDArray[np.floating], box: OrientedBox, margin_m: float
+) -> Bools:
+    """The object in a view by the mask that came with the recording (own rule).
+
+    Its pixels with depth whose points lie in the object's box: along outlines a mask also covers pixels whose
+    depth is that of the background.
+
+    Args:
+        measured_m: (height, width) metres, 0 = none.
+        recorded: (height, width), the mask that came with the recording.
+        points_floor: (height, width, 3) metres, the measured points.
+        box: of the object.
+        margin_m: by how much the box is grown on every side, metres.
+    """
+    inside: Bools = recorded & (measured_m > 0) & box.grown(margin_m).contains(points_floor)
+    return inside
 
 
 def inner_silhouette(rendered_m: Depth) -> Bools:

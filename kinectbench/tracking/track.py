@@ -39,6 +39,8 @@ def track(
         TrackingError: the given trajectory does not fit the frames, or too few frames have a pose.
     """
     given = sequence.given_trajectory
+    if sequence.trajectory_error and mode != "ignore":
+        raise TrackingError(f"{sequence.trajectory_error}; `trajectory: ignore` does without it")
     if mode == "ignore" or (mode is None and given is None):
         return _finished(sequence, "tracked", track_frames(sequence, None, progress), [], None)
     if given is None:

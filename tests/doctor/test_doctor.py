@@ -128,6 +128,25 @@ def test_the_command(command: Callable[..., Run], tmp_path: Path) -> None:
     assert unknown.status == 2 and "fz: unknown" in unknown.err
 
 
+def test_a_recording_of_the_benchmark_is_inspected_by_its_id(
+    command: Callable[..., Run], tmp_path: Path
+) -> None:
+    wrong = make_wrong(CHAIR, "NaN in the poses", tmp_path / "recordings/one")
+    (wrong / "camera.json").unlink()
+    yaml = "name: x\nrecordings:\n  - {id: a, path: recordings/one, category: chair, trajectory: trust}\n"
+    (tmp_path / "benchmark.yaml").write_text(yaml)
+    said = command(tmp_path, "inspect", "a")
+    assert said.status == 1 and "stops: intrinsics" in said.out and "the pose holds NaN" in said.out
+    camera = ", ".join(f"{k}: {v}" for k, v in json.loads((CHAIR / "camera.json").read_text()).items()
+                       if k in ("width", "height", "fx", "fy", "cx", "cy"))  # fmt: skip
+    rows = f"  - {{id: a, path: recordings/one, category: chair, trajectory: ignore, camera: {{{camera}}}}}\n"
+    (tmp_path / "benchmark.yaml").write_text(f"name: x\nrecordings:\n{rows}")
+    right = command(tmp_path, "inspect", "a")
+    assert right.status == 0 and "stops" not in right.out and "no_trajectory" in right.out
+    unknown = command(tmp_path, "inspect", "b")
+    assert unknown.status == 1 and "there is no such file or folder" in unknown.out
+
+
 @pytest.mark.parametrize("name", ["swapped byte order", "65535 for none", "half-resolution intrinsics"])
 def test_a_build_does_not_begin_with_it(name: str, tmp_path: Path, command: Callable[..., Run]) -> None:
     refuse_hopeless(open_recording(CHAIR))

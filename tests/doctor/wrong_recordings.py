@@ -175,6 +175,7 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
     ),
     "no intrinsics": (lambda folder: (folder / "camera.json").unlink(), "intrinsics", "does not say"),
     "poses 200 ms late": (stamps("groundtruth", lambda t: t + 0.2), "trajectory_delay", "late"),
+    "poses 150 ms early": (stamps("groundtruth", lambda t: t - 0.15), "trajectory_delay", "early"),
     "colour three frames late": (
         change_rows("rgb", lambda rows: _frames_late(rows, 3)),
         "color_delay",
@@ -215,13 +216,23 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "colour of another clock": (stamps("rgb", lambda t: t + 5000), "color_unpaired", "5000"),
     "stamps of poses in nanoseconds": (
         stamps("groundtruth", lambda t: round(t * 1e9)),
-        "unreadable",
-        "not a time stamp in seconds",
+        "trajectory_unreadable",
+        "looks like nanoseconds",
     ),
     "stamps of poses in milliseconds": (
         stamps("groundtruth", lambda t: round(t * 1e3)),
+        "trajectory_unreadable",
+        "looks like milliseconds",
+    ),
+    "NaN in the poses": (
+        change_rows("groundtruth", lambda rows: [[*rows[0][:3], "nan", *rows[0][4:]], *rows[1:]]),
+        "trajectory_unreadable",
+        "the pose holds NaN",
+    ),
+    "stamps of images in milliseconds": (
+        _all(*(stamps(n, lambda t: round(t * 1e3)) for n in ("depth", "rgb", "groundtruth"))),
         "unreadable",
-        "time stamp",
+        "looks like milliseconds",
     ),
     "time running backwards": (
         change_rows("depth", lambda rows: [*rows[:9], rows[10], rows[9], *rows[11:]]),

@@ -38,6 +38,17 @@ def test_dropped_frames_are_counted(gone: set[int]) -> None:
     assert (faults.dropped, faults.repeated, faults.backwards) == (len(gone), 0, 0)
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_many_dropped_frames_do_not_make_the_step_longer(every: int) -> None:
+    """Of three frames one is gone, or of four two: most steps are then not those of the clock."""
+    index = np.arange(120)
+    kept = index % 3 != 1 if every == 3 else (index % 4) // 2 == 0
+    faults = find_stamp_faults(stamps(120)[kept])
+    assert abs(faults.period_ns - STEP_NS) < 3_000_000
+    inside = ~kept[: np.flatnonzero(kept)[-1]]
+    assert faults.dropped == inside.sum()
+
+
 def test_repeats_steps_back_jumps_and_resets() -> None:
     found = stamps()
     found[10] = found[9]

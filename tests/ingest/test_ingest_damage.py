@@ -9,6 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ingest_writers import CAMERA, START_NS, STEP_NS, depth_image, write_bag
 from mcap.writer import CompressionType
+from test_ingest_realsense import property_of_version_2, units
+from test_ingest_realsense import write as write_realsense
 from test_ingest_rosbag2 import messages, write_mcap
 from test_ingest_rosbag2 import write_bag as write_bag2
 
@@ -49,6 +51,8 @@ def originals(tmp_path: Path) -> dict[str, bytes]:
         "bag": write_bag(tmp_path / "a.bag", 3),
         "bag bz2": write_bag(tmp_path / "b.bag", 3, compression="BZ2"),
         "bag lz4": write_bag(tmp_path / "c.bag", 3, compression="LZ4"),
+        "realsense": write_realsense(tmp_path / "r.bag", extra=units, compression="LZ4"),
+        "realsense plain": write_realsense(tmp_path / "p.bag", extra=property_of_version_2),
         "mcap": write_mcap(tmp_path / "a.mcap", found),
         "mcap zstd": write_mcap(tmp_path / "b.mcap", found, CompressionType.ZSTD),
         "mcap lz4": write_mcap(tmp_path / "c.mcap", found, CompressionType.LZ4),

@@ -249,10 +249,10 @@ def test_several_topics_of_poses_and_bad_poses(tmp_path: Path) -> None:
     recording = open_recording(tmp_path / "a.bag")
     assert recording.given_trajectory is None
     assert "/p, /q all hold poses; none of them is used" in recording.warnings[-1]
-    with pytest.raises(RecordingError, match="/p, message 1: the quaternion has length zero"):
-        open_recording(tmp_path / "b.bag")
-    with pytest.raises(RecordingError, match="/p, message 1: the pose holds NaN"):
-        open_recording(tmp_path / "c.bag")
+    for name, said in (("b", "the quaternion has length zero"), ("c", "the pose holds NaN")):
+        broken = open_recording(tmp_path / f"{name}.bag")
+        assert broken.given_trajectory is None
+        assert f"/p, message 1: {said}" in broken.trajectory_error
 
 
 def test_damaged_messages_become_damaged_frames(tmp_path: Path) -> None:

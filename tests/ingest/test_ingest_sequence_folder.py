@@ -1,6 +1,7 @@
 """Writing and reading the sequence folder, and every recording that must be refused on the way."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,13 @@ from ingest_writers import (
     write_tum,
 )
 
-from kinectbench.config import CameraSettings
-from kinectbench.errors import RecordingError, StorageError
+from kinectbench.config import CameraSettings, TrackingSettings
+from kinectbench.errors import RecordingError, StorageError, TrackingError
 from kinectbench.geometry import rotation_from_quaternion_xyzw
 from kinectbench.ingest.depth_code import encode_depth
 from kinectbench.ingest.registry import open_recording
 from kinectbench.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.tracking import track
 
 
 def ingest(path: Path, settings: CameraSettings | None = None) -> list[str]:
@@ -61,6 +63,7 @@ def test_round_trip(tmp_path: Path) -> None:
         "source_format": "tum",
         "frames": 5,
         "warnings": [],
+        "trajectory_error": "",
     }
     rows = json.loads((tmp_path / "s/frames.json").read_text())
     row = {
@@ -238,6 +241,35 @@ def test_trajectory_of_another_time(tmp_path: Path) -> None:
     message = rf"\(10\.000000000 to 12\.500000000 s\) shares no time with the frames \({first} to {last} s\)"
     with pytest.raises(RecordingError, match=message):
         ingest(folder)
+
+
+@pytest.mark.parametrize("row", ["1 2 3", "1 0 0 0 nan 0 0 1", "9 0 0 0 0 0 0 1"])
+def test_a_broken_trajectory_can_be_ignored(tmp_path: Path, row: str) -> None:
+    folder = write_tum(tmp_path / "r")
+    (folder / "groundtruth.txt").write_text(row + "\n")
+    recording = open_recording(folder)
+    with pytest.raises(RecordingError, match="`trajectory: ignore` does without it"):
+        write_sequence(recording, tmp_path / "strict")
+    (warning,) = write_sequence(recording, tmp_path / "s", needs_trajectory=False)
+    assert (warning.endswith("it is ignored") and "trajectory" in warning) or "groundtruth" in warning
+    sequence = read_sequence(tmp_path / "s")
+    assert sequence.given_trajectory is None
+    # It was ignored because that was asked for; whoever now asks for it is told.
+    for mode in (None, "trust", "refine"):
+        with pytest.raises(TrackingError, match=re.escape(sequence.trajectory_error)):
+            track(sequence, mode, TrackingSettings())
+
+
+@pytest.mark.parametrize(("said", "given"), [(5000, 5000.0), (5000, 1000.0), (None, 1000.0)])
+def test_a_depth_scale_that_contradicts_the_recordings_is_told(
+    tmp_path: Path, said: float | None, given: float
+) -> None:
+    folder = write_tum(tmp_path / "r")
+    (folder / "camera.json").write_text(json.dumps({**CAMERA, "depth_scale": said}))
+    recording = open_recording(folder, CameraSettings(depth_scale=given))
+    assert recording.depth_scale == given
+    told = [text for text in recording.warnings if "5000 units of depth, but `depth_scale: 1000`" in text]
+    assert len(told) == (said is not None and said != given)
 
 
 def test_a_folder_of_version_1_holds_png(tmp_path: Path) -> None:

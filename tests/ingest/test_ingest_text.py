@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kinectbench.errors import RecordingError
 from kinectbench.geometry import closest_rotation, rigid
-from kinectbench.ingest.stamps import first_by_stamp, format_stamp, parse_stamp_ns
+from kinectbench.ingest.stamps import check_unit, first_by_stamp, format_stamp, parse_stamp_ns
 from kinectbench.ingest.trajectory_file import read_trajectory, trajectory_from_matrices, trajectory_text
 from kinectbench.sequence import GivenTrajectory
 
@@ -100,3 +100,28 @@ def test_matrices_that_are_no_poses_are_dropped() -> None:
         "r: 4 of 5 frames have no pose, or one that is not finite and rigid (first at 0.000000001 s)"
     ]
     assert trajectory_from_matrices([0], [nan], "r")[0] is None
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("1305031107130", "milliseconds"),
+        ("1305031107130.25", "milliseconds"),
+        ("1305031107130308", "microseconds"),
+        ("1305031107130308000", "nanoseconds"),
+    ],
+)
+def test_a_stamp_in_another_unit_is_named(text: str, unit: str) -> None:
+    with pytest.raises(RecordingError, match=f"r.txt, line 1: '{text}' .*looks like {unit}: write seconds"):
+        parse_stamp_ns(text, "r.txt, line 1")
+
+
+def test_steps_of_stamps_tell_their_unit() -> None:
+    step_ns = 33_333_333
+    assert check_unit([i * step_ns for i in range(9)], "r") == []
+    assert check_unit([i * 1500 * 10**6 for i in range(9)], "r") == []  # keyframes
+    (warning,) = check_unit([i * step_ns * 1000 for i in range(9)], "r")
+    assert "images are 33.3333 s apart; if the stamps are milliseconds" in warning
+    for factor, unit in ((10**6, "microseconds"), (10**9, "nanoseconds")):
+        with pytest.raises(RecordingError, match=f"look like {unit}"):
+            check_unit([i * step_ns * factor for i in range(9)], "r")
