@@ -6,9 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera
-from kinectbench.sequence import GivenTrajectory
-
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
 # Less agreement is no agreement; a lag that is the best of its neighbours only by chance agrees less.
@@ -61,21 +58,6 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
         last = small
     stamps = np.asarray(stamps_ns, np.int64)
     return _motion(stamps, np.array(shifts, np.float64).reshape(-1, 2))
-
-
-def trajectory_motion(trajectory: GivenTrajectory, camera: Camera, distance_m: float) -> Motion:
-    """How a given trajectory moves the image of what is straight ahead.
-
-    Args:
-        trajectory: camera to world, optical axes.
-        camera: intrinsics, pixels.
-        distance_m: how far away things are, such as the median depth.
-    """
-    T = trajectory.T_world_camera
-    T_next_this = np.linalg.inv(T[1:]) @ T[:-1]
-    ahead = T_next_this @ np.array([0.0, 0.0, distance_m, 1.0])
-    shift = ahead[:, :2] / np.maximum(ahead[:, 2:3], 1e-6) * [camera.fx, camera.fy]
-    return _motion(trajectory.stamps_ns, shift)
 
 
 def estimate_delay(first: Motion, second: Motion) -> Delay | None:

@@ -9,10 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, rigid
 from kinectbench.ingest.clock import find_doubled, find_stamp_faults
-from kinectbench.ingest.delay import Motion, estimate_delay, image_motion, trajectory_motion
-from kinectbench.sequence import GivenTrajectory
+from kinectbench.ingest.delay import Motion, estimate_delay, image_motion
 
 STEP_NS = 33_333_333
 START_NS = 1_400_000_000_000_000_000
@@ -94,25 +92,6 @@ def test_the_delay_of_colour(delay_ms: int) -> None:
     assert found is not None
     assert abs(found.delay_ns / 1e6 - delay_ms) < 6
     assert found.correlation > 0.9
-
-
-@pytest.mark.parametrize("delay_ms", [-90, 0, 200])
-def test_the_delay_of_a_trajectory(delay_ms: int) -> None:
-    depth_ns, pose_ns = stamps(150), START_NS + np.arange(500) * 10_000_000
-    T = np.stack([rigid(np.eye(3), [x, y, 0.0]) for x, y in place_m(pose_ns)])
-    trajectory = GivenTrajectory(pose_ns + delay_ms * 1_000_000, T)
-    camera = Camera(640, 480, 640.0, 640.0, 319.5, 239.5)
-    found = estimate_delay(
-        image_motion(depth_ns.tolist(), images(depth_ns, 1)), trajectory_motion(trajectory, camera, WALL_M)
-    )
-    assert found is not None
-    assert abs(found.delay_ns / 1e6 - delay_ms) < 6
-    # The inverse trajectory moves the image the other way, and does not agree at the true delay.
-    inverse = GivenTrajectory(trajectory.stamps_ns, np.linalg.inv(T))
-    wrong = estimate_delay(
-        image_motion(depth_ns.tolist(), images(depth_ns, 1)), trajectory_motion(inverse, camera, WALL_M)
-    )
-    assert wrong is None or abs(wrong.delay_ns / 1e6 - delay_ms) > 100
 
 
 def test_without_motion_in_common_nothing_is_offered() -> None:
