@@ -65,11 +65,10 @@ def _show(diagnosis: "Diagnosis") -> None:
     from rich.text import Text
 
     from kinectbench import console
+    from kinectbench.doctor.figures import figures
 
-    for name, value in diagnosis.facts.items():
-        if value is not None:
-            text = " ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value
-            typer.echo(f"{name.replace('_', ' ')}: {text}")
+    for name, value in figures(diagnosis.facts):
+        typer.echo(f"{name}: {value}")
     for found in diagnosis.findings:
         head = Text(f"{found.severity}: {found.name}: ", style=STYLES[found.severity])
         advice = f"; {found.advice}" if found.advice else ""

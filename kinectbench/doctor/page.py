@@ -11,6 +11,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from kinectbench.doctor.edges import depth_jumps
+from kinectbench.doctor.figures import figures
 from kinectbench.doctor.finding import Diagnosis
 from kinectbench.doctor.look import Look, WholeFrame
 from kinectbench.report.images import data_uri, depth_picture, shrunk
@@ -45,6 +46,7 @@ def write_page(diagnosis: Diagnosis, look: Look | None, out: Path) -> None:
         title=Path(str(diagnosis.facts["path"])).name or str(diagnosis.facts["path"]),
         style=Markup(_packaged("kinectbench.report", "page.css")),
         diagnosis=diagnosis,
+        figures=figures(diagnosis.facts),
         tones=TONES,
         tone="bad" if "stops" in grave else "warn" if "warning" in grave else "good",
         pictures=[] if look is None else list(_pictures(look)),
