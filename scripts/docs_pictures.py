@@ -29,6 +29,7 @@ RECORDED += ["--set", "path.rate_hz=8", "--set", "sensor.width=320", "--set", "s
 YAML = f"""\
 name: my_chairs
 license: CC-BY-4.0
+source: recorded by us at home
 recordings:
   - {{id: {NAME}, path: recordings/{NAME}, category: chair, split: test}}
 """
