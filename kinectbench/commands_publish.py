@@ -97,5 +97,8 @@ def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> Non
     if summary.private is not None:
         typer.echo(f"private part, which scores: {summary.private}")
         typer.echo(f"private_benchmark_sha256 {summary.private_sha256}")
-    for line in (*summary.removed, *(f"wrote {path}" for path in archives)):
+    for line in (
+        *summary.removed,
+        *(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives),
+    ):
         typer.echo(line)

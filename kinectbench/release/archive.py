@@ -48,7 +48,7 @@ def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> N
 
 def _refuse(reasons: Sequence[str]) -> None:
     if reasons:
-        raise ReleaseError(f"no archive is made: {reasons[0]}")
+        raise ReleaseError(f"no archive is made: {'; and '.join(reasons)}")
 
 
 def write_archive(release: Path, out: Path) -> Path:

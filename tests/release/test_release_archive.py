@@ -59,9 +59,11 @@ def test_names_of_versions_and_parts(tmp_path: Path) -> None:
 
 def test_what_must_stay_at_home(tmp_path: Path) -> None:
     write_build(tmp_path / "build")
-    settings = synthetic_settings(license="unspecified")
+    settings = synthetic_settings(license="unspecified", source="unspecified")
     publish(settings, tmp_path / "build", tmp_path / "b", ["chair_02"])
-    with pytest.raises(ReleaseError, match="no archive is made: no licence is stated"):
+    with pytest.raises(
+        ReleaseError, match=r"no archive is made: no licence is stated.*; and no source is stated"
+    ):
         write_archive(tmp_path / "b", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
