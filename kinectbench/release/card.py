@@ -1,7 +1,7 @@
 """The card of a release: README.md from the template card.md."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -12,6 +12,7 @@ import yaml
 from kinectbench.release.layout import LICENSE, SPLIT_TARGETS
 from kinectbench.release.metadata import ReleaseInfo
 from kinectbench.release.origins import HUGGING_FACE, UNSPECIFIED
+from kinectbench.release.quality_words import QUALITY, quality_words
 from kinectbench.release.release import SPLITS, Target
 
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
@@ -138,19 +139,15 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def _quality(info: ReleaseInfo) -> str:
-    """Every number of each recording's quality.json."""
-    keys = sorted({key for recording in info.recordings.values() for key in _numbers(recording.quality)})
+    """The figures of each recording's quality.json, in words."""
+    words = {name: quality_words(recording.quality) for name, recording in info.recordings.items()}
+    labels = [label for label, _, _ in QUALITY.values() if any(label in row for row in words.values())]
     rows = [
         [name, recording.object, str(recording.pairs), str(recording.refused)]
-        + [_numbers(recording.quality).get(key, "") for key in keys]
+        + [words[name].get(label, "") for label in labels]
         for name, recording in sorted(info.recordings.items())
     ]
-    return _markdown(["recording", "object", "pairs", "refused", *keys], rows)
-
-
-def _numbers(quality: Mapping[str, Any]) -> dict[str, str]:
-    """The plain numbers of a quality.json, as text."""
-    return {key: f"{value:.4g}" for key, value in quality.items() if type(value) in (int, float)}
+    return _markdown(["recording", "object", "pairs", "refused", *labels], rows)
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -96,7 +96,9 @@ def _figures(infos: Mapping[str, RecordingInfo]) -> str:
         values = [factor * value for value in found if isinstance(value, int | float)]
         if values:
             low, middle, high = (f"{value:.3g}" for value in (min(values), median(values), max(values)))
-            lines.append(f"{text}: {middle} ({low} to {high}){unit}, of {len(values)} recordings")
+            spread = f" ({low} to {high})" if len(values) > 1 else ""
+            count = f"{len(values)} recording{'s' * (len(values) > 1)}"
+            lines.append(f"{text}: {middle}{spread}{unit}, of {count}")
     return _listed(lines) if lines else "- nothing"
 
 

@@ -23,6 +23,7 @@ from kinectbench.release.preview_pictures import (
     seen_from_the_right,
     upright_slice,
 )
+from kinectbench.release.quality_words import quality_words
 from kinectbench.release.release import SPLITS, Target
 from kinectbench.report import images
 from kinectbench.voxels.pair_file import read_pair, unpack
@@ -30,16 +31,6 @@ from kinectbench.voxels.pair_input import read_input
 
 VIEWS = 3
 DEPTH_WIDTH_PX = 320
-# Key of quality.json -> what it is called, how it is written, factor.
-QUALITY = {
-    "estimated_iou": ("estimated IoU", "{:.3f}", 1.0),
-    "repeatability_iou": ("repeatability IoU", "{:.3f}", 1.0),
-    "surface_sigma_m": ("σ of the surface", "{:.1f} mm", 1000.0),
-    "unknown_share": ("never seen", "{:.1f} %", 100.0),
-    "doubtful_share": ("perhaps a hollow", "{:.1f} %", 100.0),
-    "volume_m3": ("volume", "{:.1f} l", 1000.0),
-    "good_frames": ("frames fused", "{:.0f}", 1.0),
-}
 
 
 @dataclass(frozen=True)
@@ -96,13 +87,9 @@ def write_preview(
 def _part(folder: Path, name: str, info: RecordingInfo, targets: Sequence[Target], held_back: bool) -> Part:
     here = [target for target in targets if target.recording == name]
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, VIEWS).round()})
-    figures = [
-        (label, form.format(factor * value))
-        for key, (label, form, factor) in QUALITY.items()
-        if isinstance(value := info.quality.get(key), int | float)
-    ]
+    figures = tuple(quality_words(info.quality).items())
     shown = tuple(_shown(folder, here[index], held_back) for index in chosen)
-    return Part(name, info, held_back, tuple(figures), shown)
+    return Part(name, info, held_back, figures, shown)
 
 
 def _shown(folder: Path, target: Target, held_back: bool) -> Shown:
