@@ -90,6 +90,7 @@ def _cell(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):
+        # Frames by their index.
         shown = ", ".join(map(str, value[:6])) + (" …" if len(value) > 6 else "")
-        return f"{len(value)}: {shown}" if value else "0"
+        return f"{len(value)} (frame{'s' * (len(value) > 1)} {shown})" if value else "0"
     return f"{value:.3f}" if isinstance(value, float) else str(value)
