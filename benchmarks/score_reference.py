@@ -7,7 +7,7 @@ the grids are unpacked, a prediction becomes float64, cubes of other sizes are u
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from builds import build_root
 from figures import Figure, arguments, at_most, equals, run, told
 from numpy.typing import NDArray
 from scipy import ndimage
-from score_surfaces import surface_reference
+from score_surfaces import surface_of, surface_reference
 
 from kinectbench.release.release import Release, Target, open_release
 
@@ -34,15 +34,33 @@ SURFACES = (
     "surface_dice",
     "normal_consistency",
 )
+RECORDINGS = (  # as in tests/synthetic_release.py: the shapes differ by recording and view
+    *((f"chair_{n:02d}", "chair", f"chair_{n:02d}", "test", 3) for n in range(4)),
+    *((f"table_{n:02d}", "table", f"table_{n:02d}", "test", 3) for n in range(4)),
+    ("chair_90", "chair", "chair_90", "validation", 2),
+    ("table_90", "table", "table_90", "validation", 2),
+)
 PROTOCOLS = ("paper", "known", "occluded")
 Reals = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
+def _zoomed(values: Reals, side: int) -> Reals:
+    """Trilinear, by the half-pixel convention."""
+    if len(values) == side:
+        return values
+    return np.asarray(
+        ndimage.zoom(values, side / len(values), order=1, grid_mode=True, mode="nearest"), np.float64
+    )
+
+
 def _smooth(rng: np.random.Generator, full: Bools, side: int) -> Reals:
     """Random values in [0, 1] of a side, higher in the truth, some of them exactly 0, 1 or a threshold."""
-    coarse = np.asarray(ndimage.zoom(full.astype(float), side / 256, order=1, grid_mode=True, mode="nearest"))
-    values = 0.55 * coarse + 0.6 * rng.random((side,) * 3) - 0.1
+    coarse = _zoomed(full.astype(float), side)
+    blobs = _zoomed(
+        rng.random((max(side // 8, 8),) * 3), side
+    )  # so that there are no millions of surface cells
+    values = 0.5 * coarse + 0.5 * blobs + 0.15 * rng.random((side,) * 3) - 0.1
     exact = rng.random((side,) * 3)
     values = np.where(exact < 0.1, np.round(values * 20) / 20, values)
     clipped: Reals = np.clip(values, 0, 1)
@@ -51,7 +69,7 @@ def _smooth(rng: np.random.Generator, full: Bools, side: int) -> Reals:
 
 def _flipped(rng: np.random.Generator, full: Bools) -> Bools:
     flipped: Bools = np.roll(full, int(rng.integers(1, 9)), axis=int(rng.integers(3))) ^ (
-        rng.random(full.shape) < 0.01
+        rng.random(full.shape) < 0.001
     )
     return flipped
 
@@ -88,10 +106,7 @@ def read_case(pair_file: Path, prediction: Path) -> Case:
     with np.load(pair_file) as pair:
         grids = [np.unpackbits(pair[name], axis=-1).astype(bool) for name in ("full", "known", "seen")]
         lengths = [float(pair[name]) for name in ("voxel_size_m", "surface_sigma_m")]
-    y = np.load(prediction).astype(np.float64)
-    if len(y) != 256:
-        y = ndimage.zoom(y, 256 / len(y), order=1, grid_mode=True, mode="nearest")
-    return Case(np.asarray(y), *grids, *lengths)
+    return Case(_zoomed(np.load(prediction).astype(np.float64), 256), *grids, *lengths)
 
 
 def reference(case: Case, threshold: float, protocol: str) -> dict[str, float]:
@@ -110,11 +125,12 @@ def reference(case: Case, threshold: float, protocol: str) -> dict[str, float]:
     }
 
 
-def surface_again(case: Case, threshold: float, protocol: str) -> dict[str, float]:
-    """The surface metrics, from what the protocol counts to what is known."""
-    trusted = case.counted("paper" if protocol == "paper" else "known")
+def surface_again(case: Case, threshold: float) -> dict[str, dict[str, float]]:
+    """The surface metrics by protocol, from what it counts to what is known."""
+    ours, theirs = surface_of(case.y > threshold), surface_of(case.full)
     lengths = case.voxel_size_m, case.surface_sigma_m
-    return surface_reference(case.y > threshold, case.full, case.counted(protocol), trusted, *lengths)
+    trusted = {p: case.counted("paper" if p == "paper" else "known") for p in PROTOCOLS}
+    return {p: surface_reference(ours, theirs, case.counted(p), trusted[p], *lengths) for p in PROTOCOLS}
 
 
 def searched_threshold(cases: list[Case]) -> float:
@@ -152,43 +168,50 @@ def differences(release: Release, folder: Path, surface: bool = False) -> tuple[
     """Score a folder and compute it again: the largest difference by metric, and thresholds that differ."""
     from kinectbench.scoring.score import score
 
+    def case(target: Target) -> Case:
+        return read_case(release.pair_path(target), prediction_file(folder, target))
+
     table = score(release, folder, method="random", protocols=PROTOCOLS, surface=surface)
-    cases = {t.name: read_case(release.pair_path(t), prediction_file(folder, t)) for t in release.targets}
-    validation = {
-        category: [cases[t.name] for t in release.split("validation") if t.category == category]
-        for category in table.thresholds
-    }
-    expected = {category: searched_threshold(found) for category, found in validation.items()}
+    expected = {}
+    for category in table.thresholds:
+        validation = [case(t) for t in release.split("validation") if t.category == category]
+        expected[category] = searched_threshold(validation) if validation else 0.5
     wrong = [
         f"{category}: {table.thresholds[category]:g}, not {expected[category]:g}"
         for category in expected
         if table.thresholds[category] != expected[category]
     ]
+    rows = {(row.recording, row.view, row.protocol): row for row in table.rows}
     largest = dict.fromkeys((*METRICS, *(SURFACES if surface else ())), 0.0)
-    for row in table.rows:
-        counted = cases[f"{row.recording}/{row.view}"], expected[row.category], row.protocol
-        again = reference(*counted) | (surface_again(*counted) if surface else {})
-        for name in largest:
-            largest[name] = max(largest[name], abs(getattr(row, name) - again[name]))
+    for target in release.split("test"):
+        read, threshold = case(target), expected[target.category]
+        again = {protocol: reference(read, threshold, protocol) for protocol in PROTOCOLS}
+        for protocol, more in (surface_again(read, threshold) if surface else {}).items():
+            again[protocol] |= more
+        for protocol, values in again.items():
+            row = rows[target.recording, target.view, protocol]
+            for name in largest:
+                largest[name] = max(largest[name], abs(getattr(row, name) - values[name]))
     if table.failures or len(table.rows) != len(PROTOCOLS) * len(release.split("test")):
         wrong.append(f"{len(table.rows)} rows, failures: {table.failures}")
     return largest, wrong
 
 
-def measure(root: Path, turns: int) -> list[Figure]:
-    """Publish a small release of simple shapes, and score random predictions for it."""
-    release = open_release(publish_synthetic(root).folder)
-    largest, wrong = dict.fromkeys((*METRICS, *SURFACES), 0.0), []
-    for turn in range(turns):
-        folder = root / "predictions" / str(turn)
-        write_predictions(release, folder, turn)
-        found, different = differences(release, folder, surface=True)
-        largest = {name: max(largest[name], found[name]) for name in largest}
-        wrong += different
+def drawn(release: Release, count: int) -> Release:
+    """Some test pairs, drawn at random, and the validation split."""
+    test = release.split("test")
+    chosen = np.random.default_rng(0).choice(len(test), min(count, len(test)), replace=False)
+    return replace(release, targets=(*release.split("validation"), *(test[n] for n in sorted(chosen))))
+
+
+def measure(root: Path, folder: Path | None, count: int) -> list[Figure]:
+    """Score random predictions for pairs of a release; without one, for a small one of simple shapes."""
+    release = open_release(folder or publish_synthetic(root, RECORDINGS).folder)
+    release = drawn(release, count)
+    write_predictions(release, root / "predictions", turn=0)
+    largest, wrong = differences(release, root / "predictions", surface=True)
     return [
-        told(
-            "predictions scored (test split; as many protocols each: 3)", turns * len(release.split("test"))
-        ),
+        told("pairs scored, each under 3 protocols", len(release.split("test"))),
         told("kinds of prediction", list(KINDS)),
         *(at_most(f"largest difference of {name}", largest[name], MAX_DIFFERENCE) for name in largest),
         equals("thresholds found otherwise", wrong, []),
@@ -197,10 +220,13 @@ def measure(root: Path, turns: int) -> list[Figure]:
 
 def main() -> None:
     parser = arguments(__doc__)
-    parser.add_argument("--turns", type=int, default=6, help="random predictions for each pair (default: 6)")
+    parser.add_argument(
+        "--release", type=Path, help="pairs of a published benchmark (default: simple shapes)"
+    )
+    parser.add_argument("--pairs", type=int, default=20, help="drawn at random (default: 20)")
     options = parser.parse_args()
     with build_root(None) as root:
-        run(options, lambda: measure(root, options.turns))
+        run(options, lambda: measure(root, options.release, options.pairs))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The surface metrics a second time, in plain numpy and scipy, from their definitions in docs/scoring.md."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,26 +10,43 @@ from scipy.spatial import cKDTree
 
 Bools = NDArray[np.bool_]
 Reals = NDArray[np.float64]
-NEIGHBOURS = 32
+NEIGHBOURS = (4, 32)
 RADIUS = 3
 
 
+@dataclass(frozen=True)
+class Surface:
+    """The surface cells of a solid, (n, 3) in C order, and their normals, (n, 3)."""
+
+    cells: NDArray[np.int64]
+    normals: Reals
+
+    def where(self, mask: Bools) -> "Surface":
+        """The part of it that lies in a mask."""
+        chosen = mask[tuple(self.cells.T)]
+        return Surface(self.cells[chosen], self.normals[chosen])
+
+
+def surface_of(solid: Bools) -> Surface:
+    """The surface of a solid; its normals do not depend on what a protocol counts."""
+    cells = np.argwhere(_surface(solid))
+    return Surface(cells, _normals(solid, cells))
+
+
 def surface_reference(
-    predicted: Bools, full: Bools, counted: Bools, trusted: Bools, voxel_size_m: float, sigma_m: float
+    predicted: Surface, full: Surface, counted: Bools, trusted: Bools, voxel_size_m: float, sigma_m: float
 ) -> dict[str, float]:
     """All surface metrics of one pair, from what is counted to what is trusted; no surface is empty."""
-    surfaces = [_surface(solid) for solid in (predicted, full)]
-    ours, theirs = (np.argwhere(surface & counted) for surface in surfaces)
-    our_targets, their_targets = (np.argwhere(surface & trusted) for surface in surfaces)
-    there, nearest_true = _nearest(ours, their_targets)
-    back, nearest_ours = _nearest(theirs, our_targets)
+    ours, theirs = predicted.where(counted), full.where(counted)
+    our_targets, their_targets = predicted.where(trusted), full.where(trusted)
+    there, nearest_true = _nearest(ours.cells, their_targets.cells)
+    back, nearest_ours = _nearest(theirs.cells, our_targets.cells)
     mm = voxel_size_m * 1000
     there, back = there * mm, back * mm
-    occupied = np.argwhere(full)
-    size_mm = float(np.linalg.norm(np.ptp(occupied, axis=0) + 1)) * mm
+    size_mm = float(np.linalg.norm(np.ptp(full.cells, axis=0) + 1)) * mm
     agreements = [
-        _agreement(_normals(predicted, ours), _normals(full, their_targets)[nearest_true]),
-        _agreement(_normals(full, theirs), _normals(predicted, our_targets)[nearest_ours]),
+        _agreement(ours.normals, their_targets.normals[nearest_true]),
+        _agreement(theirs.normals, our_targets.normals[nearest_ours]),
     ]
     tolerance = 2 * sigma_m * 1000
     near = np.count_nonzero(there <= tolerance) + np.count_nonzero(back <= tolerance)
@@ -50,14 +68,18 @@ def _surface(solid: Bools) -> Bools:
 
 def _nearest(queries: NDArray[Any], targets: NDArray[Any]) -> tuple[Reals, NDArray[Any]]:
     """Distance in cells to the nearest target, and which: of several the first in C order."""
-    count = min(NEIGHBOURS, len(targets))
-    distances, found = (a.reshape(len(queries), count) for a in cKDTree(targets).query(queries, k=count))
-    squared = np.rint(distances**2)
-    tied = squared == squared[:, :1]
-    first = np.where(tied, found, len(targets)).min(axis=1)
-    for n in np.flatnonzero(tied.all(axis=1)):  # there may be more
+    tree, left = cKDTree(targets), np.arange(len(queries))
+    squared, first = np.zeros(len(queries)), np.zeros(len(queries), np.int64)
+    for count in NEIGHBOURS:  # where all that were asked for are tied there may be more
+        count = min(count, len(targets))
+        distances, found = (a.reshape(len(left), count) for a in tree.query(queries[left], k=count))
+        squares = np.rint(distances**2)
+        tied = squares == squares[:, :1]
+        squared[left], first[left] = squares[:, 0], np.where(tied, found, len(targets)).min(axis=1)
+        left = left[tied.all(axis=1)]
+    for n in left:
         first[n] = ((targets - queries[n]) ** 2).sum(axis=1).argmin()
-    return np.sqrt(squared[:, 0]), first
+    return np.sqrt(squared), first
 
 
 def _normals(solid: Bools, cells: NDArray[Any]) -> Reals:

@@ -1,11 +1,13 @@
 """The score to beat for nothing: a constant, the share of a category's voxels that is occupied."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.counts import Tally
 from kinectbench.scoring.truth import read_grids
 from kinectbench.scoring.workers import run_tasks
 
@@ -28,7 +30,9 @@ class BaseRate:
     source: str
 
 
-def base_rates(release: Release, jobs: int = 1) -> dict[str, BaseRate]:
+def base_rates(
+    release: Release, jobs: int = 1, counted: Mapping[Target, Tally] | None = None
+) -> dict[str, BaseRate]:
     """The base rate of every category, from the first of validation, train and test that has it.
 
     A category whose truth is held back everywhere has none.
@@ -36,6 +40,7 @@ def base_rates(release: Release, jobs: int = 1) -> dict[str, BaseRate]:
     Args:
         release: its truth is read.
         jobs: number of processes.
+        counted: tallies of pairs whose truth need not be read again.
 
     Raises:
         ReleaseError: a pair file is missing or changed.
@@ -50,12 +55,19 @@ def base_rates(release: Release, jobs: int = 1) -> dict[str, BaseRate]:
             if of_split[split]:
                 chosen[category] = (split, of_split[split])
                 break
-    tasks = [(release.pair_path(t), t.sha256) for _, targets in chosen.values() for t in targets]
-    shares = iter(run_tasks(_occupied_share, tasks, jobs))
+    shares = {target: _occupied_of(tally) for target, tally in (counted or {}).items()}
+    unread = [t for _, targets in chosen.values() for t in targets if t not in shares]
+    tasks = [(release.pair_path(t), t.sha256) for t in unread]
+    shares |= dict(zip(unread, run_tasks(_occupied_share, tasks, jobs), strict=True))
     return {
-        category: BaseRate(float(np.mean([next(shares) for _ in targets])), SOURCES[split])
+        category: BaseRate(float(np.mean([shares[target] for target in targets])), SOURCES[split])
         for category, (split, targets) in chosen.items()
     }
+
+
+def _occupied_of(tally: Tally) -> float:
+    """The same share, of a pair that was counted."""
+    return float(tally.voxels[1::2].sum()) / float(tally.voxels.sum())
 
 
 def _occupied_share(task: tuple[Path, str]) -> float:

@@ -83,8 +83,9 @@ def score(
     outcomes = validation | run.count({t: file for t, file in files.items() if t.split == "test"}, thresholds)
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
+    rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
     settings = describe(counting, missing)
-    table = make_table(release, method, results, thresholds, base_rates(release, jobs), failures, settings)
+    table = make_table(release, method, results, thresholds, rates, failures, settings)
     if table.complete:
         journal.remove()
     return table

@@ -6,7 +6,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from score_surfaces import surface_reference
+from score_surfaces import surface_of, surface_reference
 from synthetic_release import ball
 
 from kinectbench.scoring.nearest import cells_of, nearest
@@ -128,10 +128,11 @@ def test_against_plain_numpy_and_a_tree(seed: int) -> None:
     truth = truth_of(full, known, seen)
     masks = {"paper": EVERYTHING, "known": known, "occluded": known & ~seen}
     found = surface_metrics(pack(predicted), truth, list(masks))
+    surfaces = surface_of(predicted), surface_of(full)
     for protocol, mask in masks.items():
         trusted = EVERYTHING if protocol == "paper" else known
         lengths = truth.voxel_size_m, truth.surface_sigma_m
-        expected = surface_reference(predicted, full, mask, trusted, *lengths)
+        expected = surface_reference(*surfaces, mask, trusted, *lengths)
         assert vars(found[protocol]) == pytest.approx(expected, abs=1e-9, rel=1e-9)
 
 
