@@ -78,7 +78,11 @@ def test_an_alias_is_read_and_an_override_changes_one_place_only(tmp_path: Path)
         ),
         ("fusion:", "fussion:", "8: fussion: unknown key; did you mean 'fusion'?"),
         ("count: 10", "framing: view", "10: views.framing: unknown key; it belongs under 'pairs:'"),
-        ("count: 10", "qqq: 1", "10: views.qqq: unknown key; valid here: count, seed, strategy, min_pixels"),
+        (
+            "count: 10",
+            "qqq: 1",
+            "10: views.qqq: unknown key; valid here: count, seed, strategy, min_pixels, recorded_masks",
+        ),
         ("fx: 525", "fxx: 5", "7: recordings.chair.camera.fxx: unknown key; did you mean 'fx'?"),
         ("5e-3", "9", "9: fusion.voxel_size_m: found 9; wanted a number from 0.001 to 0.05"),
         ("5e-3", "", "9: fusion.voxel_size_m: found nothing; wanted a number from 0.001 to 0.05"),
@@ -98,7 +102,11 @@ def test_an_alias_is_read_and_an_override_changes_one_place_only(tmp_path: Path)
         ("525", "yes", "7: recordings.chair.camera.fx: found the text 'yes'; wanted a number above 0"),
         ("count: 10", "count: 10.5", "10: views.count: found 10.5; wanted a whole number from 1 to 1000"),
         ("count: 10", "count: true", "10: views.count: found true; wanted a whole number from 1 to 1000"),
-        ("{count: 10}", "3", "10: views: found 3; wanted a mapping with count, seed, strategy, min_pixels"),
+        (
+            "{count: 10}",
+            "3",
+            "10: views: found 3; wanted a mapping with count, seed, strategy, min_pixels, recorded_masks",
+        ),
         (
             "split: train",
             "split: trian",
