@@ -35,7 +35,7 @@ def one(small: Path, tmp_path: Path) -> Path:
     return root
 
 
-SAID_TOO = re.compile(r"warning: |^failed: [0-9]+ of ")
+SAID_TOO = re.compile(r"warning: |^note: |^failed: [0-9]+ of ")
 
 
 def check_line(run: Run, status: int, words: str) -> str:

@@ -64,6 +64,7 @@ SETTINGS = {
     "views.seed=1": FROM_VIEWS,
     "views.strategy=random": (),
     "views.min_pixels=90": FROM_VIEWS,
+    "views.recorded_masks=false": FROM_VIEWS,
     "pairs.framing=view": ("pairs",),
     "pairs.partial_rule=majority": ("pairs",),
     "pairs.min_containment=0.8": FROM_VIEWS,

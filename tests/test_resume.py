@@ -254,7 +254,7 @@ def test_no_disk_while_a_stage_is_written(
         assert command(root, "publish").status == 0
     before = hashes(root)
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(WRITES[name], fail)

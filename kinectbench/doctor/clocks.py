@@ -17,6 +17,8 @@ DROPPED_SHARE = 0.02
 DOUBLED_SHARE = 0.01
 MIN_FRAMES = 3
 PAIRED_SHARE = 0.9
+# With so many pairs the clocks agree, and what is missing was lost.
+MOSTLY_PAIRED_SHARE = 0.5
 REGROUP = "record again at a rate that the computer keeps up with; gaps make tracking harder"
 
 
@@ -131,4 +133,6 @@ def check_partners(look: Look) -> Iterator[Finding]:
         what += f"; the clocks of colour and depth are {apart_s:.3f} s apart"
     line = camera_line("color_delay_s", look.recording.color_delay_s + apart_s)
     advice = f"if both show the same time, {line}; what is then left is found by motion"
+    if share >= MOSTLY_PAIRED_SHARE:
+        advice = "images were lost, or one stream ended before the other: those frames have no colour"
     yield Finding("color_unpaired", "warning", what, look.where, advice)

@@ -25,7 +25,7 @@ class OffsetWatch:
     def warnings(self) -> list[str]:
         """A line for each offset, with what to write into benchmark.yaml."""
         told = (found for found in self._findings() if found.severity == "warning")
-        return [f"{found.where}: {found.what}; {found.advice}" for found in told]
+        return [f"{found.where}: {found.what}; {found.advice}" for found in told if "delay_s" in found.advice]
 
     def _findings(self) -> Iterator[Finding]:
         look = self._gathering.look()
