@@ -97,6 +97,7 @@ def _add_stage(name: str, text: str) -> None:
         wait: Wait = True,
         as_json: Json = False,
     ) -> None:
+        """Run one stage, after bringing up to date what it stands on."""
         run_stage(name, ids, config, overrides, jobs, force, as_json, wait)
 
 

@@ -109,6 +109,7 @@ def summary(job: Job, stages: Collection[str]) -> dict[str, Any]:
     """
 
     def read(stage: str, name: str) -> dict[str, Any]:
+        """A stage's JSON file, empty if it is not made or not readable."""
         if stage not in stages:
             return {}
         try:

@@ -61,6 +61,7 @@ def read_build(folder: Path) -> Build:
         return stage in current
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
+        """Where the view has depth, (height, width) bool."""
         from kinectbench.report.images import read_gray
 
         path = folder / "views" / f"{view.name}.depth.png"

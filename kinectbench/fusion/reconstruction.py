@@ -21,14 +21,13 @@ from kinectbench.fusion.integrate import integrate
 from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.pixel_weights import MAX_SLANT
 from kinectbench.fusion.visible_blocks import cubes_near_surface
-from kinectbench.fusion.vote_trust import ray_width_m, trust_in_votes
+from kinectbench.fusion.vote_trust import POSE_SIGMAS, ray_width_m, trust_in_votes
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.trajectory import Trajectory
 
 Progress = Callable[[int, int], None]
 
-POSE_SIGMAS = 3.0
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
 # frames see at the steepest slant that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
@@ -82,7 +81,8 @@ def fuse(
     found, distances_m = [], []
     for index in frames:
         depth_m = usable_depth_m(sequence, int(index), settings)
-        distances_m += [np.median(depth_m[depth_m > 0])] if depth_m.any() else []
+        if depth_m.any():
+            distances_m.append(np.median(depth_m[depth_m > 0]))
         T_world_camera = trajectory.T_world_camera[index]
         found.append(cubes_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m))
     cubes = unique_blocks(np.concatenate(found).astype(np.int64))
@@ -91,7 +91,7 @@ def fuse(
     near = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
     least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[near])) if near.any() else 0.0
     distance_m = float(np.median(distances_m)) if distances_m else 0.0
-    width_m = ray_width_m(sequence.camera, trajectory, frames, distance_m)
+    width_m = ray_width_m(sequence.camera, trajectory, distance_m)
     mesh = extract_mesh(volume, min_weight=least, trust=trust_in_votes(width_m, voxel_size_m))
     return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))
 
@@ -145,8 +145,7 @@ def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionS
 
     Frames that are off by more than the truncation would not be averaged: they would leave a second surface.
     """
-    sigmas_m = [trajectory.pose_sigma_m(int(frame)) for frame in trajectory.good_frames]
-    return max(settings.truncation_voxels * voxel_size_m, POSE_SIGMAS * float(np.median(sigmas_m)))
+    return max(settings.truncation_voxels * voxel_size_m, POSE_SIGMAS * trajectory.usual_pose_sigma_m)
 
 
 def _integrate_frames(

@@ -1,7 +1,5 @@
 """How far the frames' votes can be believed, from how wide a ray is."""
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +10,7 @@ from kinectbench.tracking.trajectory import Trajectory
 POSE_SIGMAS = 3.0
 # Where rays are wider than a voxel, frames seem to see through any surface. By their width in voxels, what
 # frames saw through counts in full, in part, or not at all. Chosen on simulated furniture at two resolutions
-# and on a real kitchen.
+# with a real kitchen's and a real cabinet's poses in view.
 RAY_WIDTHS_VOXELS, TRUST_IN_VOTES = [0.8, 1.0, 1.4], [1.0, 0.45, 0.0]
 
 
@@ -27,17 +25,15 @@ def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) 
     return np.asarray(through / np.maximum(through + surface, np.float32(1)), np.float32)
 
 
-def ray_width_m(camera: Camera, trajectory: Trajectory, frames: Iterable[int], distance_m: float) -> float:
+def ray_width_m(camera: Camera, trajectory: Trajectory, distance_m: float) -> float:
     """How wide the frames' rays are at a distance, metres: a pixel and three sigmas of the pose (own rule).
 
     Args:
         camera: of the depth images.
-        trajectory: knows by how much each pose may be off.
-        frames: which frames.
+        trajectory: knows by how much each pose may be off; it has a good frame.
         distance_m: from the cameras.
     """
-    sigma_m = float(np.median([trajectory.pose_sigma_m(int(frame)) for frame in frames]))
-    return float(np.hypot(distance_m / camera.fx, POSE_SIGMAS * sigma_m))
+    return float(np.hypot(distance_m / camera.fx, POSE_SIGMAS * trajectory.usual_pose_sigma_m))
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:

@@ -158,6 +158,7 @@ def _views_problems(recording: str) -> Check:
     """Whether views.json has the views that have pairs, and of held-back ones nothing of the truth."""
 
     def check(text: str, stated: Stated) -> Iterator[str]:
+        """What is wrong with a views.json, line by line."""
         rows: list[dict[str, Any]] = strict_json(text, "views.json")["views"]
         listed = {row["view"] for row in rows if row.get("pair", True)}
         here = {target.view for target in stated.targets if target.recording == recording}

@@ -90,7 +90,7 @@ def build_object(
     cut_layers = max(1, round(segmentation.floor_cut_m / fusion.voxel_size_m))
     middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
     away_m = np.linalg.norm(trajectory.T_world_camera[frames, :3, 3] - middle_world, axis=1)
-    width_m = ray_width_m(sequence.camera, trajectory, frames, float(np.median(away_m)))
+    width_m = ray_width_m(sequence.camera, trajectory, float(np.median(away_m)))
     whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers, width_m) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
     quality = measure_quality(

@@ -41,3 +41,8 @@ class Trajectory:
     def pose_sigma_m(self, frame: int) -> float:
         """By how much a frame's pose may be off, metres: how far its depth would move it; 0 if unknown."""
         return (self._shifts_mm.get(frame) or 0.0) / 1000
+
+    @cached_property
+    def usual_pose_sigma_m(self) -> float:
+        """Median of `pose_sigma_m` over the good frames, metres; there must be one."""
+        return float(np.median([self.pose_sigma_m(int(frame)) for frame in self.good_frames]))

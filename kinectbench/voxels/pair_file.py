@@ -103,11 +103,19 @@ def read_pair(path: Path) -> Pair:
     Raises:
         PairError: the file is missing, damaged, or not a pair of a known format version.
     """
+    return checked_pair(stored_values(path), str(path))
+
+
+def stored_values(path: Path) -> dict[str, NDArray[Any]]:
+    """What a pair file holds by key, not checked yet.
+
+    Raises:
+        PairError: the file is missing or damaged.
+    """
     try:
-        values = load_arrays(path)
+        return load_arrays(path)
     except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
-    return checked_pair(values, str(path))
 
 
 def parse_pair(content: bytes, where: str) -> Pair:

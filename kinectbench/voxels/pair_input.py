@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.errors import PairError
-from kinectbench.voxels.npz import UNREADABLE, load_arrays
 from kinectbench.voxels.packed_npz import packed_npz_bytes
-from kinectbench.voxels.pair_file import FORMAT_VERSION, Packed, pair_fault
+from kinectbench.voxels.pair_file import FORMAT_VERSION, Packed, pair_fault, stored_values
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,7 @@ def read_input(path: Path) -> PairInput:
     Raises:
         PairError: the file is missing, damaged, or not a pair of a known format version.
     """
-    try:
-        values = load_arrays(path)
-    except UNREADABLE as error:
-        raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
-    return checked_input(values, str(path))
+    return checked_input(stored_values(path), str(path))
 
 
 def checked_input(values: Mapping[str, NDArray[Any]], where: str) -> PairInput:
@@ -86,10 +81,7 @@ def holds_truth(path: Path) -> bool:
     Raises:
         PairError: the file is missing or damaged.
     """
-    try:
-        return any(key in TRUTH_KEYS for key in load_arrays(path))
-    except UNREADABLE as error:
-        raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
+    return any(key in TRUTH_KEYS for key in stored_values(path))
 
 
 def _input(values: Mapping[str, Any]) -> PairInput:

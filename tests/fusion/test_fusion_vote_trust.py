@@ -22,8 +22,8 @@ def test_a_ray_is_as_wide_as_its_pixel_and_what_its_pose_is_off() -> None:
     poses = np.tile(np.eye(4), (3, 1, 1))
     trajectory = Trajectory(np.arange(3), poses, "tracked", {"per_frame": rows})
     # 2 m / 500 px = 4 mm, and three times the median of 1, 9 and 0 mm.
-    assert ray_width_m(camera, trajectory, [0, 1, 2], 2.0) == pytest.approx(0.005)
-    assert ray_width_m(camera, trajectory, [2], 2.0) == pytest.approx(0.004)
+    assert ray_width_m(camera, trajectory, 2.0) == pytest.approx(0.005)
+    assert ray_width_m(camera, Trajectory(np.arange(3), poses, "trust"), 2.0) == pytest.approx(0.004)
 
 
 def test_share_of_the_frames_with_a_vote() -> None:

@@ -187,6 +187,7 @@ def _shell(rng: np.random.Generator, size: _Size) -> list[Part]:
     dish, hug = between(rng, 0.0, 0.02), between(rng, 0.0, 0.06)
 
     def bucket(points: Points) -> Points:
+        """Bend the strip, (n, 3) metres, so that it holds whoever sits in it."""
         side = (points[:, 0] / size.x) ** 2
         upright = np.clip((points[:, 2] - size.seat) / 0.2, 0, 1)
         upright = upright**2 * (3 - 2 * upright)
