@@ -75,7 +75,7 @@ def make_table(
         extremes=extremes(rows),
         iou_by_threshold=None if failures else iou_by_threshold(results, settings["protocols"]),
         hashes={
-            target.name: {"truth": target.sha256, "prediction": results[target].sha256}
+            target.name: {"truth": target.sha256, "prediction": results[target].digest}
             for target in sorted(results)
         },
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.scoring.truth import Truth
-from kinectbench.voxels.pair_file import FULL_CELLS
+from kinectbench.voxels.pair_file import FULL_CELLS, Packed
 from kinectbench.voxels.resample import HALF_PIXEL, upsampled_planes
 
 Int64 = NDArray[np.int64]
@@ -71,7 +71,8 @@ def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) ->
         upsampling: see `upsampled_planes`.
     """
     if len(prediction) != FULL_CELLS:
-        return _tally_planes(upsampled_planes(prediction, convention=upsampling), truth)
+        planes = upsampled_planes(prediction, convention=upsampling)
+        return _tally_parts(planes, (truth.full, truth.known, truth.seen))  # memory stays at one plane
     from kinectbench.scoring.kernels import count_bits, count_halves
 
     grids = truth.flat()
@@ -82,7 +83,7 @@ def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) ->
         counts = count_halves(prediction.view(np.uint16).ravel(), *grids)
         values = np.arange(len(counts), dtype=np.uint16).view(np.float16).astype(np.float64)
         return _from_histogram(values, counts)
-    return _tally_planes(prediction, truth)
+    return _tally_parts([prediction.view(np.float32)], ([grid] for grid in grids))
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
@@ -94,14 +95,13 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
     return Tally(counts.sum(axis=0), tail[not_above], (counts * loss).sum(axis=0))
 
 
-def _tally_planes(planes: Iterable[NDArray[np.floating]], truth: Truth) -> Tally:
-    """Tally voxel by voxel in float64, plane by plane: memory stays at one plane."""
+def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
+    """Tally voxel by voxel in float64, part by part; `grids` are full, known and seen in the same parts."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)
-    grids = (truth.full, truth.known, truth.seen)
-    for plane, full, known, seen in zip(planes, *grids, strict=True):
-        flat = (plane.ravel(), full.ravel(), known.ravel(), seen.ravel())
+    for part, full, known, seen in zip(parts, *grids, strict=True):
+        flat = (part.ravel(), full.ravel(), known.ravel(), seen.ravel())
         count_reals(*flat, STEPS, CE_CLIP, bins, ce_sum)
     above = bins[::-1].cumsum(axis=0)[::-1]
     return Tally(above[0], above[list(THRESHOLD_STEPS)], ce_sum)

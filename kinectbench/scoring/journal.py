@@ -28,7 +28,7 @@ class Journal:
         Raises:
             StorageError: the disk is full or read-only.
         """
-        key = job.key(result.sha256)
+        key = job.key(result.digest)
         if self._path is None or self._earlier.get(job.target.name, {}).get("key") == key:
             return
         line = canonical_json({"pair": job.target.name, "key": key, "result": result.to_json()})

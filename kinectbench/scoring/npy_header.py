@@ -8,7 +8,7 @@ import ast
 import re
 import struct
 from dataclasses import dataclass
-from typing import IO
+from io import BufferedIOBase
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class NpyHeader:
     data_offset: int
 
 
-def read_npy_header(file: IO[bytes]) -> NpyHeader:
+def read_npy_header(file: BufferedIOBase) -> NpyHeader:
     """Read a header and leave the stream at the first byte of data.
 
     Raises:

@@ -5,8 +5,9 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
+from io import BufferedIOBase
 from pathlib import Path
-from typing import IO
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from kinectbench.scoring.npy_header import NpyHeader, read_npy_header
 from kinectbench.voxels.resample import MAX_CELLS
 
 MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # the largest array, its header, and what a zip adds
+CHUNK_BYTES = 1 << 20
 HALF_ONE = 0x3C00
 HALF_MINUS_ZERO = 0x8000
 ACCEPTED = "save float16 or float32 in [0, 1], or bool"
@@ -70,7 +72,7 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
 
 
 @contextlib.contextmanager
-def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
+def _open(path: Path) -> Iterator[tuple[BufferedIOBase, int]]:
     """Yield the npy stream of a file and the number of bytes in it."""
     size = _checked_size(path, MAX_BYTES)
     if path.suffix == ".npy":
@@ -80,7 +82,7 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
     with zipfile.ZipFile(path) as archive:
         entry = _only_entry(archive)
         with archive.open(entry) as stream:
-            yield stream, entry.file_size
+            yield cast(BufferedIOBase, stream), entry.file_size
 
 
 def _checked_size(path: Path, most: int) -> int:
@@ -114,7 +116,7 @@ def _only_entry(archive: zipfile.ZipFile) -> zipfile.ZipInfo:
     return entry
 
 
-def _read(file: IO[bytes], size: int) -> NDArray[np.generic]:
+def _read(file: BufferedIOBase, size: int) -> NDArray[np.generic]:
     """Read an npy stream whose length must be what its header claims."""
     header = read_npy_header(file)
     _check_claims(header)
@@ -124,13 +126,12 @@ def _read(file: IO[bytes], size: int) -> NDArray[np.generic]:
         what = "cut short" if size < claimed else "longer than it claims"
         raise PredictionError(f"{what}: {size} bytes where its header claims {claimed}; write it again")
     data = np.empty(count, header.dtype)
-    raw, done = data.view(np.uint8), 0
+    raw, done = data.view(np.uint8).data, 0
     while done < len(raw):
-        chunk = file.read(min(1 << 20, len(raw) - done))
-        if not chunk:
+        read = file.readinto(raw[done : done + CHUNK_BYTES])
+        if not read:
             raise PredictionError(f"cut short: {done} bytes of data, {len(raw)} are claimed; write it again")
-        raw[done : done + len(chunk)] = np.frombuffer(chunk, np.uint8)
-        done += len(chunk)
+        done += read
     if file.read(1):  # reaching the end also checks the archive's CRC
         raise PredictionError("longer than it claims; write it again")
     return data.reshape(header.shape, order="F" if header.fortran_order else "C")

@@ -88,7 +88,7 @@ class ScoreTable:
         extremes: {protocol: the best and the worst pairs by IoU}.
         iou_by_threshold: {protocol: {category: mean IoU at thresholds k / 20, k = 2 to 18}}, or None if not
             complete.
-        hashes: {pair: SHA-256 of its truth and of the prediction's file}.
+        hashes: {pair: SHA-256 of its truth, and "blake3:<hex>" of the prediction's file}.
         baseline: whether kinectbench made the predictions itself, to stand beside a method's.
     """
 

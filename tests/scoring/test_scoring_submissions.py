@@ -160,10 +160,10 @@ def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) 
     result = count_job(job)
     assert not isinstance(result, str)
     keys = {
-        job.key(result.sha256),
+        job.key(result.digest),
         job.key("0" * 64),
-        Job(target, job.truth, path, 0.4, job.counting).key(result.sha256),
-        Job(target, job.truth, path, 0.5, Counting(("known",), surface=False)).key(result.sha256),
+        Job(target, job.truth, path, 0.4, job.counting).key(result.digest),
+        Job(target, job.truth, path, 0.5, Counting(("known",), surface=False)).key(result.digest),
     }
     assert len(keys) == 4
 
