@@ -18,7 +18,7 @@ MAX_UNKNOWN_SHARE = 0.15
 MAX_DOUBTFUL_SHARE = 0.1
 # Least squares over 16 simulated objects of 4 families, tracked by us (seeds 1 and 4 to 6): what is missing
 # from an IoU of 1 to the truth, against what the halves disagree by and what share of the solid is unknown.
-# The halves share the camera's and the trajectory's slow errors, so that they disagree by a half of the error.
+# The halves share the camera's and the trajectory's slow errors: they disagree by a half of the error.
 MISSING_PER_DISAGREEMENT, MISSING_PER_UNKNOWN = 2.05, 1.77
 GOOD_ESTIMATED_IOU = 0.82
 # So that a handle or a speck that one half of the frames shows does not move a side of the box.
@@ -50,8 +50,8 @@ def surface_sigma_m(odd: Observation, even: Observation) -> float:
 def estimated_iou(repeatability: float, unknown_share: float) -> float:
     """An estimate of the IoU to the unknown truth, in [0, 1].
 
-    What is missing from 1 is a sum of what odd and even frames disagree by and of what was neither measured nor
-    enclosed (own rule, fitted on simulated objects; docs/ground-truth.md has its errors).
+    What is missing from 1 is a sum of what odd and even frames disagree by and of what was neither measured
+    nor enclosed (own rule, fitted on simulated objects; docs/ground-truth.md has its errors).
 
     Args:
         repeatability: IoU of the solids from odd and from even frames.
