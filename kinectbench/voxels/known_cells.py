@@ -81,27 +81,31 @@ def _tiles(known):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy")
 def _known_in(fine, coarse, nx, ny, nz):  # type: ignore[no-untyped-def]
-    packed = np.zeros((nx, ny, nz // BLOCK), np.uint8)
+    packed = np.full((nx, ny, nz // BLOCK), np.uint8(255))  # most are known
     for i in range(0, nx, BLOCK):
         for j in range(0, ny, BLOCK):
             for byte in range(nz // BLOCK):
-                level = fine
+                beyond = False
                 state, inside = _block_state(fine, i, j, byte * BLOCK)
                 if not inside:
                     around, inside_coarse = _block_state(coarse, i, j, byte * BLOCK)
                     if not inside_coarse:
                         around = NONE if around in (BEYOND, NONE) else CUT
                     if state == BEYOND:
-                        level, state = coarse, around
+                        beyond, state = True, around
                     elif state != around or around == MIXED:
                         state = CUT
-                block = packed[i : i + BLOCK, j : j + BLOCK, byte]
                 if state == ALL:
-                    block[:] = 255
-                elif state == MIXED:
-                    _set_within(block, level, i, j, byte * BLOCK)
+                    continue
+                block = packed[i : i + BLOCK, j : j + BLOCK, byte]
+                if state == NONE:
+                    block[:] = 0
                 elif state == CUT:
                     _set_across(block, fine, coarse, i, j, byte * BLOCK)
+                elif beyond:
+                    _set_within(block, coarse, i, j, byte * BLOCK)
+                else:
+                    _set_within(block, fine, i, j, byte * BLOCK)
     return packed
 
 
