@@ -16,7 +16,7 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.score import score
 from kinectbench.voxels.pair_file import read_pair, unpack
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "train.py"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def test_dataset(release: Release) -> None:
@@ -113,12 +113,15 @@ def test_importing_the_package_is_light() -> None:
         _ = kinectbench.lod  # type: ignore[attr-defined]
 
 
-def test_the_example_runs_and_learns(release: Release) -> None:
+@pytest.mark.parametrize("name", ["train.py", "train_torch.py"])
+def test_the_example_runs_and_learns(release: Release, name: str) -> None:
+    if "torch" in name:
+        pytest.importorskip("torch")
     done = subprocess.run(
-        [sys.executable, str(EXAMPLE), str(release.folder), "--epochs", "2"],
+        [sys.executable, str(EXAMPLES / name), str(release.folder), "--epochs", "2"],
         capture_output=True,
         text=True,
         check=True,
     )
-    losses = [float(line.split("CE ")[1].split()[0]) for line in done.stdout.splitlines()]
+    losses = [float(line.split(", CE ")[1].split()[0]) for line in done.stdout.splitlines()]
     assert len(losses) == 2 and losses[1] < losses[0] < 0.7
