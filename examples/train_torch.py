@@ -2,9 +2,8 @@
 
     python examples/train_torch.py benchmark/ --epochs 5
 
-It predicts occupancy at 64^3 from the partial view at 64^3; the scorer upsamples it to 256^3 and says what IoU
-this side could reach at most. It is made to be read and replaced, not to win: three levels, a minute an epoch
-on two cores for 50 pairs.
+It predicts occupancy at 64^3 from the partial view at 64^3; the scorer upsamples it to 256^3 and says what
+IoU this side could reach at most. It is made to be read and replaced, not to win.
 """
 
 import argparse
@@ -77,7 +76,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("benchmark")
     parser.add_argument("--epochs", type=int, default=5)
-    parser.add_argument("--workers", type=int, default=2, help="processes that read pairs")
+    parser.add_argument("--workers", type=int, default=1, help="processes that read pairs")
     options = parser.parse_args()
 
     torch.manual_seed(0)
