@@ -15,8 +15,9 @@ EMPTY_UNDER, EMPTY_BESIDE = 10.5 / 26, 4.5 / 26
 # of 5 mm count it in steps.
 LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
 # A hollow is at least so high and lies no deeper than this under the top, and so many of nine ways down from
-# it lead outside.
+# it lead outside. So high at least is what of it would else be inside.
 MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
+MIN_ENCLOSED_HOLLOW_M = 0.015
 # The least overhang over the uppermost layer of a hollow, as a share of that over the next one.
 FULL_OVERHANG = 0.6
 NOT_UNDER = 30_000
@@ -66,9 +67,10 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     of its own layer by 5 mm in all of the four directions along the grid and by 10 mm in all but one, and
     most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
     are enough if the hollows found so far leave the voxel hardly enclosed. The uppermost layer of a hollow
-    must be overhung nearly as far as the one below it. What is less than 35 mm high is no hollow: cushions
-    are rounded below. What would be a hollow but for its flush sides is doubtful, unless its sides go down
-    further than 12 cm, as no apron does, or a hollow begins under it. Own rule.
+    must be overhung nearly as far as the one below it. What is less than 35 mm high is no hollow, nor what
+    has less than 15 mm that would else be inside: cushions are rounded below. What would be a hollow but for
+    its flush sides is doubtful, unless its sides go down further than 12 cm, as no apron does, or a hollow
+    begins under it. Own rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
@@ -87,14 +89,18 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
     found = sure | (possible & (opened < ENCLOSED))
     high = np.ones((3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m))))
-    hollow = ndimage.binary_opening(found, high)
+    open_below = ndimage.binary_opening(found, high)
+    # Where a cushion is rounded below, its lowest layers look like the upper end of the shadow under it.
+    high_enclosed = np.ones((3, 3, max(1, round(MIN_ENCLOSED_HOLLOW_M / voxel_size_m))))
+    enclosed = found & (enclosure(state) >= ENCLOSED)
+    hollow = open_below & ndimage.binary_opening(enclosed, high_enclosed).any(axis=2, keepdims=True)
     # Where the outline steps in over two layers, the upper one is still the top's, frayed at its edge.
     frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]
     hollow[:, :, 1:] &= ~frayed
     inside = (state == UNSEEN) & (opened >= ENCLOSED)
     body = (inside & ~under & (below_m < NOT_UNDER * voxel_size_m)).any(axis=2, keepdims=True)
-    slab = hollow.any(axis=2, keepdims=True)
+    slab = open_below.any(axis=2, keepdims=True)
     flush = inside & under & (outside >= OPEN_BELOW) & ~slab & ~body
     return Hollows(hollow, ndimage.binary_opening(flush, high))
 

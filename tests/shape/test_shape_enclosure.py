@@ -99,6 +99,19 @@ def test_a_flush_block_is_not_hollow():
     assert found.doubtful.sum() > 100
 
 
+def test_a_cushion_rounded_below_is_solid_to_its_underside():
+    """Its lowest two layers step in, and no camera saw what is under it."""
+    state = np.full((60, 60, 60), OUTSIDE, np.uint8)
+    for low, high, inset in ((30, 32, 2), (32, 46, 0)):
+        a, b = 10 + inset, 50 - inset
+        state[a:b, a:b, low:high] = INSIDE
+        state[a + 2 : b - 2, a + 2 : b - 2, low : min(high, 44)] = UNSEEN
+    state[14:46, 14:46, 18:30] = UNSEEN
+    assert not hollows(state, 0.005).sure[:, :, 30:].any()
+    state[12:48, 12:48, 26:30] = state[12:48, 12:48, 31, None]  # an apron six layers high, 30 mm
+    assert hollows(state, 0.005).sure[26:34, 26:34, 26:32].all()
+
+
 def test_a_deep_body_under_a_top_is_not_hollow():
     # Twelve voxels of 20 mm are more than an apron's height: only the upper part may be hollow.
     assert not hollows(seat(apron_inset=2), 0.02).sure[:, :, 18:24].any()

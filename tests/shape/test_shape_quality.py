@@ -1,13 +1,37 @@
 """What quality.json estimates, against values computed by hand."""
 
+import numpy as np
 import pytest
 
-from kinectbench.shape.quality import estimated_iou
+from kinectbench.geometry import Grid, TriangleMesh
+from kinectbench.shape.labels import Label
+from kinectbench.shape.quality import estimated_iou, expected_iou
+from kinectbench.shape.solid import SolidShape
+
+
+def shape_of(solid: np.ndarray, probability: np.ndarray) -> SolidShape:
+    labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
+    mesh = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    return SolidShape(Grid(solid.shape, 0.01, np.eye(4)), solid, labels, probability.astype(np.float32), mesh)
+
+
+def test_expected_iou_by_hand():
+    solid = np.array([[[True, True, False, False]]])
+    assert expected_iou(shape_of(solid, solid)) == 1
+    # 0.9 + 0.7 of two voxels are inside; outside, 0.4 more are expected.
+    assert expected_iou(shape_of(solid, np.array([[[0.9, 0.7, 0.4, 0.0]]]))) == pytest.approx(1.6 / 2.4)
+
+
+def test_expected_iou_of_calibrated_voxels_is_the_actual_one():
+    rng = np.random.default_rng(0)
+    probability = rng.uniform(size=(60, 60, 60)) ** 3
+    true, solid = rng.uniform(size=probability.shape) < probability, probability > 0.5
+    actual = (true & solid).sum() / (true | solid).sum()
+    assert expected_iou(shape_of(solid, probability)) == pytest.approx(actual, abs=0.01)
 
 
 def test_estimated_iou():
-    assert estimated_iou(1.0, 0.0) == 1
-    assert estimated_iou(0.96, 0.0) == pytest.approx(1 - 0.082)
-    assert estimated_iou(0.96, 0.05) == pytest.approx(1 - 0.082 - 0.0885)
-    assert estimated_iou(0.3, 0.5) == 0
-    assert estimated_iou(0.95, 0.02) < estimated_iou(0.95, 0.01) < estimated_iou(0.99, 0.01)
+    assert estimated_iou(1.0, 1.0) == 1
+    assert estimated_iou(0.8, 0.9) == pytest.approx(1 - 0.044 - 0.231)
+    assert estimated_iou(0.0, 0.0) == 0
+    assert estimated_iou(0.8, 0.95) < estimated_iou(0.9, 0.95) < estimated_iou(0.9, 0.99)
