@@ -93,9 +93,8 @@ def build_object(
     width_m = ray_width_m(sequence.camera, trajectory, float(np.median(away_m)))
     whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers, width_m) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
-    quality = measure_quality(
-        chosen, (whole, odd, even), sigma_m, witness(sequence, trajectory, scene, chosen)
-    )
+    seen = witness(sequence, trajectory, scene, chosen)
+    quality = measure_quality(chosen, (whole, odd, even), sigma_m, seen, trajectory.source == "tracked")
     surround = surround_grid(grid, chosen)
     some = frames[np.unique(np.linspace(0, len(frames) - 1, SURROUND_FRAMES).astype(int))]
     around = observe(sequence, trajectory, some, surround, fusion)
