@@ -19,6 +19,8 @@ SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
 LOWER_HALF, HALF_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
 NEAREST_M = np.float32(1e-3)
 BEHIND_CAMERA_M = np.float32(1e6)
+# Twice the noise of a depth of 8 m.
+BEFORE_FAR_M = np.float32(0.25)
 SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 
@@ -30,6 +32,7 @@ def integrate(
     T_world_camera: NDArray[np.float64],
     truncation_m: float,
     pose_sigma_m: float = 0.0,
+    farthest_m: float = np.inf,
 ) -> None:
     """Fuse one frame into the volume's arrays (in place: this is the one hot loop of fusion).
 
@@ -37,7 +40,8 @@ def integrate(
     s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
     clipped at +truncation; sigma holds the noise of the depth and of the pose. A frame votes `surface`
     where |s| <= max(2 sigma, half a voxel's diagonal) and `free` in front of that. Voxels behind the
-    surface get nothing.
+    surface get nothing. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front of it hear:
+    they are free.
 
     Args:
         volume: blocks to fuse into.
@@ -46,10 +50,11 @@ def integrate(
         T_world_camera: (4, 4).
         truncation_m: TSDF truncation, metres.
         pose_sigma_m: by how much the frame's pose may be off, metres.
+        farthest_m: depth beyond it is not fused as a surface, metres.
     """
     T_camera_grid = invert_rigid(T_world_camera) @ volume.T_world_grid
     seen = visible_blocks(volume, depth_m, camera, T_camera_grid, truncation_m)
-    pixels = pixel_weights(depth_m, camera, pose_sigma_m)
+    pixels = pixel_weights(depth_m, camera, pose_sigma_m, farthest_m)
     # Pixel coordinates times z, but for the principal point; its half a pixel more, and cutting off the
     # fraction, round to the nearest pixel.
     to_pixels = np.diag([camera.fx, camera.fy, 1.0]) @ T_camera_grid[:3]
@@ -137,7 +142,8 @@ def _update(tsdf, weight, votes, fetched, depth, added, z, truncation, noise):  
         depth[n] = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
         distance[n] = depth[n] - z[n]
         added_here = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
-        added[n] = added_here if distance[n] >= -truncation else np.float32(0)
+        least = -truncation if added_here >= 0 else BEFORE_FAR_M
+        added[n] = abs(added_here) if distance[n] >= least else np.float32(0)
         any_added += added[n]
     if any_added == 0:
         return

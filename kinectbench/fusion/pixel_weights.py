@@ -12,29 +12,33 @@ SLANT_REACH_PX = 2
 MAX_SLANT = 10.0
 
 
-def pixel_weights(depth_m: NDArray[np.float32], camera: Camera, pose_sigma_m: float) -> NDArray[np.float32]:
+def pixel_weights(
+    depth_m: NDArray[np.float32], camera: Camera, pose_sigma_m: float, farthest_m: float = np.inf
+) -> NDArray[np.float32]:
     """Depth and weight of every pixel, with a border of one empty pixel: (height + 2, width + 2, 2) float32.
 
     The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma holds the noise of
     the depth and of the pose; what is an error of x along the surface's normal is x / cos along the viewing
     axis. 1 / cos is taken from pixels two to either side and is at most 10: its limit next to a depth edge,
-    where pixels mix two surfaces.
+    where pixels mix two surfaces. Beyond `farthest_m` the weight is negative: what lies well in front of it
+    is free, and nothing more is said.
 
     Args:
         depth_m: (height, width) float32, metres along z, 0 = none.
         camera: pinhole intrinsics.
         pose_sigma_m: by how much the frame's pose may be off, metres.
+        farthest_m: depth beyond it is not fused as a surface, metres.
     """
     height, width = depth_m.shape
     pixels = np.zeros((height + 2 * BORDER_PX, width + 2 * BORDER_PX, 2), np.float32)
     noise_m = np.array([SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, pose_sigma_m], np.float32)
     slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
-    _pixel_weights(pixels, depth_m, slope, noise_m)
+    _pixel_weights(pixels, depth_m, slope, noise_m, np.float32(farthest_m))
     return pixels
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
-def _pixel_weights(pixels, depth_m, slope, noise):  # type: ignore[no-untyped-def]
+def _pixel_weights(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-untyped-def]
     """Row by row; slices, because indices that may be negative stop the compiler from vectorising."""
     f32 = np.float32
     height, width = depth_m.shape
@@ -56,4 +60,4 @@ def _pixel_weights(pixels, depth_m, slope, noise):  # type: ignore[no-untyped-de
             sigma = near + growth * (d - near_depth) * (d - near_depth)
             weight = f32(1e-6) / ((sigma * sigma + pose * pose) * slant)
             out[2 * u] = d
-            out[2 * u + 1] = weight if d > 0 else f32(0)
+            out[2 * u + 1] = (weight if d <= farthest else -weight) if d > 0 else f32(0)

@@ -31,6 +31,8 @@ Progress = Callable[[int, int], None]
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
 # frames see at the steepest slant that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
+# Depth is believed to be beyond the fused range up to so many times that; farther, it is often none at all.
+FAR_RANGES = 2.0
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,9 @@ def observe(
 ) -> Observation:
     """Fuse frames into a dense grid, so that empty space has votes, too.
 
+    Depth beyond the range that is fused says that all before it is free: under a table's top the cameras look
+    at a floor farther away than the table.
+
     Args:
         sequence: the recording.
         trajectory: poses.
@@ -115,7 +120,7 @@ def observe(
         progress: called with (done, total).
     """
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
-    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress)
+    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress, FAR_RANGES)
     return Observation(
         grid,
         tsdf=dense_grid(volume.tsdf, grid.shape),
@@ -133,10 +138,12 @@ def merge(first: Observation, second: Observation) -> Observation:
     return Observation(first.grid, tsdf, weight, first.free + second.free, first.surface + second.surface)
 
 
-def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings) -> NDArray[np.float32]:
-    """Depth of a frame in metres, 0 outside the depth range that is fused."""
+def usable_depth_m(
+    sequence: Sequence, index: int, settings: FusionSettings, ranges: float = 1.0
+) -> NDArray[np.float32]:
+    """Depth of a frame in metres, 0 outside the depth range that is fused, or so many times as far."""
     depth_m = sequence.depth_m(index)
-    depth_m[(depth_m < settings.min_depth_m) | (depth_m > settings.max_depth_m)] = 0.0
+    depth_m[(depth_m < settings.min_depth_m) | (depth_m > ranges * settings.max_depth_m)] = 0.0
     return depth_m
 
 
@@ -155,11 +162,12 @@ def _integrate_frames(
     frames: Iterable[int],
     settings: FusionSettings,
     progress: Progress | None,
+    ranges: float = 1.0,
 ) -> None:
     truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
     chosen = list(frames)
     for done, index in enumerate(chosen, start=1):
-        depth_m = usable_depth_m(sequence, int(index), settings)
+        depth_m = usable_depth_m(sequence, int(index), settings, ranges)
         integrate(
             volume,
             depth_m,
@@ -167,6 +175,7 @@ def _integrate_frames(
             trajectory.T_world_camera[index],
             truncation_m,
             trajectory.pose_sigma_m(int(index)),
+            settings.max_depth_m,
         )
         if progress:
             progress(done, len(chosen))

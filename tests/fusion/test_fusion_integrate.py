@@ -14,7 +14,7 @@ from kinectbench.fusion.blocks import (
     in_cubes,
     unique_blocks,
 )
-from kinectbench.fusion.integrate import HALF_DIAGONAL, SURFACE_SIGMAS, integrate
+from kinectbench.fusion.integrate import BEFORE_FAR_M, HALF_DIAGONAL, SURFACE_SIGMAS, integrate
 from kinectbench.fusion.visible_blocks import cubes_near_surface, visible_blocks
 from kinectbench.geometry import (
     Camera,
@@ -51,7 +51,7 @@ def slants(depth_m: np.ndarray) -> np.ndarray:
     return result
 
 
-def reference(volume, frames):
+def reference(volume, frames, farthest_m=np.inf):
     """tsdf, weight, free, surface by the definitions; and where rounding to a pixel or vote is a toss-up."""
     centers = voxel_centers_world(volume)
     shape = centers.shape[:-1]
@@ -66,7 +66,7 @@ def reference(volume, frames):
         inside = (u >= 0) & (v >= 0) & (u < SMALL.width) & (v < SMALL.height)
         d = np.where(inside, depth_m[np.where(inside, v, 0), np.where(inside, u, 0)].astype(float), 0.0)
         sdf = d - z
-        measured = (d > 0) & (sdf >= -TRUNCATION_M)
+        measured = (d > 0) & (sdf >= np.where(d <= farthest_m, -TRUNCATION_M, BEFORE_FAR_M))
         sigma = np.sqrt(depth_sigma_m(d) ** 2 + POSE_SIGMA_M**2)
         slant = slants(depth_m)[np.where(inside, v, 0), np.where(inside, u, 0)]
         added = np.where(measured, 1e-6 / (sigma * slant) ** 2, 0)
@@ -76,7 +76,7 @@ def reference(volume, frames):
         free += measured & (sdf > margin)
         surface += measured & (np.abs(sdf) <= margin)
         tie |= (np.abs(uv - np.floor(uv) - 0.5) < 1e-3).any(-1) | (np.abs(z) < 5e-3)
-        for limit in (-TRUNCATION_M, margin, -margin):
+        for limit in (-TRUNCATION_M, BEFORE_FAR_M, margin, -margin):
             tie |= np.abs(sdf - limit) < 1e-5
     return np.where(weight > 0, total / np.maximum(weight, 1e-30), 0), weight, free, surface, tie
 
@@ -93,18 +93,19 @@ def random_frames(count: int) -> list:
     return frames
 
 
-def fused(frames) -> BlockVolume:
+def fused(frames, farthest_m=np.inf) -> BlockVolume:
     blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
     volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
     for depth_m, T_world_camera in frames:
-        integrate(volume, depth_m, SMALL, T_world_camera, TRUNCATION_M, POSE_SIGMA_M)
+        integrate(volume, depth_m, SMALL, T_world_camera, TRUNCATION_M, POSE_SIGMA_M, farthest_m)
     return volume
 
 
-def test_kernel_against_numpy():
+@pytest.mark.parametrize("farthest_m", [np.inf, 1.2])
+def test_kernel_against_numpy(farthest_m):
     frames = random_frames(4)
-    volume = fused(frames)
-    tsdf, weight, free, surface, tie = reference(volume, frames)
+    volume = fused(frames, farthest_m)
+    tsdf, weight, free, surface, tie = reference(volume, frames, farthest_m)
     sure = ~tie
     assert sure.mean() > 0.98
     assert (weight > 0).mean() > 0.3 and surface.sum() > 1000 and free.sum() > 1000
