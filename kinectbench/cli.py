@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -150,8 +151,9 @@ def baseline(
     Where there are training pairs of every category, mean-shape and nearest too.
     """
     from kinectbench import console
-    from kinectbench.baselines.write import write_baselines
+    from kinectbench.baselines.write import check_names, write_baselines
 
+    check_names(names or ())
     release, rows = find_release(benchmark, config, overrides, jobs)
     folder = out or (Path("predictions") if benchmark else config.parent / "predictions")
     with console.bar("baseline") as progress:
@@ -215,7 +217,7 @@ def init(
     tell_written([target], as_json)
     if not as_json:
         count = f"{len(found)} recording{'s' * (len(found) != 1)}"
-        typer.echo(f"{count}: fill in the categories, then run `kinectbench build`")
+        typer.echo(f"{count}: fill in categories, license and source, then run `kinectbench build`")
 
 
 for _command in (compare, simulate, synthesize, evaluate, export, formats, inspect, publish, verify):
@@ -236,7 +238,8 @@ def main() -> None:
         console.lines("error", [message], "red")
     if status == INTERRUPTED:
         # Libraries that were interrupted while they were imported complain at the end of Python, or end it
-        # with a status of their own.
+        # with a status of their own; a second Ctrl-C would interrupt the end.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         gc.collect()
         if "kinectbench.processes" in sys.modules:
             from kinectbench.processes import give_back_shared

@@ -45,7 +45,7 @@ def simulate(
     from kinectbench import console
     from kinectbench.simulate.presets import PRESETS
     from kinectbench.simulate.run import simulate_named
-    from kinectbench.simulate.truth import read_truth, truth_folder
+    from kinectbench.simulate.truth import is_truth, read_truth, truth_folder
 
     if presets:
         tell_table({name: text for name, (text, _) in PRESETS.items()}, as_json)
@@ -61,6 +61,8 @@ def simulate(
     changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if frames is not None:
         changes["path"] = {"frames": frames}
+    if out is not None and is_truth(truth_folder(out)):
+        console.lines("note", [f"{out}: replaces the simulated recording that is there"], "yellow")
     with console.recording_bars() as progress:
         written = simulate_named(
             out,

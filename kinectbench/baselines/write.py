@@ -37,11 +37,9 @@ def write_baselines(
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
+    check_names(names or ())
     possible = possible_baselines(release)
     chosen = tuple(names or possible)
-    unknown = [name for name in chosen if name not in BASELINES]
-    if unknown:
-        raise SettingsError(f"no baseline '{', '.join(unknown)}': choose among {', '.join(BASELINES)}")
     blind = [name for name in chosen if name not in possible]
     if BASE_RATE in blind:
         raise SettingsError(f"{BASE_RATE}: needs truth of every category, and it is held back; leave it out")
@@ -49,6 +47,17 @@ def write_baselines(
         raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
     run_tasks(partial(_write, out), baseline_tasks(release, chosen, jobs), jobs, progress)
     return chosen
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Refuse names of no baseline.
+
+    Raises:
+        SettingsError: no such baseline.
+    """
+    unknown = [name for name in names if name not in BASELINES]
+    if unknown:
+        raise SettingsError(f"no baseline '{', '.join(unknown)}': choose among {', '.join(BASELINES)}")
 
 
 def _write(out: Path, task: BaselineTask) -> None:

@@ -140,6 +140,8 @@ def open_release(path: Path) -> Release:
         ReleaseError: no release there, another format version, targets or benchmark.json changed, an object
             in two splits, or a path that leaves the release.
     """
+    if path.is_file():
+        raise ReleaseError(f"{path}: a file; unpack the release and give its folder")
     if not (path / BENCHMARK_JSON).is_file():
         raise ReleaseError(
             f"{path}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"

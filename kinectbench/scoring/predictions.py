@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.errors import PredictionError
+from kinectbench.release.layout import BENCHMARK_JSON
 from kinectbench.release.release import Target
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
@@ -103,15 +104,16 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         The folder of each method by name, sorted; a single method is called by its folder's name.
 
     Raises:
-        PredictionError: the folder is missing, holds neither, or a method is a link out of it.
+        PredictionError: the folder is missing, holds neither, is a release, or a method is a link out of it.
     """
     if not folder.is_dir():
         raise PredictionError(f"{folder}: no such folder of predictions")
+    if any((path / BENCHMARK_JSON).is_file() for path in (folder, folder.resolve().parent)):
+        raise PredictionError(f"{folder}: belongs to a release; give the folder of your predictions")
     recordings = {target.recording for target in targets}
-    subfolders = sorted(path for path in folder.iterdir() if path.is_dir())
-    if any(path.name in recordings for path in subfolders):
+    if _answers(folder, recordings):
         return {folder.resolve().name: folder}
-    methods = [path for path in subfolders if any((path / recording).is_dir() for recording in recordings)]
+    methods = [path for path in sorted(folder.iterdir()) if path.is_dir() and _answers(path, recordings)]
     if not methods:
         raise PredictionError(
             f"{folder}: no predictions there; expected <recording>/<view>.npy or .npz, or a folder of these "
@@ -121,3 +123,13 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         if not _inside(path, folder.resolve()):
             raise PredictionError(f"{path}: a link out of the folder; put the predictions themselves there")
     return {path.name: path for path in methods}
+
+
+def _answers(folder: Path, recordings: Iterable[str]) -> bool:
+    """Whether a folder has a subfolder of a recording's name with anything like a prediction in it."""
+    return any(
+        path.suffix.lower() in SUFFIXES
+        for recording in recordings
+        if (folder / recording).is_dir()
+        for path in (folder / recording).iterdir()
+    )

@@ -83,6 +83,13 @@ def test_split_methods(folder: Path, release: Release, tmp_path: Path) -> None:
 def test_no_predictions(release: Release, tmp_path: Path) -> None:
     with pytest.raises(PredictionError, match="no predictions there; expected <recording>"):
         split_methods(tmp_path, release.targets)
+    (tmp_path / "chair_01").mkdir()
+    (tmp_path / "chair_01" / "depth.png").touch()  # a recording
+    with pytest.raises(PredictionError, match="no predictions there; expected <recording>"):
+        split_methods(tmp_path, release.targets)
+    for part in (".", "pairs"):
+        with pytest.raises(PredictionError, match="belongs to a release"):
+            split_methods(release.folder / part, release.targets)
     for function in (split_methods, find_predictions):
         with pytest.raises(PredictionError, match="nowhere: no such folder"):
             function(tmp_path / "nowhere", release.targets)
