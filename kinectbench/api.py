@@ -15,6 +15,7 @@ from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, PairResult, count
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import missing_line
+from kinectbench.scoring.score import check_words
 from kinectbench.scoring.table import ScoreTable
 from kinectbench.scoring.thresholds import Thresholds, read_thresholds, searched_thresholds
 from kinectbench.scoring.truth import read_truth
@@ -137,9 +138,7 @@ class Scorer:
             SettingsError: an unknown protocol, or an unusable threshold file.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
-        unknown = [name for name in protocols if name not in PROTOCOLS]
-        if unknown or not protocols:
-            raise SettingsError(f"no protocol '{', '.join(unknown)}': choose among {', '.join(PROTOCOLS)}")
+        check_words(protocols, upsampling)
         self._release, self._method = release, method
         self._targets = {target.name: target for target in release.targets if target.split != "train"}
         self._counting = Counting(tuple(protocols), upsampling, surface)

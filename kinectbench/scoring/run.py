@@ -8,7 +8,7 @@ from kinectbench.errors import SettingsError
 from kinectbench.release.release import Release
 from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.predictions import split_methods
-from kinectbench.scoring.score import Missing, score
+from kinectbench.scoring.score import Missing, check_words, score
 from kinectbench.scoring.table import ScoreTable, write_scores
 from kinectbench.scoring.thresholds import thresholds_text
 from kinectbench.voxels.resample import HALF_PIXEL
@@ -53,6 +53,7 @@ def score_methods(
     """
     if missing not in get_args(Missing):
         raise SettingsError(f"--missing {missing}: choose error or empty")
+    check_words(protocols or tuple(PROTOCOLS), upsampling)
     methods = split_methods(predictions, release.targets)
     if method is not None:
         if len(methods) > 1:

@@ -59,7 +59,7 @@ def score(
             is held back.
         SettingsError: an unknown protocol or an unusable threshold file.
     """
-    _check(protocols, upsampling)
+    check_words(protocols, upsampling)
     check_splits(release.targets, str(release.folder))
     test = release.split("test")
     if not test:
@@ -129,8 +129,12 @@ class _Run:
             self.progress(self.done, self.pairs)
 
 
-def _check(protocols: Sequence[str], upsampling: str) -> None:
-    """Refuse names that are not known."""
+def check_words(protocols: Sequence[str], upsampling: str) -> None:
+    """Refuse names of protocols and of upsampling that are not known.
+
+    Raises:
+        SettingsError: one that is not.
+    """
     unknown = [name for name in protocols if name not in PROTOCOLS]
     if unknown or not protocols:
         raise SettingsError(f"no protocol '{', '.join(unknown)}': choose among {', '.join(PROTOCOLS)}")
