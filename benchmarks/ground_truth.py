@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument(
         "--recordings", type=Path, metavar="DIR", help="simulated recordings; default: in DIR of --build"
     )
-    parser.add_argument("--objects", type=int, default=len(SEEDS) * len(FAMILIES), help="how many, of 24")
+    parser.add_argument("--objects", type=int, default=len(SEEDS) * len(FAMILIES), help="how many, of 48")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="such as chair1")
     options = parser.parse_args()
 

@@ -31,8 +31,9 @@ Progress = Callable[[int, int], None]
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
 # frames see at the steepest slant that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
-# Depth is believed to be beyond the fused range up to so many times that; farther, it is often none at all.
-FAR_RANGES = 2.0
+# Depth is believed to be beyond the fused range up to so many times that, and up to the distance for which
+# integrate's quarter of a metre is enough; farther, it is often none at all.
+FAR_RANGES, FARTHEST_M = 2.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def observe(
         progress: called with (done, total).
     """
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
-    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress, FAR_RANGES)
+    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress, far=True)
     return Observation(
         grid,
         tsdf=dense_grid(volume.tsdf, grid.shape),
@@ -139,11 +140,13 @@ def merge(first: Observation, second: Observation) -> Observation:
 
 
 def usable_depth_m(
-    sequence: Sequence, index: int, settings: FusionSettings, ranges: float = 1.0
+    sequence: Sequence, index: int, settings: FusionSettings, far: bool = False
 ) -> NDArray[np.float32]:
-    """Depth of a frame in metres, 0 outside the depth range that is fused, or so many times as far."""
-    depth_m = sequence.depth_m(index)
-    depth_m[(depth_m < settings.min_depth_m) | (depth_m > ranges * settings.max_depth_m)] = 0.0
+    """Depth of a frame in metres, 0 outside the range that is fused; `far`: with what lies beyond it."""
+    depth_m, farthest_m = sequence.depth_m(index), settings.max_depth_m
+    if far:
+        farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
+    depth_m[(depth_m < settings.min_depth_m) | (depth_m > farthest_m)] = 0.0
     return depth_m
 
 
@@ -162,12 +165,12 @@ def _integrate_frames(
     frames: Iterable[int],
     settings: FusionSettings,
     progress: Progress | None,
-    ranges: float = 1.0,
+    far: bool = False,
 ) -> None:
     truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
     chosen = list(frames)
     for done, index in enumerate(chosen, start=1):
-        depth_m = usable_depth_m(sequence, int(index), settings, ranges)
+        depth_m = usable_depth_m(sequence, int(index), settings, far)
         integrate(
             volume,
             depth_m,

@@ -15,8 +15,9 @@ EMPTY_UNDER, EMPTY_BESIDE = 10.5 / 26, 4.5 / 26
 # of 5 mm count it in steps.
 LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
 # A hollow is at least so high and lies no deeper than this under the top, and so many of nine ways down from
-# it lead outside. So high at least is what of it would else be inside.
+# it lead outside.
 MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
+# So high at least is what of a hollow would else be inside.
 MIN_ENCLOSED_HOLLOW_M = 0.015
 # The least overhang over the uppermost layer of a hollow, as a share of that over the next one.
 FULL_OVERHANG = 0.6
@@ -58,7 +59,7 @@ class Hollows:
     doubtful: NDArray[np.bool_]
 
 
-def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
+def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_m: float) -> Hollows:
     """Unseen voxels behind an apron: under a top, open from below.
 
     From no camera above the seat can the space between the aprons of a chair be told from a thick slab:
@@ -74,6 +75,7 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
+        enclosed: `enclosure` of it.
         voxel_size_m: edge of a voxel, metres.
     """
     from scipy import ndimage
@@ -92,8 +94,8 @@ def hollows(state: NDArray[np.uint8], voxel_size_m: float) -> Hollows:
     open_below = ndimage.binary_opening(found, high)
     # Where a cushion is rounded below, its lowest layers look like the upper end of the shadow under it.
     high_enclosed = np.ones((3, 3, max(1, round(MIN_ENCLOSED_HOLLOW_M / voxel_size_m))))
-    enclosed = found & (enclosure(state) >= ENCLOSED)
-    hollow = open_below & ndimage.binary_opening(enclosed, high_enclosed).any(axis=2, keepdims=True)
+    filled = ndimage.binary_opening(found & (enclosed >= ENCLOSED), high_enclosed)
+    hollow = open_below & filled.any(axis=2, keepdims=True)
     # Where the outline steps in over two layers, the upper one is still the top's, frayed at its edge.
     frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]

@@ -94,7 +94,7 @@ def build_object(
     whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers, width_m) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
     seen = witness(sequence, trajectory, scene, chosen)
-    quality = measure_quality(chosen, (whole, odd, even), sigma_m, seen, trajectory.source == "tracked")
+    quality = measure_quality(chosen, (whole, odd, even), sigma_m, seen, trajectory.source != "trust")
     surround = surround_grid(grid, chosen)
     some = frames[np.unique(np.linspace(0, len(frames) - 1, SURROUND_FRAMES).astype(int))]
     around = observe(sequence, trajectory, some, surround, fusion)

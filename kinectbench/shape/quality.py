@@ -64,7 +64,7 @@ def estimated_iou(expected: float, repeatability: float, tracked: bool) -> float
     Args:
         expected: `expected_iou` of the solid.
         repeatability: IoU of the solids from odd and from even frames.
-        tracked: whether the poses were tracked; given ones are taken at their word.
+        tracked: whether the poses were tracked or refined; given ones are taken at their word.
     """
     per_expected, per_disagreement = MISSING_WITH_TRACKED_POSES if tracked else MISSING_WITH_GIVEN_POSES
     missing = per_expected * (1 - expected) + per_disagreement * (1 - repeatability)
@@ -85,7 +85,7 @@ def measure_quality(
         shapes: the solid from all, from the odd and from the even frames.
         sigma_m: standard deviation of the surface, metres.
         seen: what the recording could see of it; its warnings come first.
-        tracked: whether the poses were tracked.
+        tracked: whether the poses were tracked or refined.
     """
     together, odd, even = shapes
     union = int((odd.solid | even.solid).sum())

@@ -182,10 +182,11 @@ def _weigh(
     measured = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
     floor_seen = measured[:, :, : contact.stop].any(axis=2)
     state[:, :, :floor_layers] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
-    found = hollows(state, voxel_m)
+    enclosed = enclosure(state)
+    found = hollows(state, enclosed, voxel_m)
     hollow = found.sure
     hollow[:, :, : contact.stop] = False
-    enclosed, unseen = enclosure(state), (state == UNSEEN) & ~hollow
+    unseen = (state == UNSEEN) & ~hollow
     in_shadow = unseen & shadow(state, enclosed)
     return _Evidence(
         signed_m, observed, carved, behind, hollow, found.doubtful, enclosed, unseen, in_shadow, contact

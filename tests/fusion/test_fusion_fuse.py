@@ -165,6 +165,18 @@ def test_observe_tells_inside_from_outside(ball):
     assert ((seen.tsdf > 0) == (distance_m > 0))[judged].mean() > 0.98
 
 
+@pytest.mark.parametrize(("wall_m", "before"), [(2.0, True), (3.1, False)])
+def test_depth_out_of_range_is_free_before_it(wall_m, before):
+    """A wall beyond the fused range, and one farther away than twice that."""
+    sequence = sequence_of([np.full((240, 320), wall_m, np.float32)])
+    grid = Grid((16, 16, 120), 0.02, rigid(np.eye(3), [-0.16, -0.16, 0.4]))
+    settings = FusionSettings(max_depth_m=1.5)
+    seen = observe(sequence, trajectory_of(np.eye(4)[None]), [0], grid, settings)
+    z = 0.4 + (np.arange(120) + 0.5) * 0.02
+    np.testing.assert_array_equal((seen.free > 0).all(axis=(0, 1)), before & (z <= wall_m - 0.25))
+    assert (seen.tsdf[seen.weight > 0] > 0).all() and not seen.surface.any()
+
+
 def test_merge_of_halves_is_fusing_all(ball):
     sequence, trajectory = ball
     halves = [observe(sequence, trajectory, range(start, 20, 2), GRID, SETTINGS) for start in (0, 1)]

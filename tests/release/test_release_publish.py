@@ -137,6 +137,9 @@ def test_one_benchmark_has_one_framing(build: Path, tmp_path: Path) -> None:
 def test_no_release(tmp_path: Path) -> None:
     with pytest.raises(ReleaseError, match=r"no release there \(benchmark\.json is missing\)"):
         open_release(tmp_path)
+    (tmp_path / "sample.zip").touch()
+    with pytest.raises(ReleaseError, match=r"sample\.zip: a file; unpack the release"):
+        open_release(tmp_path / "sample.zip")
 
 
 @pytest.mark.parametrize("name", ["benchmark.json", "targets.csv", "splits.json", "SHA256SUMS"])

@@ -5,7 +5,16 @@ import itertools
 import numpy as np
 import pytest
 
-from kinectbench.shape.enclosure import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, enclosure, hollows, shadow
+from kinectbench.shape.enclosure import (
+    INSIDE,
+    NEUTRAL,
+    OUTSIDE,
+    UNSEEN,
+    Hollows,
+    enclosure,
+    hollows,
+    shadow,
+)
 
 
 def walked(state: np.ndarray) -> np.ndarray:
@@ -73,9 +82,13 @@ def seat(*, apron_inset: int | None, thick: int = 3) -> np.ndarray:
     return state
 
 
+def hollows_of(state: np.ndarray, voxel_size_m: float) -> Hollows:
+    return hollows(state, enclosure(state), voxel_size_m)
+
+
 @pytest.mark.parametrize("inset", [2, 4])
 def test_behind_an_apron_is_hollow(inset):
-    found = hollows(seat(apron_inset=inset), 0.005).sure
+    found = hollows_of(seat(apron_inset=inset), 0.005).sure
     inner = np.zeros_like(found)
     inner[10 + inset + 2 : 50 - inset - 2, 10 + inset + 2 : 50 - inset - 2, 18:30] = True
     # Not in the corners, which two aprons enclose.
@@ -88,12 +101,12 @@ def test_a_frayed_edge_of_the_top_is_no_hollow():
     state[10:50, 10:50, 30] = OUTSIDE
     state[12:48, 12:48, 30] = INSIDE
     state[14:46, 14:46, 30] = UNSEEN
-    found = hollows(state, 0.005).sure
+    found = hollows_of(state, 0.005).sure
     assert not found[:, :, 30:].any() and found[26:34, 26:34, 18:30].all()
 
 
 def test_a_flush_block_is_not_hollow():
-    found = hollows(seat(apron_inset=None), 0.005)
+    found = hollows_of(seat(apron_inset=None), 0.005)
     assert not found.sure.any()
     # It could be one all the same: from above nobody can tell.
     assert found.doubtful.sum() > 100
@@ -107,24 +120,24 @@ def test_a_cushion_rounded_below_is_solid_to_its_underside():
         state[a:b, a:b, low:high] = INSIDE
         state[a + 2 : b - 2, a + 2 : b - 2, low : min(high, 44)] = UNSEEN
     state[14:46, 14:46, 18:30] = UNSEEN
-    assert not hollows(state, 0.005).sure[:, :, 30:].any()
+    assert not hollows_of(state, 0.005).sure[:, :, 30:].any()
     state[12:48, 12:48, 26:30] = state[12:48, 12:48, 31, None]  # an apron six layers high, 30 mm
-    assert hollows(state, 0.005).sure[26:34, 26:34, 26:32].all()
+    assert hollows_of(state, 0.005).sure[26:34, 26:34, 26:32].all()
 
 
 def test_a_deep_body_under_a_top_is_not_hollow():
     # Twelve voxels of 20 mm are more than an apron's height: only the upper part may be hollow.
-    assert not hollows(seat(apron_inset=2), 0.02).sure[:, :, 18:24].any()
+    assert not hollows_of(seat(apron_inset=2), 0.02).sure[:, :, 18:24].any()
 
 
 def test_a_deep_flush_block_is_not_even_doubted():
-    assert not hollows(seat(apron_inset=None), 0.02).doubtful.any()
+    assert not hollows_of(seat(apron_inset=None), 0.02).doubtful.any()
 
 
 def test_closed_below_is_not_hollow():
     state = seat(apron_inset=2)
     state[12:48, 12:48, 17] = INSIDE
-    found = hollows(state, 0.005)
+    found = hollows_of(state, 0.005)
     assert not found.sure.any() and not found.doubtful.any()
 
 
