@@ -128,6 +128,9 @@ class SegmentationSettings(Settings):
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
     floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="points lower than this are floor")
+    low_cut_m: float = Field(
+        0.01, ge=0.002, le=0.1, description="from here to floor_cut_m only what goes on above is the object"
+    )
     mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
 
 

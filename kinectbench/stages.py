@@ -247,7 +247,7 @@ SUGGEST = Stage(
     "suggest",
     "candidates",
     ("ingest", "track", "fuse"),
-    lambda job: {"segmentation": _section(job, "segmentation", "seed", "floor_cut_m")},
+    lambda job: {"segmentation": _section(job, "segmentation", "seed", "floor_cut_m", "low_cut_m")},
     _suggest,
 )
 

@@ -10,6 +10,7 @@ from kinectbench.errors import SegmentationError
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, transform_points
 from kinectbench.segmentation.doubts import FINE_CELL_M, Selection, doubts
 from kinectbench.segmentation.floor import Floor
+from kinectbench.segmentation.low_parts import low_cut_m, low_parts
 from kinectbench.segmentation.pieces import spacing_m
 from kinectbench.segmentation.scene import check_focus, find_scene
 from kinectbench.segmentation.select import (
@@ -91,18 +92,24 @@ def segment(
     """
     scene = find_scene(mesh, trajectory, settings, given_box is not None)
     points_floor, above = scene.points_floor, scene.points_floor[:, 2] > settings.floor_cut_m
+    vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
+    left = vertices_floor[:, 2] > settings.floor_cut_m
+    cell_m = max(FINE_CELL_M, spacing_m(mesh))
     if given_box is None:
         chosen = select_object(points_floor, settings.floor_cut_m, scene.focus_floor)
+        own = chosen[scene.owner]
         box = fit_box(points_floor[chosen])
         check_focus(box, scene.focus_floor)
+        low = ~left & (vertices_floor[:, 2] > low_cut_m(scene.floor, settings))
+        feet = low_parts(vertices_floor[low], vertices_floor[left & own], box, cell_m)
+        if len(feet):
+            box = fit_box(np.concatenate([points_floor[chosen], feet]))
     else:
         box = given_box
         chosen = np.zeros(len(points_floor), dtype=bool)
         chosen[above] = _held(points_floor[above], given_box)
+        own = chosen[scene.owner]
     cells = np.floor(points_floor / CELL_M).astype(np.int64)
-    vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
-    own, left = chosen[scene.owner], vertices_floor[:, 2] > settings.floor_cut_m
-    cell_m = max(FINE_CELL_M, spacing_m(mesh))
     chose = Selection(
         vertices_floor[left & own],
         vertices_floor[left & ~own],

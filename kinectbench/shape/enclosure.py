@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 UNSEEN, OUTSIDE, INSIDE, NEUTRAL = 0, 1, 2, 3
 # From so many directions of 26 on an unseen voxel is inside more often than not.
 ENCLOSED = 14.5 / 26
-# Under a top with a leg beside it, and anywhere, a voxel with fewer enclosing directions is empty.
-EMPTY_UNDER, EMPTY_BESIDE = 10.5 / 26, 4.5 / 26
+# So many of the 8 horizontal directions enclose what is of the object and not under it.
+LEVEL_ENCLOSED = 5
+# Under the object a voxel with at most so many enclosing directions of the 17 that do not go up is empty, and
+# anywhere one with fewer of 26.
+EMPTY_UNDER, EMPTY_BESIDE = 2, 4.5 / 26
 # A top juts out over its apron by more than this on all sides, and on all but one by more than that; voxels
 # of 5 mm count it in steps.
 LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
@@ -107,29 +110,44 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     return Hollows(hollow, ndimage.binary_opening(flush, high))
 
 
-def shadow(state: NDArray[np.uint8], enclosed: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Unseen voxels in a shadow of the object: hidden, and all but never inside.
+@dataclass(frozen=True)
+class Shadow:
+    """Unseen voxels in a shadow of the object; bool, of the grid's shape.
 
-    Straight under a top: what nothing encloses at its own height, or a single leg does, is under the object,
-    not in it. Elsewhere fewer than 5 of 26 directions must enclose it. All others must end where it was seen
-    to be empty: what lies beyond the frames' reach stays open. Own rule: of simulated furniture, recorded all
-    around or over 120 degrees, at most 6 % of what any of its parts takes is inside.
+    Attributes:
+        under: straight under a part of the object, and not in it.
+        empty: there or elsewhere, all but never inside.
+    """
+
+    under: NDArray[np.bool_]
+    empty: NDArray[np.bool_]
+
+
+def shadow(state: NDArray[np.uint8], enclosed: NDArray[np.float32]) -> Shadow:
+    """Unseen voxels in a shadow of the object: hidden by it, but not of it.
+
+    What is of the object is enclosed at its own height, too. So a voxel is under the object if straight up one
+    meets it, straight down one does not, and of the 8 horizontal directions less than 5 meet it. It is empty
+    if, of these 8 and the 9 directions downwards, at most 2 meet the object, or, wherever it is, fewer than 5
+    of all 26; and if all others (in the first case all horizontal ones) end where it was seen to be empty: what
+    lies beyond the frames' reach stays open. Own rule: of 27 simulated objects (seeds 4 to 12), 16 % of what
+    the 26 directions take for inside under the object is inside, 7 % of what is called empty there, and 0.1 %
+    of what is called empty elsewhere.
 
     Args:
         state: as for `enclosure`; the grid is upright.
         enclosed: `enclosure` of it.
-
-    Returns:
-        (nx, ny, nz) bool.
     """
     seen_around = np.pad(state, 1, constant_values=NEUTRAL)
     level, level_empty = _votes(seen_around, 0, 0)
+    down, _ = _votes(seen_around, -1, -1)
     inside, empty = _votes(seen_around, -1, 1)
-    under = _under_inside(seen_around) < NOT_UNDER
-    below = under & ((level == 0) | ((level == 1) & (enclosed < EMPTY_UNDER))) & (level + level_empty == 8)
-    beside = (inside + empty == 26) & (enclosed < EMPTY_BESIDE)
-    found: NDArray[np.bool_] = (state == UNSEEN) & (below | beside)
-    return found
+    overhung = _under_inside(seen_around) < NOT_UNDER
+    held = _under_inside(seen_around[:, :, ::-1])[:, :, ::-1] < NOT_UNDER
+    under = (state == UNSEEN) & overhung & ~held & (level < LEVEL_ENCLOSED)
+    below = under & (level + down <= EMPTY_UNDER) & (level + level_empty == 8)
+    beside = (state == UNSEEN) & (inside + empty == 26) & (enclosed < EMPTY_BESIDE)
+    return Shadow(under, below | beside)
 
 
 def _bordered(state: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -15,11 +15,12 @@ from kinectbench.fusion.vote_trust import ray_width_m
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
 from kinectbench.segmentation.floor import Floor
+from kinectbench.segmentation.low_parts import low_cut_m
 from kinectbench.segmentation.segment import Segmentation, segment
 from kinectbench.sequence import Sequence
 from kinectbench.shape.labels import Label
 from kinectbench.shape.quality import measure_quality, surface_sigma_m
-from kinectbench.shape.solid import SolidShape, solidify
+from kinectbench.shape.solid import FloorLayers, SolidShape, solidify
 from kinectbench.shape.witness import witness
 from kinectbench.tracking.trajectory import Trajectory
 
@@ -87,11 +88,11 @@ def build_object(
     halves = [observe(sequence, trajectory, frames[start::2], grid, fusion, progress) for start in (0, 1)]
     together = merge(*halves)
     excluded = chosen.excluded(grid, given_box)
-    cut_layers = max(1, round(segmentation.floor_cut_m / fusion.voxel_size_m))
+    layers = floor_layers(chosen.floor, segmentation, fusion.voxel_size_m)
     middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
     away_m = np.linalg.norm(trajectory.T_world_camera[frames, :3, 3] - middle_world, axis=1)
     width_m = ray_width_m(sequence.camera, trajectory, float(np.median(away_m)))
-    whole, odd, even = (solidify(o, excluded, FLOOR_LAYERS, cut_layers, width_m) for o in (together, *halves))
+    whole, odd, even = (solidify(o, excluded, layers, width_m) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
     seen = witness(sequence, trajectory, scene, chosen)
     quality = measure_quality(chosen, (whole, odd, even), sigma_m, seen, trajectory.source != "trust")
@@ -121,6 +122,21 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float) -> Grid:
     corner = turn @ np.array([-nx / 2, -ny / 2, 0.0]) * voxel_size_m
     corner += [box.center_m[0], box.center_m[1], -FLOOR_LAYERS * voxel_size_m]
     return Grid((nx, ny, nz), voxel_size_m, floor.T_world_floor @ rigid(turn, corner))
+
+
+def floor_layers(floor: Floor, segmentation: SegmentationSettings, voxel_size_m: float) -> FloorLayers:
+    """Which layers of an object's grid are floor, contact with it, and low parts of the object.
+
+    Args:
+        floor: of the recording; its noise says how low an object's parts can be told from it.
+        segmentation: both cuts.
+        voxel_size_m: of the grid.
+    """
+    contact, cut = (
+        max(1, round(height_m / voxel_size_m))
+        for height_m in (low_cut_m(floor, segmentation), segmentation.floor_cut_m)
+    )
+    return FloorLayers(FLOOR_LAYERS, contact, cut - contact)
 
 
 def surround_grid(grid: Grid, chosen: Segmentation) -> Grid:

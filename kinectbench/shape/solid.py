@@ -22,6 +22,7 @@ from kinectbench.shape.enclosure import (
     FULL_OVERHANG,
     INSIDE,
     LEAST_OVERHANG_M,
+    LEVEL_ENCLOSED,
     MAX_HOLLOW_M,
     MIN_ENCLOSED_HOLLOW_M,
     MIN_HOLLOW_M,
@@ -29,6 +30,7 @@ from kinectbench.shape.enclosure import (
     OUTSIDE,
     OVERHANG_M,
     UNSEEN,
+    Shadow,
     enclosure,
     hollows,
     shadow,
@@ -45,9 +47,9 @@ ENCLOSING = np.array([0, 2, 5, 8, 10, 12, 14, 15, 16, 17, 20, 22, 26], np.float3
 INSIDE_SHARE = np.array(
     [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
 )
-HOLLOW_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32(0.02), np.float32(0.01)
-# Of four simulated chairs with flush sides under the seat three were slabs.
-DOUBTFUL_INSIDE_SHARE = np.float32(0.75)
+HOLLOW_INSIDE_SHARE, UNDER_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32([0.02, 0.07, 0.01])
+# Of eight simulated things with flush sides under a seat seven were slabs throughout (seeds 4 to 12).
+DOUBTFUL_INSIDE_SHARE = np.float32(0.9)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
@@ -63,7 +65,9 @@ METHOD = {
     "name": "carving + hollows behind aprons + 26-direction enclosure + floor contact + smoothing",
     "occupied_share": round(ENCLOSED, 4),
     "interior_share": round(INTERIOR_SHARE, 4),
-    "empty_share": [round(EMPTY_UNDER, 4), round(EMPTY_BESIDE, 4)],
+    "level_enclosed": LEVEL_ENCLOSED,
+    "empty_under": EMPTY_UNDER,
+    "empty_share": round(EMPTY_BESIDE, 4),
     "hollow_overhang_m": [LEAST_OVERHANG_M, OVERHANG_M],
     "hollow_full_overhang": FULL_OVERHANG,
     "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
@@ -100,79 +104,105 @@ class SolidShape:
 
 
 @dataclass(frozen=True)
+class FloorLayers:
+    """Layers of an upright grid's cells about the floor, from the grid's bottom up.
+
+    Attributes:
+        below: layers below the floor.
+        contact: layers above it in which floor and object cannot be told apart.
+        low: layers above those in which a surface is the object's only where it goes on above them.
+    """
+
+    below: int
+    contact: int
+    low: int = 0
+
+    @property
+    def first(self) -> int:
+        """The first layer in which surface may be the object's."""
+        return self.below + self.contact
+
+    @property
+    def cut(self) -> int:
+        """The first layer in which whatever stands there is not the floor."""
+        return self.first + self.low
+
+
+@dataclass(frozen=True)
 class _Evidence:
     """What the frames say of each voxel, in the grid's shape.
 
-    `signed_m` is the signed distance of the surface, corrected by the frames that saw through; `shadow` is
-    unseen, but hardly enclosed; `doubtful` may be a hollow; `contact` lies right above the floor.
+    `signed_m` is the signed distance of the surface, corrected by the frames that saw through; `excluded`
+    cannot be the object; `doubtful` may be a hollow; `contact` lies right above the floor.
     """
 
     signed_m: NDArray[np.float32]
     observed: Bools
     carved: Bools
     behind: Bools
+    excluded: Bools
     hollow: Bools
     doubtful: Bools
     enclosed: NDArray[np.float32]
     unseen: Bools
-    shadow: Bools
+    shadow: Shadow
     contact: slice
 
 
 def solidify(
-    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, ray_width_m: float = 0.0
+    observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float = 0.0
 ) -> SolidShape:
     """Decide for every voxel whether it is occupied, and how that is known.
 
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
-    hollow behind an apron or in a shadow of the object. It is occupied if it lies just behind a measured
-    surface, or was never seen but is enclosed by such voxels in 15 of 26 directions. Near the floor, where
-    floor and object cannot be told apart, the lowest occupied layer is extruded down to the floor. The
-    signed field of this solid is smoothed by a Gaussian of 0.7 voxels, and specks are dropped.
+    hollow behind an apron or under the object. It is occupied if it lies just behind a measured
+    surface, or was never seen but is enclosed by such voxels in 15 of 26 directions. Near the floor what is
+    connected to nothing higher is floor; where the two cannot be told apart, the lowest occupied layer is
+    extruded down to the floor. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, and
+    specks are dropped.
 
     Args:
         observation: TSDF and votes on an upright grid.
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
-        floor_layers: cells along z below the floor.
-        cut_layers: cells along z above it that count as floor.
+        layers: of the grid's cells about the floor.
         ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
 
     Raises:
         ShapeError: nothing is left.
     """
-    evidence = _weigh(observation, excluded, floor_layers, cut_layers, ray_width_m)
+    evidence = _weigh(observation, excluded, layers, ray_width_m)
+    excluded = evidence.excluded
     solid = (evidence.behind & ~excluded) | (
-        evidence.unseen & ~evidence.shadow & (evidence.enclosed >= ENCLOSED)
+        evidence.unseen & ~evidence.shadow.under & (evidence.enclosed >= ENCLOSED)
     )
     contact = evidence.contact
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
     field = _smooth_field(evidence, _without_specks(solid), observation.grid.voxel_size_m)
-    field[:, :, :floor_layers] = np.abs(field[:, :, :floor_layers])
+    field[:, :, : layers.below] = np.abs(field[:, :, : layers.below])
     solid = _without_specks(field < 0)
     if not solid.any():
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
-    labels = _label(observation, evidence, solid, excluded, floor_layers)
+    labels = _label(observation, evidence, solid, layers.below)
     probability = _probability(observation, evidence, solid)
-    probability[:, :, :floor_layers] = 0
+    probability[:, :, : layers.below] = 0
     mesh = _closed_mesh(np.where(solid, field, np.abs(field)), observation.grid)
     doubtful = int((evidence.doubtful & solid).sum()) / int(solid.sum())
     return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
 
 
-def _weigh(
-    observation: Observation, excluded: Bools, floor_layers: int, cut_layers: int, ray_width_m: float
-) -> _Evidence:
+def _weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float) -> _Evidence:
     """Carving and enclosure."""
     voxel_m = observation.grid.voxel_size_m
     near = np.abs(observation.tsdf) < voxel_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed = observation.weight > least
-    contact = slice(floor_layers, floor_layers + cut_layers)
+    contact = slice(layers.below, layers.first)
     signed_m = _corrected(observation, ray_width_m)
     carved = np.where(observed, signed_m > 0, observation.free >= MIN_FREE_VOTES)
     behind = observed & ~carved
+    excluded = excluded | _loose(behind & ~excluded, layers)
 
     state = np.full(observation.grid.shape, UNSEEN, np.uint8)
     state[behind] = INSIDE
@@ -181,16 +211,40 @@ def _weigh(
     # Below the object no camera sees the floor: walking down says nothing there.
     measured = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
     floor_seen = measured[:, :, : contact.stop].any(axis=2)
-    state[:, :, :floor_layers] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
+    state[:, :, : layers.below] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
     enclosed = enclosure(state)
     found = hollows(state, enclosed, voxel_m)
     hollow = found.sure
     hollow[:, :, : contact.stop] = False
     unseen = (state == UNSEEN) & ~hollow
-    in_shadow = unseen & shadow(state, enclosed)
     return _Evidence(
-        signed_m, observed, carved, behind, hollow, found.doubtful, enclosed, unseen, in_shadow, contact
+        signed_m,
+        observed,
+        carved,
+        behind,
+        excluded,
+        hollow,
+        found.doubtful,
+        enclosed,
+        unseen,
+        shadow(state, enclosed),
+        contact,
     )
+
+
+def _loose(behind: Bools, layers: FloorLayers) -> Bools:
+    """What lies behind a surface in the low layers and is connected (26 neighbours) to nothing above them."""
+    from scipy import ndimage
+
+    loose = np.zeros_like(behind)
+    if layers.low:
+        # One layer above them is enough to see what goes on there.
+        low = behind[:, :, layers.first : layers.cut + 1]
+        pieces, count = ndimage.label(low, np.ones((3, 3, 3)))
+        held = np.zeros(count + 1, dtype=bool)
+        held[pieces[:, :, -1]] = True
+        loose[:, :, layers.first : layers.cut] = (low & ~held[pieces])[:, :, :-1]
+    return loose
 
 
 def _corrected(observation: Observation, ray_width_m: float) -> NDArray[np.float32]:
@@ -209,22 +263,20 @@ def _corrected(observation: Observation, ray_width_m: float) -> NDArray[np.float
     return np.asarray(clipped_m + voxel_m * shift, np.float32)
 
 
-def _label(
-    observation: Observation, evidence: _Evidence, solid: Bools, excluded: Bools, floor_layers: int
-) -> NDArray[np.uint8]:
+def _label(observation: Observation, evidence: _Evidence, solid: Bools, below: int) -> NDArray[np.uint8]:
     """One label per voxel, by what it rests on."""
     near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
     measured = evidence.observed & near
     enclosed = evidence.unseen & (evidence.enclosed >= INTERIOR_SHARE)
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.carved] = Label.FREE
-    labels[~solid & (evidence.behind | excluded | evidence.hollow | evidence.shadow)] = Label.OTHER
+    empty = evidence.behind | evidence.excluded | evidence.hollow | (evidence.unseen & evidence.shadow.empty)
+    labels[~solid & empty] = Label.OTHER
     labels[solid & (evidence.behind | enclosed)] = Label.INTERIOR
-    labels[solid & evidence.doubtful] = Label.UNKNOWN
     contact = evidence.contact
     labels[:, :, contact][solid[:, :, contact]] = Label.INTERIOR
     labels[solid & measured] = Label.SURFACE
-    labels[:, :, :floor_layers] = Label.OTHER
+    labels[:, :, :below] = Label.OTHER
     return labels
 
 
@@ -245,7 +297,9 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
     from scipy.special import expit
 
     inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
-    inferred[evidence.shadow] = np.minimum(inferred[evidence.shadow], SHADOW_INSIDE_SHARE)
+    in_shadow = evidence.shadow.empty
+    share = np.where(evidence.shadow.under[in_shadow], UNDER_INSIDE_SHARE, SHADOW_INSIDE_SHARE)
+    inferred[in_shadow] = np.minimum(inferred[in_shadow], share)
     inferred[evidence.doubtful] = np.minimum(inferred[evidence.doubtful], DOUBTFUL_INSIDE_SHARE)
     inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
     measured = expit(-evidence.signed_m * np.float32(LOGIT_PER_VOXEL / observation.grid.voxel_size_m))

@@ -151,22 +151,34 @@ def under_a_top(*level: tuple[int, int]) -> np.ndarray:
     return state
 
 
+FOUR = ((4, 6), (4, 2), (6, 4), (2, 4))
+CORNERS = ((2, 2), (2, 6), (6, 2), (6, 6))
+
+
 @pytest.mark.parametrize(
-    ("level", "expected"),
+    ("level", "under", "empty"),
     [
-        ((), True),
-        (
-            ((4, 6),),
-            True,
-        ),  # one leg: 9 directions up and 1 beside, and 9 + 1 + 1 = 11 with the one down to it
-        (((4, 6), (6, 4)), False),
-        (((4, 6), (4, 2), (6, 4), (2, 4)), False),
+        ((), True, True),
+        (FOUR[:2], True, True),
+        (FOUR[:3], True, False),
+        (FOUR, True, False),
+        ((*FOUR, CORNERS[0]), False, False),  # five of eight: as enclosed as a solid
+        (((4, 4),), False, False),
     ],
 )
-def test_what_is_only_under_a_top_is_in_its_shadow(level, expected):
+def test_what_is_only_under_a_top_is_in_its_shadow(level, under, empty):
     state = under_a_top(*level)
-    assert shadow(state, enclosure(state))[4, 4, 1] == expected
-    assert not shadow(state, enclosure(state))[:, :, 4:].any()
+    found = shadow(state, enclosure(state))
+    assert found.under[4, 4, 1] == under and found.empty[4, 4, 1] == empty
+    assert not (found.under | found.empty)[:, :, 4:].any()
+
+
+def test_what_stands_under_a_top_is_not_in_its_shadow():
+    """A leg was seen but for its upper end: what goes on above it is no shadow."""
+    state = under_a_top()
+    state[4, 4, 1:3] = INSIDE
+    assert not shadow(state, enclosure(state)).under[4, 4, 3]
+    assert shadow(state, enclosure(state)).under[4, 5, 3]
 
 
 def test_what_little_encloses_is_in_a_shadow():
@@ -174,10 +186,11 @@ def test_what_little_encloses_is_in_a_shadow():
     state[1:8, 1:8, 1:8] = UNSEEN
     state[6, 2:7, 4] = INSIDE  # 3 of 26 directions from two voxels beside it
     found = shadow(state, enclosure(state))
-    assert found[4, 4, 4] and not found[0].any() and not found[6, 4, 4]
+    assert found.empty[4, 4, 4] and not found.empty[0].any() and not found.empty[6, 4, 4]
+    assert not found.under[4, 4, 4]
     thicker = state.copy()
     thicker[6, 2:7, 2:7] = INSIDE  # 9 of 26
-    assert not shadow(thicker, enclosure(thicker))[4, 4, 4]
+    assert not shadow(thicker, enclosure(thicker)).empty[4, 4, 4]
 
 
 def test_what_lies_beyond_the_frames_is_in_no_shadow():
@@ -185,8 +198,8 @@ def test_what_lies_beyond_the_frames_is_in_no_shadow():
     state = np.full((9, 9, 9), OUTSIDE, np.uint8)
     state[1:8, 1:8, :8] = UNSEEN
     state[6, 2:7, 4] = INSIDE
-    assert not shadow(state, enclosure(state))[4, 4, 4]
+    assert not shadow(state, enclosure(state)).empty[4, 4, 4]
     table = under_a_top()
-    assert shadow(table, enclosure(table))[4, 4, 1]
+    assert shadow(table, enclosure(table)).empty[4, 4, 1]
     table[4, 0] = UNSEEN
-    assert not shadow(table, enclosure(table))[4, 4, 1]
+    assert not shadow(table, enclosure(table)).empty[4, 4, 1]
