@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from solid_recipes import RECIPES, poisson
 
 from kinectbench.config import FusionSettings, SegmentationSettings
-from kinectbench.evaluate.build import read_build
+from kinectbench.evaluate.build import Build, read_build
 from kinectbench.evaluate.evaluation import Evaluation, evaluate
 from kinectbench.evaluate.overlap import iou
 from kinectbench.evaluate.registration import Registration, register
@@ -18,6 +18,8 @@ from kinectbench.evaluate.solid import canonical_cube, compare_on
 from kinectbench.fusion.reconstruction import observe
 from kinectbench.geometry import TriangleMesh
 from kinectbench.mesh_file import read_ply
+from kinectbench.segmentation.masks import inner_silhouette
+from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.shape.labels import Label
 from kinectbench.shape.object_model import FLOOR_LAYERS, ObjectModel
 from kinectbench.simulate.truth import Truth, mesh_occupancy, read_truth, truth_occupancy
@@ -45,6 +47,8 @@ class Row:
         calibration: (BINS, 3) voxels, sum of their probabilities, how many are inside.
         dropped: share of valid depth on the object that the masks drop, of each view.
         residual_m: median depth residual of each pair.
+        sensor_residual_m: the same of the true shape, seen by the true camera: the sensor's own noise.
+        misfit_m: median distance of the rendered shape from the depth without noise, of each pair.
     """
 
     name: str
@@ -56,6 +60,8 @@ class Row:
     calibration: NDArray[np.float64]
     dropped: NDArray[np.float64]
     residual_m: NDArray[np.float64]
+    sensor_residual_m: NDArray[np.float64]
+    misfit_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,7 @@ def measure_row(task: Task) -> Row:
     assert built.model is not None
     registration = register(built, truth)
     pairs = read_json(build / "pairs" / "pairs.json")["pairs"]
+    sensor_residual_m, misfit_m = _without_noise(build, built, truth, registration)
     return Row(
         name=task.name,
         family=task.family,
@@ -85,6 +92,8 @@ def measure_row(task: Task) -> Row:
         calibration=_calibration(built.model, _true(built.model, truth, registration)),
         dropped=np.array([row["dropped_share"] for row in pairs]),
         residual_m=np.array([row["residual_m"] for row in pairs]),
+        sensor_residual_m=sensor_residual_m,
+        misfit_m=misfit_m,
     )
 
 
@@ -115,6 +124,28 @@ def _hull_unknown(model: ObjectModel, truth: Truth, registration: Registration) 
     mesh = trimesh.Trimesh(truth.mesh_world.vertices, truth.mesh_world.faces, process=False).convex_hull
     hull = mesh_occupancy(TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)), grid)
     return float((hull & ~solids.true & ~solids.known).sum() / solids.true.sum())
+
+
+def _without_noise(
+    folder: Path, built: Build, truth: Truth, registration: Registration
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the sensor's noise makes of a residual, and what is left of ours without it; both (views,) metres.
+
+    Both inside the silhouettes eroded by 2 px, as the residual of a pair.
+    """
+    assert built.model is not None and built.views is not None
+    sequence = read_tracked(folder)[0]
+    ours, exact = DepthRenderer(built.model.shape.mesh), DepthRenderer(truth.mesh_world)
+    noise_m, misfit_m = [], []
+    for view in built.views:
+        T_truth_camera = truth.T_world_camera[registration.true_frame[view.frame]]
+        measured_m, true_m = sequence.depth_m(view.frame), exact.depth_m(sequence.camera, T_truth_camera)
+        rendered_m = ours.depth_m(sequence.camera, view.alignment.T_world_camera)
+        valid = inner_silhouette(true_m) & (measured_m > 0)
+        noise_m.append(np.median(np.abs(measured_m - true_m)[valid]))
+        valid &= inner_silhouette(rendered_m)
+        misfit_m.append(np.median(np.abs(rendered_m - true_m)[valid]))
+    return np.array(noise_m), np.array(misfit_m)
 
 
 def _calibration(model: ObjectModel, true: Bools) -> NDArray[np.float64]:

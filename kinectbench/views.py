@@ -12,6 +12,7 @@ from kinectbench.alignment import UNCHECKED_SIGMA_M, Alignment, align_view
 from kinectbench.config import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import transform_points
+from kinectbench.segmentation.low_parts import low_cut_m
 from kinectbench.segmentation.masks import object_mask, override_mask, recorded_mask, stray_masks
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.sequence import Sequence
@@ -80,7 +81,7 @@ def sample_views(
         model: floor, closed mesh.
         settings: how many, which strategy and seed; whether masks that came with the recording are the
             object's, in the frames that have one.
-        segmentation: tolerance of the masks.
+        segmentation: tolerance of the masks, and how near to the floor they reach.
         pairs: least containment, largest residual, least visible share.
         masks: folder of a person's PNGs, or None.
         progress: called with (views found, views wanted).
@@ -107,8 +108,7 @@ def sample_views(
         )
         T_world_camera = alignment.T_world_camera
         rendered_m = renderer.depth_m(sequence.camera, T_world_camera)
-        tolerance_m = segmentation.mask_tolerance_m
-        mask = _mask(depth_m, rendered_m, sequence, T_world_camera, model, tolerance_m, recorded)
+        mask = _mask(depth_m, rendered_m, sequence, T_world_camera, model, segmentation, recorded)
         fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
         reason = refusal(fit, settings, pairs)
         if reason:
@@ -137,13 +137,15 @@ def _mask(
     sequence: Sequence,
     T_world_camera: NDArray[np.float64],
     model: ObjectModel,
-    tolerance_m: float,
+    segmentation: SegmentationSettings,
     recorded: NDArray[np.bool_] | None,
 ) -> NDArray[np.bool_]:
     """The mask of a view by its recorded mask, or else by its depth."""
+    tolerance_m = segmentation.mask_tolerance_m
     if recorded is None:
         heights_m = model.floor.heights_m(depth_m, sequence.camera, T_world_camera)
-        return object_mask(depth_m, rendered_m, heights_m, tolerance_m)
+        clear_m = low_cut_m(model.floor, segmentation)
+        return object_mask(depth_m, rendered_m, heights_m, tolerance_m, clear_m)
     points = sequence.camera.backproject(depth_m)
     points_floor = transform_points(model.floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
     return recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)

@@ -16,8 +16,8 @@ MAX_BEYOND_M = 0.3
 def low_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
     """From which height on a surface may be the object's where it goes on above the floor cut, metres.
 
-    `low_cut_m` of the settings, or four standard deviations of the floor if that is more, but at most the floor
-    cut itself; that, too, where no floor was measured.
+    `low_cut_m` of the settings, or four standard deviations of the floor if that is more, but at most the
+    floor cut itself; that, too, where no floor was measured.
 
     Args:
         floor: of the recording.

@@ -14,8 +14,8 @@ Depth = NDArray[np.float32]
 
 AGREEMENT_SIGMAS = 5.0
 ERODE_PX = 2
-# What lies so high is not the floor, whatever the depth's noise.
-CLEAR_OF_FLOOR_M, CLEAR_SIGMAS = 0.02, 3.0
+# What lies so many standard deviations of the depth above the floor is not the floor.
+CLEAR_SIGMAS = 3.0
 BEYOND_M = np.float32(1e3)
 
 
@@ -36,7 +36,7 @@ def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float) -> 
 
 
 def object_mask(
-    measured_m: Depth, rendered_m: Depth, heights_m: NDArray[np.floating], tolerance_m: float
+    measured_m: Depth, rendered_m: Depth, heights_m: NDArray[np.floating], tolerance_m: float, clear_m: float
 ) -> Bools:
     """The object in a view: where depth agrees with it rendered, and its fringe (own rule).
 
@@ -49,13 +49,14 @@ def object_mask(
         rendered_m: (height, width) metres, 0 = not on the object.
         heights_m: (height, width) metres, of the measured points above the floor.
         tolerance_m: least difference allowed, metres.
+        clear_m: what lies lower may be the floor, metres.
     """
     import cv2
 
     on_object = rendered_m > 0
     nearest_m = cv2.erode(np.where(on_object, rendered_m, BEYOND_M), np.ones((3, 3), np.uint8))
     beside_m = np.where(on_object | (nearest_m >= BEYOND_M), np.float32(0), nearest_m)
-    above = heights_m > np.maximum(CLEAR_OF_FLOOR_M, CLEAR_SIGMAS * depth_sigma_m(measured_m))
+    above = heights_m > np.maximum(clear_m, CLEAR_SIGMAS * depth_sigma_m(measured_m))
     fringe = agreement_mask(measured_m, beside_m, tolerance_m) & above
     return np.asarray(agreement_mask(measured_m, rendered_m, tolerance_m) | fringe)
 

@@ -126,13 +126,13 @@ class Shadow:
 def shadow(state: NDArray[np.uint8], enclosed: NDArray[np.float32]) -> Shadow:
     """Unseen voxels in a shadow of the object: hidden by it, but not of it.
 
-    What is of the object is enclosed at its own height, too. So a voxel is under the object if straight up one
-    meets it, straight down one does not, and of the 8 horizontal directions less than 5 meet it. It is empty
-    if, of these 8 and the 9 directions downwards, at most 2 meet the object, or, wherever it is, fewer than 5
-    of all 26; and if all others (in the first case all horizontal ones) end where it was seen to be empty: what
-    lies beyond the frames' reach stays open. Own rule: of 27 simulated objects (seeds 4 to 12), 16 % of what
-    the 26 directions take for inside under the object is inside, 7 % of what is called empty there, and 0.1 %
-    of what is called empty elsewhere.
+    What is of the object is enclosed at its own height, too. So a voxel is under the object if straight up
+    one meets it, straight down one does not, and of the 8 horizontal directions less than 5 meet it. It is
+    empty if, of these 8 and the 9 directions downwards, at most 2 meet the object, or, wherever it is, fewer
+    than 5 of all 26; and if all others (in the first case all horizontal ones) end where it was seen to be
+    empty: what lies beyond the frames' reach stays open. Own rule: of 27 simulated objects (seeds 4 to 12),
+    16 % of what the 26 directions take for inside under the object is inside, 7 % of what is called empty
+    there, and 0.1 % of what is called empty elsewhere.
 
     Args:
         state: as for `enclosure`; the grid is upright.

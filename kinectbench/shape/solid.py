@@ -47,7 +47,8 @@ ENCLOSING = np.array([0, 2, 5, 8, 10, 12, 14, 15, 16, 17, 20, 22, 26], np.float3
 INSIDE_SHARE = np.array(
     [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
 )
-HOLLOW_INSIDE_SHARE, UNDER_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32([0.02, 0.07, 0.01])
+HOLLOW_INSIDE_SHARE = np.float32(0.02)
+UNDER_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32(0.07), np.float32(0.01)
 # Of eight simulated things with flush sides under a seat seven were slabs throughout (seeds 4 to 12).
 DOUBTFUL_INSIDE_SHARE = np.float32(0.9)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.

@@ -207,11 +207,14 @@ def test_the_fringe_of_a_mask():
     expected = np.zeros((5, 7), bool)
     expected[0:4, 0:4] = True
     expected[1, 3] = expected[2, 1] = expected[3, 3] = False
-    np.testing.assert_array_equal(object_mask(measured, rendered, heights, 0.03), expected)
+    np.testing.assert_array_equal(object_mask(measured, rendered, heights, 0.03, 0.02), expected)
     # Farther off the floor's own noise is larger: 25 mm are clear of it at 1 m, not at 3 m.
     heights[:] = 0.025
-    far, near = (object_mask(z * measured, z * rendered, heights, 0.03) for z in (3, 1))
+    far, near = (object_mask(z * measured, z * rendered, heights, 0.03, 0.02) for z in (3, 1))
     assert near[0, 0] and not far[0, 0] and far[1, 1]
+    heights[4] = 0.015
+    assert not object_mask(measured, rendered, heights, 0.03, 0.02)[4, 1]
+    assert object_mask(measured, rendered, heights, 0.03, 0.01)[4, 1]
 
 
 def test_inner_silhouette_is_two_pixels_smaller():
