@@ -129,7 +129,7 @@ def _hull_unknown(model: ObjectModel, truth: Truth, registration: Registration) 
 def _without_noise(
     folder: Path, built: Build, truth: Truth, registration: Registration
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the sensor's noise makes of a residual, and what is left of ours without it; both (views,) metres.
+    """What the sensor's noise makes of a residual, and what is left of ours without it; both (pairs,) metres.
 
     Both inside the silhouettes eroded by 2 px, as the residual of a pair.
     """
@@ -137,11 +137,13 @@ def _without_noise(
     sequence = read_tracked(folder)[0]
     ours, exact = DepthRenderer(built.model.shape.mesh), DepthRenderer(truth.mesh_world)
     noise_m, misfit_m = [], []
-    for view in built.views:
+    for view in (view for view in built.views if view.name in (built.pair_names or ())):
         T_truth_camera = truth.T_world_camera[registration.true_frame[view.frame]]
         measured_m, true_m = sequence.depth_m(view.frame), exact.depth_m(sequence.camera, T_truth_camera)
         rendered_m = ours.depth_m(sequence.camera, view.alignment.T_world_camera)
         valid = inner_silhouette(true_m) & (measured_m > 0)
+        if not (valid & inner_silhouette(rendered_m)).any():
+            continue
         noise_m.append(np.median(np.abs(measured_m - true_m)[valid]))
         valid &= inner_silhouette(rendered_m)
         misfit_m.append(np.median(np.abs(rendered_m - true_m)[valid]))

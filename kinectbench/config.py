@@ -127,9 +127,9 @@ class SegmentationSettings(Settings):
     """Floor plane and object selection."""
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
-    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="points lower than this are floor")
+    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="what rises no higher than this is floor")
     low_cut_m: float = Field(
-        0.01, ge=0.002, le=0.1, description="from here to floor_cut_m only what goes on above is the object"
+        0.01, ge=0.002, le=0.1, description="but not from here on, if it touches the object (a mat? raise it)"
     )
     mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
 

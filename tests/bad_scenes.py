@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.config import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.fusion import fuse
 from kinectbench.geometry import Camera, OrientedBox, TriangleMesh
+from kinectbench.segmentation.candidates import Candidates, find_candidates
 from kinectbench.segmentation.segment import Segmentation, segment
 from kinectbench.sequence import Sequence
 from kinectbench.shape import ObjectModel, build_object
@@ -36,6 +37,9 @@ class Recorded:
 
     def segment(self, given: OrientedBox | None = None) -> Segmentation:
         return segment(self.scene, self.trajectory, given, SEGMENTATION)
+
+    def suggest(self) -> Candidates:
+        return find_candidates(self.scene, self.trajectory, SEGMENTATION)
 
     def witness(self, given: OrientedBox | None = None) -> Witness:
         return witness(self.sequence, self.trajectory, self.scene, self.segment(given))

@@ -59,6 +59,7 @@ SETTINGS = {
     "fusion.max_depth_m=2.9": FROM_FUSE,
     "segmentation.seed=1": FROM_SEGMENT,
     "segmentation.floor_cut_m=0.025": FROM_SEGMENT,
+    "segmentation.low_cut_m=0.012": FROM_SEGMENT,
     "segmentation.mask_tolerance_m=0.04": FROM_VIEWS,
     "views.count=2": FROM_VIEWS,
     "views.seed=1": FROM_VIEWS,

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from kinectbench.config import SegmentationSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.segmentation.doubts import FINE_CELL_M
+from kinectbench.segmentation.find_object import find_object
 from kinectbench.segmentation.pieces import label_pieces, spacing_m, standing
-from kinectbench.segmentation.scene import Scene, check_focus, find_scene
-from kinectbench.segmentation.select import CELL_M, fit_box, select_object
+from kinectbench.segmentation.scene import Scene, find_scene
+from kinectbench.segmentation.select import CELL_M, fit_box
 from kinectbench.tracking.trajectory import Trajectory
 
 # Cells and whether they must share a face: what touches in the first may come apart in the next ones.
@@ -59,16 +61,16 @@ def find_candidates(mesh: TriangleMesh, trajectory: Trajectory, settings: Segmen
     Args:
         mesh: the fused scene, world frame.
         trajectory: poses of the frames.
-        settings: seed and floor cut.
+        settings: seed, floor cut and low cut.
 
     Raises:
         SegmentationError: nothing that stands on the floor is large enough.
     """
     scene = find_scene(mesh, trajectory, settings, floor_may_lack=True)
-    points_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
-    points_floor = points_floor[points_floor[:, 2] > settings.floor_cut_m]
-    found = [] if len(points_floor) == 0 else _automatic(scene, settings)
+    vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
+    points_floor = vertices_floor[vertices_floor[:, 2] > settings.floor_cut_m]
     least_m = spacing_m(mesh)
+    found = [] if len(points_floor) == 0 else _automatic(scene, vertices_floor, settings, least_m)
     for cell_m, through_faces in CUTS:
         for points in _pieces(points_floor, max(cell_m, least_m), through_faces):
             candidate = _candidate(points, scene, automatic=False)
@@ -83,16 +85,18 @@ def find_candidates(mesh: TriangleMesh, trajectory: Trajectory, settings: Segmen
     return Candidates(scene, tuple(found[:MAX_CANDIDATES]))
 
 
-def _automatic(scene: Scene, settings: SegmentationSettings) -> list[Candidate]:
+def _automatic(
+    scene: Scene, vertices_floor: NDArray[np.float64], settings: SegmentationSettings, least_m: float
+) -> list[Candidate]:
     """What `segment` would choose, or nothing if it would refuse."""
     if not scene.floor.found:
         return []
     try:
-        chosen = select_object(scene.points_floor, settings.floor_cut_m, scene.focus_floor)
-        check_focus(fit_box(scene.points_floor[chosen]), scene.focus_floor)
+        found = find_object(scene, vertices_floor, settings, max(FINE_CELL_M, least_m))
     except SegmentationError:
         return []
-    return [_candidate(scene.points_floor[chosen], scene, automatic=True)]
+    points_floor = np.concatenate([scene.points_floor[found.chosen], vertices_floor[found.feet]])
+    return [_candidate(points_floor, scene, automatic=True)]
 
 
 def _pieces(

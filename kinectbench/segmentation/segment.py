@@ -9,16 +9,14 @@ from kinectbench.config import SegmentationSettings
 from kinectbench.errors import SegmentationError
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, transform_points
 from kinectbench.segmentation.doubts import FINE_CELL_M, Selection, doubts
+from kinectbench.segmentation.find_object import find_object
 from kinectbench.segmentation.floor import Floor
-from kinectbench.segmentation.low_parts import low_cut_m, low_parts, low_pieces
 from kinectbench.segmentation.pieces import spacing_m
-from kinectbench.segmentation.scene import Scene, check_focus, find_scene
+from kinectbench.segmentation.scene import find_scene
 from kinectbench.segmentation.select import (
     CELL_M,
     NOTHING_STANDS,
-    fit_box,
     select_in_box,
-    select_object,
 )
 from kinectbench.tracking.trajectory import Trajectory
 
@@ -85,7 +83,7 @@ def segment(
         mesh: the fused scene, world frame.
         trajectory: poses of the frames.
         given_box: floor frame, or None.
-        settings: seed and floor cut.
+        settings: seed, floor cut and low cut.
 
     Raises:
         SegmentationError: no floor (without a box), no object where the cameras look, or nothing in the box.
@@ -95,25 +93,19 @@ def segment(
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
     left = vertices_floor[:, 2] > settings.floor_cut_m
     cell_m = max(FINE_CELL_M, spacing_m(mesh))
+    feet = np.zeros(len(vertices_floor), dtype=bool)
     if given_box is None:
-        chosen = select_object(points_floor, settings.floor_cut_m, scene.focus_floor)
-        own = chosen[scene.owner]
-        box = fit_box(points_floor[chosen])
-        check_focus(box, scene.focus_floor)
-        feet = _feet(scene, vertices_floor, above & ~chosen, left & own, box, settings, cell_m)
-        if feet.any():
-            box = fit_box(np.concatenate([points_floor[chosen], vertices_floor[feet]]))
-            chosen[scene.owner[feet]] = above[scene.owner[feet]]
-            own = chosen[scene.owner]
+        found = find_object(scene, vertices_floor, settings, cell_m)
+        chosen, feet, box = found.chosen, found.feet, found.box
     else:
         box = given_box
         chosen = np.zeros(len(points_floor), dtype=bool)
         chosen[above] = _held(points_floor[above], given_box)
-        own = chosen[scene.owner]
+    own = chosen[scene.owner]
     cells = np.floor(points_floor / CELL_M).astype(np.int64)
     chose = Selection(
-        vertices_floor[left & own],
-        vertices_floor[left & ~own],
+        vertices_floor[(left & own) | feet],
+        vertices_floor[left & ~own & ~feet],
         box,
         given_box is not None,
         scene.focus_floor,
@@ -122,37 +114,6 @@ def segment(
     lines = doubts(chose) if scene.floor.found else (NO_FLOOR, *doubts(chose))
     how = "automatic" if given_box is None else "box"
     return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines)
-
-
-def _feet(
-    scene: Scene,
-    vertices_floor: NDArray[np.float64],
-    others: NDArray[np.bool_],
-    own: NDArray[np.bool_],
-    box: OrientedBox,
-    settings: SegmentationSettings,
-    cell_m: float,
-) -> NDArray[np.bool_]:
-    """Which vertices of the scene are low parts of the object: (v,) bool.
-
-    Args:
-        scene: its points and which of them each vertex belongs to.
-        vertices_floor: (v, 3).
-        others: which points stand above the floor cut and are not the object's.
-        own: (v,) vertices of the object above the floor cut.
-        box: around them.
-        settings: the cuts.
-        cell_m: cells of this edge that touch are connected.
-    """
-    specks = np.zeros(len(others), dtype=bool)
-    specks[others] = low_pieces(scene.points_floor[others], CELL_M)
-    heights_m = vertices_floor[:, 2]
-    low = (heights_m > low_cut_m(scene.floor, settings)) & (
-        (heights_m <= settings.floor_cut_m) | specks[scene.owner]
-    )
-    feet: NDArray[np.bool_] = low & ~own
-    feet[feet] = low_parts(vertices_floor[feet], vertices_floor[own], box, cell_m)
-    return feet
 
 
 def _held(points_floor: NDArray[np.float64], box: OrientedBox) -> NDArray[np.bool_]:

@@ -127,12 +127,12 @@ def shadow(state: NDArray[np.uint8], enclosed: NDArray[np.float32]) -> Shadow:
     """Unseen voxels in a shadow of the object: hidden by it, but not of it.
 
     What is of the object is enclosed at its own height, too. So a voxel is under the object if straight up
-    one meets it, straight down one does not, and of the 8 horizontal directions less than 5 meet it. It is
-    empty if, of these 8 and the 9 directions downwards, at most 2 meet the object, or, wherever it is, fewer
-    than 5 of all 26; and if all others (in the first case all horizontal ones) end where it was seen to be
-    empty: what lies beyond the frames' reach stays open. Own rule: of 27 simulated objects (seeds 4 to 12),
-    16 % of what the 26 directions take for inside under the object is inside, 7 % of what is called empty
-    there, and 0.1 % of what is called empty elsewhere.
+    one meets it, straight down one does not, of the 8 horizontal directions less than 5 meet it, and one can
+    pass: of two opposite ones neither does. It is empty if, of these 8 and the 9 directions downwards, at
+    most 2 meet the object, or, wherever it is, fewer than 5 of all 26; and if all others (in the first case
+    all horizontal ones) end where it was seen to be empty: what lies beyond the frames' reach stays open. Own
+    rule: of 27 simulated objects (seeds 4 to 12), 16 % of what the 26 directions take for inside under the
+    object is inside, 7 % of what is called empty there, and 0.1 % of what is called empty elsewhere.
 
     Args:
         state: as for `enclosure`; the grid is upright.
@@ -143,8 +143,9 @@ def shadow(state: NDArray[np.uint8], enclosed: NDArray[np.float32]) -> Shadow:
     down, _ = _votes(seen_around, -1, -1)
     inside, empty = _votes(seen_around, -1, 1)
     overhung = _under_inside(seen_around) < NOT_UNDER
-    held = _under_inside(seen_around[:, :, ::-1])[:, :, ::-1] < NOT_UNDER
-    under = (state == UNSEEN) & overhung & ~held & (level < LEVEL_ENCLOSED)
+    held = _under_inside(np.ascontiguousarray(seen_around[:, :, ::-1]))[:, :, ::-1] < NOT_UNDER
+    beneath = (state == UNSEEN) & overhung & ~held & (level < LEVEL_ENCLOSED)
+    under = beneath & _passable(seen_around)
     below = under & (level + down <= EMPTY_UNDER) & (level + level_empty == 8)
     beside = (state == UNSEEN) & (inside + empty == 26) & (enclosed < EMPTY_BESIDE)
     return Shadow(under, below | beside)
@@ -183,6 +184,32 @@ def _votes(state, lowest, highest):  # type: ignore[no-untyped-def]
                     ins[k] += np.uint8(unseen & (into[k] == INSIDE))
                     outs[k] += np.uint8(unseen & (into[k] == OUTSIDE))
     return inside, outside
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _passable(state):  # type: ignore[no-untyped-def]
+    """Whether of two opposite horizontal directions neither meets INSIDE, without the border."""
+    nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
+    passable = np.zeros((nx, ny, nz), np.bool_)
+    met, blocked = state.copy(), np.zeros((nx, ny, nz), np.bool_)
+    for pair in range(4):
+        blocked[:] = False
+        for way in (-1, 1):
+            dx, dy = (1, 0, 1, 1)[pair] * way, (0, 1, 1, -1)[pair] * way
+            for a in range(nx):
+                i = nx - a if dx > 0 else a + 1
+                for b in range(ny):
+                    j = ny - b if dy > 0 else b + 1
+                    own, into, source = state[i, j], met[i, j], met[i + dx, j + dy]
+                    into_blocked = blocked[i - 1, j - 1]
+                    for k in range(1, nz + 1):
+                        into[k] = source[k] if own[k] == UNSEEN else own[k]
+                        into_blocked[k - 1] |= into[k] == INSIDE
+        for i in range(nx):
+            for j in range(ny):
+                for k in range(nz):
+                    passable[i, j, k] |= not blocked[i, j, k]
+    return passable
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -132,10 +132,10 @@ def floor_layers(floor: Floor, segmentation: SegmentationSettings, voxel_size_m:
         segmentation: both cuts.
         voxel_size_m: of the grid.
     """
-    contact, cut = (
-        max(1, round(height_m / voxel_size_m))
-        for height_m in (low_cut_m(floor, segmentation), segmentation.floor_cut_m)
-    )
+    cut = max(1, round(segmentation.floor_cut_m / voxel_size_m))
+    # Rounded up: what lies below the low cut may be the floor.
+    low_m = low_cut_m(floor, segmentation)
+    contact = min(max(1, int(np.ceil(low_m / voxel_size_m - 1e-6))), cut)
     return FloorLayers(FLOOR_LAYERS, contact, cut - contact)
 
 

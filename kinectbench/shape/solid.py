@@ -48,9 +48,10 @@ INSIDE_SHARE = np.array(
     [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
 )
 HOLLOW_INSIDE_SHARE = np.float32(0.02)
-UNDER_INSIDE_SHARE, SHADOW_INSIDE_SHARE = np.float32(0.07), np.float32(0.01)
-# Of eight simulated things with flush sides under a seat seven were slabs throughout (seeds 4 to 12).
-DOUBTFUL_INSIDE_SHARE = np.float32(0.9)
+# Under the object, by its enclosure, and what is called empty there and elsewhere (`enclosure.shadow`).
+UNDER_INSIDE_SHARE, EMPTY_UNDER_SHARE, EMPTY_BESIDE_SHARE = (np.float32(p) for p in (0.16, 0.07, 0.01))
+# Of ten simulated things with flush sides under a seat seven were slabs throughout (seeds 4 to 18).
+DOUBTFUL_INSIDE_SHARE = np.float32(0.75)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES = 2
@@ -157,7 +158,8 @@ def solidify(
 
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
     hollow behind an apron or under the object. It is occupied if it lies just behind a measured
-    surface, or was never seen but is enclosed by such voxels in 15 of 26 directions. Near the floor what is
+    surface, or was never seen but is enclosed by such voxels in 15 of 26 directions and not open to the
+    sides. Near the floor what is
     connected to nothing higher is floor; where the two cannot be told apart, the lowest occupied layer is
     extruded down to the floor. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, and
     specks are dropped.
@@ -274,6 +276,7 @@ def _label(observation: Observation, evidence: _Evidence, solid: Bools, below: i
     empty = evidence.behind | evidence.excluded | evidence.hollow | (evidence.unseen & evidence.shadow.empty)
     labels[~solid & empty] = Label.OTHER
     labels[solid & (evidence.behind | enclosed)] = Label.INTERIOR
+    labels[solid & evidence.doubtful] = Label.UNKNOWN
     contact = evidence.contact
     labels[:, :, contact][solid[:, :, contact]] = Label.INTERIOR
     labels[solid & measured] = Label.SURFACE
@@ -298,9 +301,13 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
     from scipy.special import expit
 
     inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
-    in_shadow = evidence.shadow.empty
-    share = np.where(evidence.shadow.under[in_shadow], UNDER_INSIDE_SHARE, SHADOW_INSIDE_SHARE)
-    inferred[in_shadow] = np.minimum(inferred[in_shadow], share)
+    under, empty = evidence.shadow.under, evidence.shadow.empty
+    for where, share in (
+        (under, UNDER_INSIDE_SHARE),
+        (under & empty, EMPTY_UNDER_SHARE),
+        (empty & ~under, EMPTY_BESIDE_SHARE),
+    ):
+        inferred[where] = np.minimum(inferred[where], share)
     inferred[evidence.doubtful] = np.minimum(inferred[evidence.doubtful], DOUBTFUL_INSIDE_SHARE)
     inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
     measured = expit(-evidence.signed_m * np.float32(LOGIT_PER_VOXEL / observation.grid.voxel_size_m))

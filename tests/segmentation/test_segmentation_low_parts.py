@@ -70,5 +70,7 @@ def test_the_box_holds_a_foot_that_reaches_beyond_what_it_carries() -> None:
     column, plate = box((-0.08, -0.08, 0), (0.08, 0.08, 0.4)), box((-0.2, -0.2, 0), (0.2, 0.2, 0.016))
     chosen = recorded([FLOOR, column, plate]).segment()
     assert chosen.box.size_m[0] > 0.36 and chosen.box.size_m[1] > 0.36
+    suggested = next(c for c in recorded([FLOOR, column, plate]).suggest().candidates if c.automatic)
+    assert suggested.box.size_m[0] > 0.36
     alone = recorded([FLOOR, column]).segment()
     assert max(alone.box.size_m[:2]) < 0.2

@@ -173,6 +173,15 @@ def test_what_is_only_under_a_top_is_in_its_shadow(level, under, empty):
     assert not (found.under | found.empty)[:, :, 4:].any()
 
 
+def test_a_corner_that_only_two_sides_enclose_is_in_the_object():
+    """Seen from one corner only: no camera looked at the other sides; nothing says one can pass there."""
+    state = np.full((9, 9, 6), UNSEEN, np.uint8)
+    state[:, :, 4:], state[0], state[:, 0] = INSIDE, INSIDE, INSIDE
+    assert not shadow(state, enclosure(state)).under[1:5, 1:5].any()
+    state[:, 0] = UNSEEN
+    assert shadow(state, enclosure(state)).under[4, 4, 1]
+
+
 def test_what_stands_under_a_top_is_not_in_its_shadow():
     """A leg was seen but for its upper end: what goes on above it is no shadow."""
     state = under_a_top()

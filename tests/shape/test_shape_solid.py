@@ -290,7 +290,7 @@ def test_frames_that_saw_through_move_the_surface(ray_width_voxels: float, trust
 
 
 @pytest.mark.parametrize(("height_m", "doubted"), [(0.08, True), (0.2, False)])
-def test_what_may_be_a_hollow_is_solid_and_told(height_m: float, doubted: bool) -> None:
+def test_what_may_be_a_hollow_is_solid_but_not_known(height_m: float, doubted: bool) -> None:
     """A block nobody looked at from below: a slab, or a seat with a flush apron; none is 20 cm high."""
     low, high = (0.03, 0.03, 0.12), (0.29, 0.21, 0.12 + height_m)
     # Its underside was not measured: from the sides and from above it looks like a pillar.
@@ -298,6 +298,6 @@ def test_what_may_be_a_hollow_is_solid_and_told(height_m: float, doubted: bool) 
     shape = solid_of(observation(pillar_m, hidden=(pillar_m < 0) & (centers()[..., 2] < low[2])))
     core = box_distance((0.12, 0.10, low[2] + 0.02), (0.20, 0.14, low[2] + 0.05)) < 0
     assert shape.solid[core].all()
-    assert (shape.labels[core] == Label.INTERIOR).all()
+    assert (shape.labels[core] == (Label.UNKNOWN if doubted else Label.INTERIOR)).all()
     assert (shape.doubtful_share > 0.1) == doubted
-    assert not doubted or (shape.probability[core] <= 0.9).all()
+    assert not doubted or (shape.probability[core] <= 0.75).all()
