@@ -14,9 +14,8 @@ LEVEL_ENCLOSED = 5
 # Under the object a voxel with at most so many enclosing directions of the 17 that do not go up is empty, and
 # anywhere one with fewer of 26.
 EMPTY_UNDER, EMPTY_BESIDE = 2, 4.5 / 26
-# A top juts out over its apron by more than this on all sides, and on all but one by more than that; voxels
-# of 5 mm count it in steps.
-LEAST_OVERHANG_M, OVERHANG_M = 0.0045, 0.0095
+# A top juts out over its apron by more than this on all sides; voxels of 5 mm count it in steps.
+OVERHANG_M = 0.0045
 # A hollow is at least so high and lies no deeper than this under the top, and so many of nine ways down from
 # it lead outside.
 MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
@@ -68,12 +67,12 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     From no camera above the seat can the space between the aprons of a chair be told from a thick slab:
     top and sides enclose both. But a slab or a cushion is flush, and a top juts out over the apron that it
     rests on. So a voxel is hollow if the outline of some layer above it, within 12 cm, juts out over that
-    of its own layer by 5 mm in all of the four directions along the grid and by 10 mm in all but one, and
-    most of the nine ways down from it lead outside. Beside legs, which are flush, three directions and 5 mm
-    are enough if the hollows found so far leave the voxel hardly enclosed. The uppermost layer of a hollow
-    must be overhung nearly as far as the one below it. What is less than 35 mm high is no hollow, nor what
-    has less than 15 mm that would else be inside: cushions are rounded below. What would be a hollow but for
-    its flush sides is doubtful, unless its sides go down further than 12 cm, as no apron does, or a hollow
+    of its own layer by 5 mm in all of the four directions along the grid, and most of the nine ways down from
+    it lead outside. Beside legs, which are flush, three directions are enough if the hollows found so far
+    leave the voxel hardly enclosed. The uppermost layer of a hollow must be overhung nearly as far as the one
+    below it. What is less than 35 mm high is no hollow, nor what has less than 15 mm that would else be
+    inside: cushions are rounded below. What would be a hollow but for its flush sides is doubtful, unless its
+    sides go down further than 12 cm, as no apron does, or a hollow
     begins under it. Own rule.
 
     Args:
@@ -88,9 +87,8 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     least, second = _overhang(bordered)
     below_m = _under_inside(bordered) * voxel_size_m
     under = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M)
-    possible = under & (second * voxel_size_m > LEAST_OVERHANG_M)
-    all_around = (least * voxel_size_m > LEAST_OVERHANG_M) & (second * voxel_size_m > OVERHANG_M)
-    sure = possible & all_around & (outside >= OPEN_BELOW)
+    possible = under & (second * voxel_size_m > OVERHANG_M)
+    sure = possible & (least * voxel_size_m > OVERHANG_M) & (outside >= OPEN_BELOW)
     opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
     found = sure | (possible & (opened < ENCLOSED))
     high = np.ones((3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m))))
