@@ -5,21 +5,28 @@ ImportError; whoever runs for long asks here from time to time.
 """
 
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 _asked: list[int] = []
 
 
 @contextmanager
 def interrupts_remembered() -> Iterator[None]:
-    """Within the block an interrupt raises KeyboardInterrupt as ever, and is remembered."""
-    previous = signal.signal(signal.SIGINT, _remember)
+    """Within the block an interrupt raises KeyboardInterrupt as ever, and is remembered.
+
+    One that comes in a callback that cannot raise, such as the import system's, is remembered without a word.
+    """
+    previous, told = signal.signal(signal.SIGINT, _remember), sys.unraisablehook
+    sys.unraisablehook = _without_interrupts(told)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, previous)
+        sys.unraisablehook = told
 
 
 def check_interrupt() -> None:
@@ -50,6 +57,11 @@ def interrupts_held() -> Iterator[None]:
             signal.signal(signal.SIGINT, handler)
     if asked:
         raise KeyboardInterrupt
+
+
+def _without_interrupts(told: Callable[[Any], object]) -> Callable[[Any], object]:
+    """A hook that hands on what could not be raised, but for interrupts: they are remembered."""
+    return lambda unraisable: None if unraisable.exc_type is KeyboardInterrupt else told(unraisable)
 
 
 def _remember(number: int, frame: object) -> None:
