@@ -103,8 +103,11 @@ def measure_quality(
             f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin or hidden: "
             "record from closer, and from low down, too"
         )
-    if unknown > MAX_UNKNOWN_SHARE:
-        warnings.append(f"{unknown:.0%} of the solid was never measured nor enclosed: walk around the object")
+    never_seen = unknown - together.doubtful_share
+    if never_seen > MAX_UNKNOWN_SHARE:
+        warnings.append(
+            f"{never_seen:.0%} of the solid was never measured nor enclosed: walk around the object"
+        )
     if together.doubtful_share > MAX_DOUBTFUL_SHARE:
         warnings.append(
             f"{together.doubtful_share:.0%} of the solid is a thick slab, or a hollow that no frame looked "

@@ -158,10 +158,9 @@ def solidify(
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
     hollow behind an apron or under the object. It is occupied if it lies just behind a measured
     surface, or was never seen but is enclosed by such voxels in 15 of 26 directions and not open to the
-    sides. Near the floor what is
-    connected to nothing higher is floor; where the two cannot be told apart, the lowest occupied layer is
-    extruded down to the floor. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, and
-    specks are dropped.
+    sides. Near the floor what is connected to nothing higher is floor; where the two cannot be told apart,
+    the lowest occupied layer is extruded down to the floor. The signed field of this solid is smoothed by a
+    Gaussian of 0.7 voxels, and specks are dropped.
 
     Args:
         observation: TSDF and votes on an upright grid.
