@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,13 +15,17 @@ Depth = NDArray[np.float32]
 
 AGREEMENT_SIGMAS = 5.0
 ERODE_PX = 2
+# Along edges a sensor's depth wanders by a pixel or two; beside the silhouette one is enough.
+WITHIN_PX, FRINGE_PX = 2, 1
 # What lies so many standard deviations of the depth above the floor is not the floor.
 CLEAR_SIGMAS = 3.0
-BEYOND_M = np.float32(1e3)
+# What was measured lower than this is the floor: feet are drawn square to the floor, and round ones are
+# narrower there.
+FLOOR_M = 0.002
 
 
-def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float) -> Bools:
-    """Pixels whose depth agrees with the rendered object within max(5 sigma, tolerance).
+def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float, beside_px: int = 0) -> Bools:
+    """Pixels whose depth agrees with the rendered object there, or so near, within max(5 sigma, tolerance).
 
     Generous on purpose: a tight mask would delete the sensor's noise from the input and leak the truth
     into it.
@@ -29,9 +34,29 @@ def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float) -> 
         measured_m: (height, width) metres, 0 = none.
         rendered_m: (height, width) metres, 0 = not on the object.
         tolerance_m: least difference allowed, metres.
+        beside_px: up to so many rows and columns away any rendered pixel may agree.
     """
-    allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m)
-    agrees: Bools = (measured_m > 0) & (rendered_m > 0) & (np.abs(measured_m - rendered_m) <= allowed_m)
+    allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m).astype(np.float32)
+    agrees: Bools = _agrees(measured_m, rendered_m, allowed_m, beside_px)
+    return agrees
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _agrees(measured_m, rendered_m, allowed_m, beside_px):  # type: ignore[no-untyped-def]
+    height, width = measured_m.shape
+    agrees = np.zeros((height, width), np.bool_)
+    for row in range(height):
+        for column in range(width):
+            depth_m = measured_m[row, column]
+            if depth_m <= 0:
+                continue
+            for i in range(max(row - beside_px, 0), min(row + beside_px + 1, height)):
+                for j in range(max(column - beside_px, 0), min(column + beside_px + 1, width)):
+                    if rendered_m[i, j] > 0 and abs(depth_m - rendered_m[i, j]) <= allowed_m[i, j]:
+                        agrees[row, column] = True
+                        break
+                if agrees[row, column]:
+                    break
     return agrees
 
 
@@ -40,9 +65,10 @@ def object_mask(
 ) -> Bools:
     """The object in a view: where depth agrees with it rendered, and its fringe (own rule).
 
-    A solid made of noisy depth is often a pixel too narrow in the image. So pixels beside the silhouette
-    belong to the object, too, if their depth agrees with that of the nearest surface beside them, and if
-    they lie above the floor beyond doubt.
+    The sensor's depth wanders along edges, and a solid made of noisy depth is often a pixel too narrow in the
+    image. So a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it
+    may do so one pixel away, if it lies above the floor beyond doubt. What was measured at the floor's height
+    belongs to the floor.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
@@ -51,14 +77,11 @@ def object_mask(
         tolerance_m: least difference allowed, metres.
         clear_m: what lies lower may be the floor, metres.
     """
-    import cv2
-
     on_object = rendered_m > 0
-    nearest_m = cv2.erode(np.where(on_object, rendered_m, BEYOND_M), np.ones((3, 3), np.uint8))
-    beside_m = np.where(on_object | (nearest_m >= BEYOND_M), np.float32(0), nearest_m)
+    within = agreement_mask(measured_m, rendered_m, tolerance_m, WITHIN_PX) & on_object
+    fringe = agreement_mask(measured_m, rendered_m, tolerance_m, FRINGE_PX) & ~on_object
     above = heights_m > np.maximum(clear_m, CLEAR_SIGMAS * depth_sigma_m(measured_m))
-    fringe = agreement_mask(measured_m, beside_m, tolerance_m) & above
-    return np.asarray(agreement_mask(measured_m, rendered_m, tolerance_m) | fringe)
+    return np.asarray((within & (heights_m >= FLOOR_M)) | (fringe & above))
 
 
 def recorded_mask(

@@ -194,6 +194,32 @@ def test_agreement_tolerance_is_the_larger_of_five_sigma_and_the_setting():
     np.testing.assert_array_equal(agreement_mask(measured, rendered, 0.03), expected)
 
 
+@pytest.mark.parametrize("beside_px", [0, 1, 2])
+def test_agreement_with_pixels_beside(beside_px: int) -> None:
+    rng = np.random.default_rng(0)
+    measured, rendered = rng.choice([0, 1, 1.02, 1.5, 2], (2, 12, 17)).astype(np.float32)
+    found = agreement_mask(measured, rendered, 0.03, beside_px)
+    for (row, column), agrees in np.ndenumerate(found):
+        near = rendered[max(row - beside_px, 0) : row + beside_px + 1]
+        near = near[:, max(column - beside_px, 0) : column + beside_px + 1]
+        close = (near > 0) & (np.abs(near - measured[row, column]) <= 0.03)
+        assert agrees == (measured[row, column] > 0 and close.any())
+    assert found.any() and not found.all()
+
+
+def test_depth_that_wandered_along_an_edge_is_the_objects() -> None:
+    """A post before a chair's back: up to two pixels beside it the sensor took the one for the other."""
+    rendered = np.full((5, 9), 2.0, np.float32)
+    rendered[:, 4] = 1.5
+    measured = np.full((5, 9), 2.0, np.float32)
+    measured[:, [1, 2, 3, 6]] = 1.5
+    measured[0, 8] = 3.0
+    mask = object_mask(measured, rendered, np.full((5, 9), 0.5, np.float32), 0.03, 0.01)
+    expected = np.ones((5, 9), bool)
+    expected[:, 1] = expected[0, 8] = False
+    np.testing.assert_array_equal(mask, expected)
+
+
 def test_the_fringe_of_a_mask():
     """A pixel beside the silhouette is the object's if its depth agrees and it is clear of the floor."""
     rendered = np.zeros((5, 7), np.float32)
@@ -215,6 +241,9 @@ def test_the_fringe_of_a_mask():
     heights[4] = 0.015
     assert not object_mask(measured, rendered, heights, 0.03, 0.02)[4, 1]
     assert object_mask(measured, rendered, heights, 0.03, 0.01)[4, 1]
+    # Where the object was drawn but the floor was measured, the floor is.
+    heights[3, 1:3] = [0.0015, 0.0025]
+    np.testing.assert_array_equal(object_mask(measured, rendered, heights, 0.03, 0.02)[3, 1:3], [False, True])
 
 
 def test_inner_silhouette_is_two_pixels_smaller():
