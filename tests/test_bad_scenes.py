@@ -9,7 +9,9 @@ from bad_scenes import AROUND, FINE, FLOOR, OBJECT, Recorded, recorded, table_of
 
 from kinectbench.errors import KinectBenchError, SegmentationError
 from kinectbench.geometry import OrientedBox
+from kinectbench.segmentation.select import select_in_box
 from kinectbench.shape.witness import unseen_side
+from kinectbench.tracking.coverage import convergence_point
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 
@@ -60,6 +62,40 @@ def test_two_objects_in_the_box():
     assert pair.witness(around_one).warnings == ()
     # Without a box the cameras look between them.
     assert warned(pair.witness().warnings, "as near to where the cameras look")
+
+
+def test_a_box_that_cuts_the_object():
+    whole, half = OrientedBox((0, 0, 0.3), (1.0, 1.0, 0.6)), OrientedBox((-0.25, 0, 0.3), (0.5, 1.0, 0.6))
+    assert plain().witness(whole).warnings == ()
+    assert warned(plain().witness(half).warnings, "the box cuts through what it holds")
+
+
+def test_a_box_under_a_table_top_holds_what_ends_in_it():
+    """A stool beside a table: more of the table's top than of the stool lies in the box, but it runs on."""
+
+    def plate(side_m: float, height_m: float) -> np.ndarray:
+        steps = np.arange(0.015, side_m, 0.03)
+        return np.array(np.meshgrid(steps, steps, [height_m])).reshape(3, -1).T
+
+    stool, top = plate(0.3, 0.4), plate(0.9, 0.7)
+    points = np.concatenate([stool, top])
+    in_box = (points[:, :2] < 0.4).all(axis=1)
+    chosen = select_in_box(points, in_box)
+    assert (top[:, :2] < 0.4).all(axis=1).sum() > len(stool)
+    np.testing.assert_array_equal(np.flatnonzero(chosen), np.arange(len(stool)))
+    # Without the stool the box cuts the table's top, and holds that part of it.
+    np.testing.assert_array_equal(select_in_box(top, in_box[len(stool) :]), in_box[len(stool) :])
+
+
+def test_cameras_whose_axes_part_look_ahead():
+    """Turned away from each other, they all come from a point behind them; what they look at is ahead."""
+    T_world_camera = np.tile(np.eye(4), (9, 1, 1))
+    for pose, turn in zip(T_world_camera, np.linspace(-0.5, 0.5, 9), strict=True):
+        c, s = np.cos(turn), np.sin(turn)
+        pose[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+        pose[:3, 3] = pose[:3, 2]
+    np.testing.assert_allclose(convergence_point(T_world_camera)[:2], 0, atol=1e-9)
+    assert 2.0 < convergence_point(T_world_camera)[2] < 2.5
 
 
 def test_things_that_hardly_touch_are_not_one_object():

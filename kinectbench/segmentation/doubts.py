@@ -15,6 +15,8 @@ PART_SHARE = 0.2
 FINE_CELL_M = 0.02
 MIN_PART_CELLS = 60
 BESIDE_M = 0.1
+# A box cuts its object if this share of the object's cells goes on right beyond it.
+CUT_SHARE, CUT_CELLS = 0.02, 1.5
 LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
 
 
@@ -42,12 +44,13 @@ class Selection:
 def doubts(selection: Selection) -> tuple[str, ...]:
     """Why the choice may be wrong: one line for people each; none if nothing speaks against it (own rules).
 
-    A box that a person gave is doubted only if several things stand in it: the rest he has seen.
+    A box that a person gave is doubted only if several things stand in it, or if it cuts what it holds.
     """
     parts = separate_parts(selection.object_points, selection.cell_m)
     if selection.given:
         held = f"the box holds {parts} things that stand apart: give a box around one of them; {LOOK}"
-        return (held,) if parts > 1 else ()
+        cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
+        return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
     lines = []
     extent_m = max(selection.box.size_m)
     if extent_m > MAX_EXTENT_M:
@@ -74,6 +77,19 @@ def separate_parts(points_floor: NDArray[np.float64], cell_m: float = FINE_CELL_
     sizes = _cells(points_floor, label)
     sizes[~standing(label, points_floor)] = 0
     return int((sizes >= max(MIN_PART_CELLS, PART_SHARE * sizes.max())).sum())
+
+
+def cut_share(selection: Selection) -> float:
+    """What share of the object's cells has surface right beside it that lies beyond the box."""
+    from scipy.spatial import cKDTree
+
+    inside, outside = selection.object_points, selection.other_points
+    outside = outside[~selection.box.contains(outside)]
+    if not len(inside) or not len(outside):
+        return 0.0
+    reach_m = CUT_CELLS * selection.cell_m
+    beside = np.isfinite(cKDTree(outside).query(inside, distance_upper_bound=reach_m)[0])
+    return float(_cells(inside[beside], None).max(initial=0) / _cells(inside, None).max())
 
 
 def large_neighbours(selection: Selection) -> NDArray[np.float64]:

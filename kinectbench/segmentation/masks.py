@@ -112,6 +112,9 @@ def inner_silhouette(rendered_m: Depth) -> Bools:
     return np.asarray(cv2.erode(silhouette, kernel), dtype=np.bool_)
 
 
+OVERRIDES = ("", ".include", ".exclude")
+
+
 def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
     """Apply a person's PNGs, if there are any, to the automatic mask of a view.
 
@@ -122,7 +125,7 @@ def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
         SegmentationError: a PNG cannot be read, or is not of the depth image's size.
     """
     result = mask
-    for suffix in ("", ".include", ".exclude"):
+    for suffix in OVERRIDES:
         path = folder / f"{view}{suffix}.png"
         if not path.exists():
             continue
@@ -132,11 +135,13 @@ def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
 
 
 def stray_masks(folder: Path, views: list[str]) -> list[str]:
-    """One warning per PNG in the folder whose name is no view's, and which is therefore not used."""
+    """One warning per file in the folder whose name is no mask's, and which is therefore not used."""
+    names = {f"{view}{suffix}.png" for view in views for suffix in OVERRIDES}
     return [
-        f"{path}: no view of that name; masks are called <view>.png, as in {views[0]}.png"
-        for path in sorted(folder.glob("*.png"))
-        if path.name.split(".")[0] not in views
+        f"{path}: not used, no view's mask has that name; masks are called <view>.png, <view>.include.png or "
+        f"<view>.exclude.png, as in {views[0]}.png"
+        for path in sorted(folder.iterdir())
+        if path.name not in names and not path.name.startswith(".")
     ]
 
 

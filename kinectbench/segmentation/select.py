@@ -12,6 +12,8 @@ from kinectbench.segmentation.pieces import label_pieces
 
 CELL_M = 0.03
 MIN_CELLS = 30
+# A piece that ends inside a box is what a person meant if it has this share of the largest one's cells.
+ENDING_SHARE = 0.3
 NOTHING_STANDS = (
     "no object found: nothing stands on the floor; is the object in view? A black, glass or mirror-like one "
     "gives no depth: make it matt"
@@ -97,8 +99,9 @@ def select_object(
 def select_in_box(points_floor: NDArray[np.float64], in_box: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Choose the object among the pieces of the scene that a person's box holds.
 
-    The largest piece is the object, with every other piece that ends inside the box. A smaller piece
-    that runs on beyond the box, such as the corner of a table top over a chair, is something else.
+    The object is the largest piece that ends inside the box, with all others that do; a piece that runs on
+    beyond it, such as the corner of a table top over a chair, is something else. Where all that ends inside
+    is much smaller than what runs on, the box cuts the object, and the largest piece counts, too.
 
     Args:
         points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
@@ -119,9 +122,12 @@ def select_in_box(points_floor: NDArray[np.float64], in_box: NDArray[np.bool_]) 
     labels, count = ndimage.label(inside, structure=around)
     runs_on = np.zeros(count + 1, dtype=bool)
     runs_on[np.unique(labels[ndimage.binary_dilation(outside, around)])] = True
-    largest = int(np.argmax(np.bincount(labels.reshape(-1))[1:])) + 1
+    sizes = np.bincount(labels.reshape(-1), minlength=count + 1)
+    sizes[0] = 0
     kept = ~runs_on
-    kept[largest], kept[0] = True, False
+    if sizes[kept].max(initial=0) < ENDING_SHARE * sizes.max():
+        kept[np.argmax(sizes)] = True
+    kept[0] = False
     chosen: NDArray[np.bool_] = in_box & kept[labels[tuple(cells.T)]]
     return chosen
 

@@ -22,6 +22,8 @@ MAX_DOUBTFUL_SHARE = 0.1
 # and 4 to 9) they share the trajectory's slow errors, and show less than half of them.
 MISSING_WITH_GIVEN_POSES, MISSING_WITH_TRACKED_POSES = (0.51, 0.33), (0.22, 2.31)
 GOOD_ESTIMATED_IOU = 0.82
+# A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
+MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
 # So that a handle or a speck that one half of the frames shows does not move a side of the box.
 BOX_LEFT_OUT = 0.005
 
@@ -100,9 +102,10 @@ def measure_quality(
     estimated = estimated_iou(expected_iou(together), repeatability, tracked)
     if estimated < GOOD_ESTIMATED_IOU:
         warnings.append(
-            f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin or hidden: "
-            "record from closer, and from low down, too"
+            f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin, hidden, "
+            "without depth or cut off: record from closer, and from low down, too"
         )
+    warnings += _unsupported(chosen, together)
     never_seen = unknown - together.doubtful_share
     if never_seen > MAX_UNKNOWN_SHARE:
         warnings.append(
@@ -132,6 +135,27 @@ def measure_quality(
         "method": METHOD,
     }
     return Quality(box, figures)
+
+
+def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
+    """Warnings of a solid that hangs in the air, or whose large pieces do: something of it is missing."""
+    from scipy import ndimage
+
+    warnings = []
+    gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
+    if chosen.floor.found and gap_m > MAX_GAP_M:
+        warnings.append(
+            f"the solid begins {gap_m:.2f} m above the floor: what carries it gave no depth (black, glass or "
+            "mirror-like), or the box cuts it off; all is well if it stands on something else"
+        )
+    sizes = np.bincount(ndimage.label(shape.solid, np.ones((3, 3, 3)))[0].reshape(-1))[1:]
+    pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())
+    if pieces > 1:
+        warnings.append(
+            f"the solid is in {pieces} large pieces that do not touch: what joins them gave no depth, or "
+            "they are several things: look at object/mesh.ply"
+        )
+    return warnings
 
 
 def box_json(box: OrientedBox) -> dict[str, Any]:

@@ -84,8 +84,8 @@ def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, cho
     if moving.frames:
         warnings.append(
             f"in {len(moving.frames)} of {moving.judged} frames looked at (such as {moving.frames[0]}) "
-            "something stands before the scene that the others do not see: a person walking through? "
-            "record without"
+            "something stands before the scene that the others do not see: a person walking through, or "
+            "poses that are off? record without, or let the poses be tracked"
         )
     figures = {
         "good_frames": len(good),

@@ -29,14 +29,19 @@ def convergence_point(T_world_camera: Float64) -> Float64:
 
     Args:
         T_world_camera: (n, 4, 4), n > 0. Axes that are nearly parallel leave the distance open: a weak pull
-            towards 1.5 m ahead closes it (own rule).
+            towards 1.5 m ahead closes it; the mean of those points is taken where axes that diverge are
+            nearest to each other behind most cameras (own rules).
     """
     axes, positions = T_world_camera[:, :3, 2], T_world_camera[:, :3, 3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     weak = 1e-3 * len(axes)
     ahead = (positions + USUAL_DISTANCE_M * axes).mean(axis=0)
     normal_matrix = across.sum(axis=0) + weak * np.eye(3)
-    return np.linalg.solve(normal_matrix, (across @ positions[:, :, None]).sum(axis=0)[:, 0] + weak * ahead)
+    nearest = np.linalg.solve(
+        normal_matrix, (across @ positions[:, :, None]).sum(axis=0)[:, 0] + weak * ahead
+    )
+    in_front = ((nearest - positions) * axes).sum(axis=1) > 0
+    return nearest if in_front.mean() > 0.5 else ahead
 
 
 def from_above(T_world_camera: Float64) -> Float64:

@@ -15,7 +15,13 @@ from kinectbench.fusion import fuse
 from kinectbench.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
 from kinectbench.geometry.box import yaw_rotation
 from kinectbench.geometry.depth_noise import depth_sigma_m
-from kinectbench.segmentation.masks import agreement_mask, inner_silhouette, object_mask, override_mask
+from kinectbench.segmentation.masks import (
+    agreement_mask,
+    inner_silhouette,
+    object_mask,
+    override_mask,
+    stray_masks,
+)
 from kinectbench.segmentation.render import DepthRenderer
 from kinectbench.segmentation.segment import segment
 from kinectbench.segmentation.select import fit_box, select_object, surface_points
@@ -271,6 +277,15 @@ def test_overrides_replace_add_and_take_away(tmp_path: Path):
     save(tmp_path / "003.png", replaced)
     np.testing.assert_array_equal(override_mask(automatic, tmp_path, "003"), (replaced | include) & ~exclude)
     np.testing.assert_array_equal(override_mask(automatic, tmp_path, "004"), automatic)
+
+
+def test_files_that_are_no_views_mask(tmp_path: Path):
+    for name in ("000.png", "001.exclude.png", "000.PNG", "001.includes.png", "7.png", "002.jpg", ".cache"):
+        (tmp_path / name).touch()
+    stray = stray_masks(tmp_path, ["000", "001", "002"])
+    assert [Path(line.split(": ")[0]).name for line in stray] == sorted(
+        ["000.PNG", "001.includes.png", "7.png", "002.jpg"]
+    )
 
 
 def test_override_of_another_size(tmp_path: Path):

@@ -1,11 +1,14 @@
 """What quality.json estimates, against values computed by hand."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.shape.labels import Label
-from kinectbench.shape.quality import estimated_iou, expected_iou
+from kinectbench.shape.quality import _unsupported, estimated_iou, expected_iou
 from kinectbench.shape.solid import SolidShape
 
 
@@ -13,6 +16,22 @@ def shape_of(solid: np.ndarray, probability: np.ndarray) -> SolidShape:
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     mesh = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     return SolidShape(Grid(solid.shape, 0.01, np.eye(4)), solid, labels, probability.astype(np.float32), mesh)
+
+
+@pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
+def test_a_solid_that_hangs_or_falls_apart(low: int, parted: bool) -> None:
+    """The floor is at z = 0, 10 mm a voxel: at 60 mm it hangs; a gap of a layer parts it."""
+    solid = np.zeros((8, 8, 20), bool)
+    solid[2:6, 2:6, low:16] = True
+    solid[2:6, 2:6, 12] = not parted
+    vertices = np.argwhere(solid) * 0.01
+    mesh = TriangleMesh(vertices, np.zeros((0, 3), np.int64))
+    shape = replace(shape_of(solid, solid), mesh=mesh)
+    floor = SimpleNamespace(found=True, T_floor_world=np.eye(4))
+    warnings = _unsupported(SimpleNamespace(floor=floor), shape)
+    assert [line[:34] for line in warnings] == (
+        ["the solid begins 0.06 m above the "] * (low > 0) + ["the solid is in 2 large pieces tha"] * parted
+    )
 
 
 def test_expected_iou_by_hand():
