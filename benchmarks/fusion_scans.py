@@ -26,6 +26,8 @@ SETTINGS = FusionSettings(scene_voxel_size_m=VOXEL_M)
 # What is judged: the object's box and this much around it, but not the floor that it stands on.
 MARGIN_M, FLOOR_M = 0.03, 0.015
 TRUE_F, TRACKED_F, TRUE_MEAN_M = 0.98, 0.95, 0.001
+# A Kinect gives no depth of what every camera looks at flatter than 80 degrees, as of a top's underside.
+LEAST_COSINE = np.cos(np.radians(80.0))
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def at_object_scale(sequence: Sequence, truth: Truth) -> Sequence:
 
 
 def object_figures(fused_world: TriangleMesh, truth: Truth) -> SurfaceFigures:
-    """A fused scene against the true object, above the floor and near the object only."""
+    """A fused scene against the true object: above the floor, near the object, not at a slant only."""
     T_object_world = invert_rigid(truth.T_world_object)
     true = transform_points(T_object_world, truth.mesh_world.vertices)
     low, high = true.min(axis=0) - MARGIN_M, true.max(axis=0) + MARGIN_M
@@ -77,10 +79,20 @@ def object_figures(fused_world: TriangleMesh, truth: Truth) -> SurfaceFigures:
 
     faces = judged(fused_world.vertices)[fused_world.faces].all(axis=1)
     errors = surface_errors(fused_world.keep_faces(faces), truth)
-    kept = judged(truth.surface.points_world)
+    kept = judged(truth.surface.points_world) & _faced(truth)
     return surface_figures(
         replace(errors, true_m=errors.true_m[kept], true_visible=errors.true_visible[kept])
     )
+
+
+def _faced(truth: Truth) -> NDArray[np.bool_]:
+    """Which points of the true surface some camera faces by less than 80 degrees, hidden or not."""
+    faced = np.zeros(len(truth.surface.points_world), dtype=bool)
+    for center_world in truth.T_world_camera[:, :3, 3]:
+        towards = center_world - truth.surface.points_world
+        along = (towards * truth.surface.normals_world).sum(axis=1)
+        faced |= along >= LEAST_COSINE * np.linalg.norm(towards, axis=1)
+    return faced
 
 
 def trajectories(sequence: Sequence, truth: Truth) -> tuple[Trajectory, Trajectory]:
