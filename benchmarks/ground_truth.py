@@ -1,7 +1,7 @@
 """The ground truth against the truth: simulated objects of four families, tracked, fused, made solid, paired.
 
-Seeds 19 to 21 are held out: nothing of the solid was chosen with them in view; masks were. What the others
-decided stands in docs/ground-truth.md.
+Seeds 19 to 21 are held out: no rule of the solid was chosen with them in view (one was withdrawn), masks
+were. What the others decided stands in docs/ground-truth.md.
 Builds that lie in --build are brought up to date and measured; recordings are simulated
 where they are missing. All of it takes hours; --objects and --only choose.
 """

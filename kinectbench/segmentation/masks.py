@@ -22,6 +22,8 @@ CLEAR_SIGMAS = 3.0
 # What was measured lower than this is the floor: feet are drawn square to the floor, and round ones are
 # narrower there.
 FLOOR_M = 0.002
+# What follows a view's name in those of a person's PNGs.
+OVERRIDES = ("", ".include", ".exclude")
 
 
 def agreement_mask(measured_m: Depth, rendered_m: Depth, tolerance_m: float, beside_px: int = 0) -> Bools:
@@ -110,9 +112,6 @@ def inner_silhouette(rendered_m: Depth) -> Bools:
     silhouette = (rendered_m > 0).astype(np.uint8)
     kernel = np.ones((2 * ERODE_PX + 1,) * 2, np.uint8)
     return np.asarray(cv2.erode(silhouette, kernel), dtype=np.bool_)
-
-
-OVERRIDES = ("", ".include", ".exclude")
 
 
 def override_mask(mask: Bools, folder: Path, view: str) -> Bools:
