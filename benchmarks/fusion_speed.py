@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,12 @@ from fusion_scans import SETTINGS, VOXEL_M, at_object_scale, object_figures
 from numpy.typing import NDArray
 from tracking_recordings import true_poses
 
-from kinectbench.fusion.blocks import CUBE_VOXELS, blocks_of_cubes, empty_volume, unique_blocks
+from kinectbench.fusion.blocks import BlockVolume, empty_volume, unique_blocks
 from kinectbench.fusion.color import color_vertices
-from kinectbench.fusion.integrate import integrate
+from kinectbench.fusion.integrate import BATCH_FRAMES, DepthFrame, integrate
 from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.reconstruction import usable_depth_m
-from kinectbench.fusion.visible_blocks import cubes_near_surface
+from kinectbench.fusion.visible_blocks import blocks_near_surface
 from kinectbench.geometry import TriangleMesh, invert_rigid
 from kinectbench.sequence import Sequence
 from kinectbench.simulate.truth import Truth
@@ -26,6 +26,8 @@ Float64 = NDArray[np.float64]
 
 STRIDE = 5
 DEPTH_BAR, COLOR_BAR = 8.0, 4.0
+# As its examples have it.
+RIVAL_BLOCK_VOXELS = 16
 TRUNCATION_VOXELS = SETTINGS.truncation_voxels
 
 
@@ -43,7 +45,7 @@ class VoxelBlockGrid:
         names = ("tsdf", "weight", "color") if with_color else ("tsdf", "weight")
         sizes = ((1), (1), (3)) if with_color else ((1), (1))
         self._grid: Any = o3d.t.geometry.VoxelBlockGrid(
-            names, (o3d.core.float32,) * len(names), sizes, VOXEL_M, CUBE_VOXELS, 8000
+            names, (o3d.core.float32,) * len(names), sizes, VOXEL_M, RIVAL_BLOCK_VOXELS, 8000
         )
 
     def integrate(
@@ -97,31 +99,28 @@ def speed_figures(sequence: Sequence, truth: Truth) -> list[Figure]:
     depths_m = [usable_depth_m(cube, index, SETTINGS) for index in frames]
     truncation_m = TRUNCATION_VOXELS * VOXEL_M
     found = [
-        cubes_near_surface(depth_m, sequence.camera, T_world_camera[index], truncation_m, VOXEL_M)
+        blocks_near_surface(depth_m, sequence.camera, T_world_camera[index], truncation_m, VOXEL_M)
         for depth_m, index in zip(depths_m, frames, strict=True)
     ]
-    cubes = unique_blocks(np.concatenate(found).astype(np.int64))
-    volume = empty_volume(blocks_of_cubes(cubes), VOXEL_M, np.eye(4))
+    volume = empty_volume(unique_blocks(np.concatenate(found).astype(np.int64)), VOXEL_M, np.eye(4))
     plain, colored = (VoxelBlockGrid(sequence, with_color=with_color) for with_color in (False, True))
-    warm_up = replace(volume, **{k: getattr(volume, k).copy() for k in ("tsdf", "weight", "votes")})
     clock = Clock()
-    for number, (depth_m, index) in enumerate(zip(depths_m, frames, strict=True)):
-        T, color_rgb = T_world_camera[index], sequence.color_rgb(index)
-        assert color_rgb is not None
-        color = color_rgb.astype(np.float32) / 255
-        if number == 0:
-            integrate(warm_up, depth_m, sequence.camera, T, truncation_m)
-            color_vertices(extract_mesh(warm_up, 0.0), sequence, _trajectory(sequence, STRIDE * 100))
-            for rival in (VoxelBlockGrid(sequence, with_color=c) for c in (False, True)):
-                rival.integrate(depth_m, color if rival._with_color else None, T)
+    posed = [DepthFrame(d, T_world_camera[i]) for d, i in zip(depths_m, frames, strict=True)]
+    _warm_up(sequence, volume, posed[0], truncation_m)
+    for start in range(0, len(posed), BATCH_FRAMES):
+        batch = posed[start : start + BATCH_FRAMES]
+        colors = [_color(sequence, index) for index in frames[start : start + BATCH_FRAMES]]
 
-        def ours(depth_m: NDArray[np.float32] = depth_m, T: Float64 = T) -> None:
-            cubes_near_surface(depth_m, sequence.camera, T, truncation_m, VOXEL_M)
-            integrate(volume, depth_m, sequence.camera, T, truncation_m)
+        def ours(batch: list[DepthFrame] = batch) -> None:
+            for f in batch:
+                blocks_near_surface(f.depth_m, sequence.camera, f.T_world_camera, truncation_m, VOXEL_M)
+            integrate(volume, batch, sequence.camera, truncation_m)
 
         clock.run("ours", ours)
-        clock.run("rival", lambda d=depth_m, T=T: plain.integrate(d, None, T))
-        clock.run("rival, colour", lambda d=depth_m, c=color, T=T: colored.integrate(d, c, T))
+        clock.run("rival", lambda b=batch: [plain.integrate(f.depth_m, None, f.T_world_camera) for f in b])
+        clock.run("rival, colour", lambda b=batch, c=colors: [
+            colored.integrate(f.depth_m, color, f.T_world_camera) for f, color in zip(b, c, strict=True)
+        ])  # fmt: skip
     mesh = extract_mesh(volume, min_weight=1e-3)
     clock.run("our colour", lambda: color_vertices(mesh, sequence, _trajectory(sequence, STRIDE)))
     errors = {"ours": object_figures(mesh, truth), "VoxelBlockGrid": object_figures(plain.mesh(), truth)}
@@ -135,6 +134,24 @@ def speed_figures(sequence: Sequence, truth: Truth) -> list[Figure]:
                [e.visible.scores[0].f, 1000 * e.visible.accuracy.mean_m if e.visible.accuracy else None])
           for name, e in errors.items()),
     ]  # fmt: skip
+
+
+def _warm_up(sequence: Sequence, volume: BlockVolume, frame: DepthFrame, truncation_m: float) -> None:
+    """What is compiled or set up at a first call is none of the clock's business."""
+    warm_up = empty_volume(volume.blocks, VOXEL_M, np.eye(4))
+    integrate(warm_up, [frame], sequence.camera, truncation_m)
+    color_vertices(extract_mesh(warm_up, 0.0), sequence, _trajectory(sequence, STRIDE * 100))
+    for color in (None, _color(sequence, 0)):
+        VoxelBlockGrid(sequence, with_color=color is not None).integrate(
+            frame.depth_m, color, frame.T_world_camera
+        )
+
+
+def _color(sequence: Sequence, index: int) -> NDArray[np.float32]:
+    """Colour in [0, 1]."""
+    color_rgb = sequence.color_rgb(index)
+    assert color_rgb is not None
+    return color_rgb.astype(np.float32) / 255
 
 
 def _trajectory(sequence: Sequence, stride: int) -> Trajectory:

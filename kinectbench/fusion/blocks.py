@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.geometry import Grid
 
 BLOCK_VOXELS = 8
-# Space is allotted, and stored, in cubes of 2 x 2 x 2 blocks.
+# Blocks are stored in cubes of 2 x 2 x 2.
 CUBE_VOXELS = 16
 CUBE_BLOCKS = CUBE_VOXELS // BLOCK_VOXELS
 
@@ -74,12 +74,6 @@ def empty_volume(
         weight=np.zeros(shape, np.float32),
         votes=np.zeros(shape, np.uint32),
     )
-
-
-def blocks_of_cubes(cubes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The eight blocks of each cube (n, 3): (8 n, 3), cube by cube."""
-    corners = np.array(list(np.ndindex((CUBE_BLOCKS,) * 3)), np.int32)
-    return (cubes[:, None] * CUBE_BLOCKS + corners).reshape(-1, 3)
 
 
 def in_cubes(blocks: NDArray[np.int32], values: NDArray[Scalar]) -> tuple[NDArray[np.int32], NDArray[Scalar]]:

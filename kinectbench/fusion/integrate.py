@@ -1,15 +1,21 @@
-"""The fusion kernel: one depth frame into the blocks of a volume."""
+"""The fusion kernel: depth frames into the blocks of a volume."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
-from kinectbench.fusion.pixel_weights import BORDER_PX, pixel_weights
+from kinectbench.fusion.pixel_weights import BORDER_PX, padded_shape, pixel_weights
 from kinectbench.fusion.visible_blocks import visible_blocks
 from kinectbench.geometry import Camera, invert_rigid
 from kinectbench.geometry.depth_noise import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 
+# So many frames pass through each block while it lies in the cache.
+BATCH_FRAMES = 8
 SURFACE_SIGMAS = 2.0
 HALF_DIAGONAL = 0.87
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
@@ -25,16 +31,29 @@ SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
+@dataclass(frozen=True)
+class DepthFrame:
+    """A depth image and where it was taken.
+
+    Attributes:
+        depth_m: (height, width) float32, metres along z, 0 = none.
+        T_world_camera: (4, 4).
+        pose_sigma_m: by how much the pose may be off, metres.
+    """
+
+    depth_m: NDArray[np.float32]
+    T_world_camera: NDArray[np.float64]
+    pose_sigma_m: float = 0.0
+
+
 def integrate(
     volume: BlockVolume,
-    depth_m: NDArray[np.float32],
+    frames: Iterable[DepthFrame],
     camera: Camera,
-    T_world_camera: NDArray[np.float64],
     truncation_m: float,
-    pose_sigma_m: float = 0.0,
     farthest_m: float = np.inf,
 ) -> None:
-    """Fuse one frame into the volume's arrays (in place: this is the one hot loop of fusion).
+    """Fuse frames into the volume's arrays (in place: this is the one hot loop of fusion).
 
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
     s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
@@ -45,25 +64,38 @@ def integrate(
 
     Args:
         volume: blocks to fuse into.
-        depth_m: (height, width) float32, metres along z, 0 = none.
-        camera: pinhole intrinsics; pixel centres are integers, so the lookup rounds to nearest.
-        T_world_camera: (4, 4).
+        frames: depth images; some at a time are held in memory.
+        camera: pinhole intrinsics of all; pixel centres are integers, so the lookup rounds to nearest.
         truncation_m: TSDF truncation, metres.
-        pose_sigma_m: by how much the frame's pose may be off, metres.
         farthest_m: depth beyond it is not fused as a surface, metres.
     """
-    T_camera_grid = invert_rigid(T_world_camera) @ volume.T_world_grid
-    seen = visible_blocks(volume, depth_m, camera, T_camera_grid, truncation_m)
-    pixels = pixel_weights(depth_m, camera, pose_sigma_m, farthest_m)
+    remaining = iter(frames)
+    pixels = np.zeros((BATCH_FRAMES, *padded_shape(camera)), np.float32)
+    while batch := list(islice(remaining, BATCH_FRAMES)):
+        for values, frame in zip(pixels, batch, strict=False):
+            pixel_weights(frame.depth_m, camera, frame.pose_sigma_m, farthest_m, out=values)
+        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
+
+
+def _integrate_batch(
+    volume: BlockVolume,
+    batch: list[DepthFrame],
+    pixels: NDArray[np.float32],
+    camera: Camera,
+    truncation_m: float,
+) -> None:
+    T_camera_grid = [invert_rigid(frame.T_world_camera) @ volume.T_world_grid for frame in batch]
+    posed = list(zip(batch, T_camera_grid, strict=True))
+    seen = np.stack([visible_blocks(volume, frame.depth_m, camera, T, truncation_m) for frame, T in posed])
     # Pixel coordinates times z, but for the principal point; its half a pixel more, and cutting off the
     # fraction, round to the nearest pixel.
-    to_pixels = np.diag([camera.fx, camera.fy, 1.0]) @ T_camera_grid[:3]
+    to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
     middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
+    noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.pose_sigma_m) for frame in batch])
     tsdf, weight, votes = (
         values.reshape(-1, BLOCK_CELLS)
         for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
     )
-    noise_m = _noise_m(volume.voxel_size_m, pose_sigma_m)
     _integrate(
         seen, volume.blocks, tsdf, weight, votes, pixels.view(np.uint64)[..., 0], to_pixels, middle_px,
         volume.voxel_size_m, np.float32(truncation_m), noise_m,
@@ -80,39 +112,46 @@ def _noise_m(voxel_size_m: float, pose_sigma_m: float) -> NDArray[np.float32]:
 def _integrate(  # type: ignore[no-untyped-def]
     seen, blocks, tsdf, weight, votes, pixels, to_pixels, middle, voxel, truncation, noise
 ):
-    """Block by block in three steps: project, fetch, update.
+    """Block by block: for each frame project, fetch and add up, then merge into the block, once for all.
 
-    Apart, the compiler can vectorise the first and the last.
+    Apart, the compiler can vectorise all but the second. Blocks pass through memory once for all frames.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
     fetched = np.empty(BLOCK_CELLS, np.uint64)
     z = np.empty(BLOCK_CELLS, np.float32)
-    depth, added = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.float32)
-    inside = _inside_block(to_pixels, voxel)
+    new_total, new_weight = np.zeros(BLOCK_CELLS, np.float32), np.zeros(BLOCK_CELLS, np.float32)
+    new_votes = np.zeros(BLOCK_CELLS, np.int32)
     corner = np.empty(3, np.float32)
-    height, width = pixels.shape
-    of_pixel = pixels.reshape(-1)
-    for b in seen:
+    frames, height, width = pixels.shape
+    of_pixel = pixels.reshape(frames, height * width)
+    inside = np.empty((frames, 3, BLOCK_CELLS), np.float32)
+    for f in range(frames):
+        _inside_block(inside[f], to_pixels[f], voxel)
+    for b in range(len(blocks)):
         gx, gy, gz = blocks[b]
-        for axis in range(3):
-            row = to_pixels[axis]
-            corner[axis] = (row[0] * gx + row[1] * gy + row[2] * gz) * (BLOCK_VOXELS * voxel) + row[3]
-        _project(index, z, corner, inside, middle, width, height)
-        for n in range(BLOCK_CELLS):
-            fetched[n] = of_pixel[index[n]]
-        _update(tsdf[b], weight[b], votes[b], fetched, depth, added, z, truncation, noise)
+        any_new = False
+        for f in range(frames):
+            if seen[f, b]:
+                for axis in range(3):
+                    row = to_pixels[f, axis]
+                    along = row[0] * gx + row[1] * gy + row[2] * gz
+                    corner[axis] = along * (BLOCK_VOXELS * voxel) + row[3]
+                _project(index, z, corner, inside[f], middle, width, height)
+                for n in range(BLOCK_CELLS):
+                    fetched[n] = of_pixel[f, index[n]]
+                any_new |= _add(new_total, new_weight, new_votes, fetched, z, truncation, noise[f])
+        if any_new:
+            _merge(tsdf[b], weight[b], votes[b], new_total, new_weight, new_votes)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _inside_block(to_pixels, voxel):  # type: ignore[no-untyped-def]
-    """What lies between a block's corner and the centre of each voxel, projected: (3, 512) float32."""
-    inside = np.empty((3, BLOCK_CELLS), np.float32)
+def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
+    """Set (3, 512): what lies between a block's corner and the centre of each voxel, projected."""
     for axis in range(3):
         for n in range(BLOCK_CELLS):
             i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
             row = to_pixels[axis]
             inside[axis, n] = voxel * (row[0] * (i + 0.5) + row[1] * (j + 0.5) + row[2] * (k + 0.5))
-    return inside
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -133,28 +172,34 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-def _update(tsdf, weight, votes, fetched, depth, added, z, truncation, noise):  # type: ignore[no-untyped-def]
-    """Average the distances of a block into it and count the votes; overwrites `depth`, `added` and `z`."""
+def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
+    """Add a frame's weighted distances, weights and votes; whether there were any."""
     near, growth, near_depth, pose, half_diagonal = noise[0], noise[1], noise[2], noise[3], noise[4]
-    distance = z
     any_added = np.float32(0)
     for n in range(BLOCK_CELLS):
-        depth[n] = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
-        distance[n] = depth[n] - z[n]
-        added_here = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
-        least = -truncation if added_here >= 0 else BEFORE_FAR_M
-        added[n] = abs(added_here) if distance[n] >= least else np.float32(0)
-        any_added += added[n]
-    if any_added == 0:
-        return
-    for n in range(BLOCK_CELLS):
-        total = weight[n] + added[n]
-        share = added[n] / max(total, np.float32(1e-20))
-        tsdf[n] += (min(distance[n], truncation) - tsdf[n]) * share
-        weight[n] = total
-        sigma = near + growth * (depth[n] - near_depth) * (depth[n] - near_depth)
+        depth = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
+        weight = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
+        distance = depth - z[n]
+        least = -truncation if weight >= 0 else BEFORE_FAR_M
+        added = abs(weight) if distance >= least else np.float32(0)
+        any_added += added
+        new_total[n] += added * min(distance, truncation)
+        new_weight[n] += added
+        sigma = near + growth * (depth - near_depth) * (depth - near_depth)
         # (max(2 sigma, half a diagonal))^2
         reach = max(SURFACE_SIGMAS_SQUARED * (sigma * sigma + pose * pose), half_diagonal * half_diagonal)
-        ahead = FREE_VOTE if distance[n] > 0 else NO_VOTE
-        vote = SURFACE_VOTE if distance[n] * distance[n] <= reach else ahead
-        votes[n] += vote if added[n] > 0 else NO_VOTE
+        ahead = FREE_VOTE if distance > 0 else NO_VOTE
+        vote = SURFACE_VOTE if distance * distance <= reach else ahead
+        new_votes[n] += vote if added > 0 else NO_VOTE
+    return any_added > 0
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _merge(tsdf, weight, votes, new_total, new_weight, new_votes):  # type: ignore[no-untyped-def]
+    """Average what was added up into a block; leaves zeros for the next one."""
+    for n in range(BLOCK_CELLS):
+        total = weight[n] + new_weight[n]
+        tsdf[n] = (tsdf[n] * weight[n] + new_total[n]) / max(total, np.float32(1e-20))
+        weight[n] = total
+        votes[n] += new_votes[n]
+        new_total[n], new_weight[n], new_votes[n] = np.float32(0), np.float32(0), np.int32(0)

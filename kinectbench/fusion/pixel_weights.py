@@ -12,10 +12,19 @@ SLANT_REACH_PX = 2
 MAX_SLANT = 10.0
 
 
+def padded_shape(camera: Camera) -> tuple[int, int, int]:
+    """Of what `pixel_weights` sets: the image with a border of one pixel, depth and weight."""
+    return camera.height + 2 * BORDER_PX, camera.width + 2 * BORDER_PX, 2
+
+
 def pixel_weights(
-    depth_m: NDArray[np.float32], camera: Camera, pose_sigma_m: float, farthest_m: float = np.inf
-) -> NDArray[np.float32]:
-    """Depth and weight of every pixel, with a border of one empty pixel: (height + 2, width + 2, 2) float32.
+    depth_m: NDArray[np.float32],
+    camera: Camera,
+    pose_sigma_m: float,
+    farthest_m: float,
+    out: NDArray[np.float32],
+) -> None:
+    """Depth and weight of every pixel.
 
     The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma holds the noise of
     the depth and of the pose; what is an error of x along the surface's normal is x / cos along the viewing
@@ -28,13 +37,11 @@ def pixel_weights(
         camera: pinhole intrinsics.
         pose_sigma_m: by how much the frame's pose may be off, metres.
         farthest_m: depth beyond it is not fused as a surface, metres.
+        out: (height + 2, width + 2, 2) float32, set but for its border, which is to be 0.
     """
-    height, width = depth_m.shape
-    pixels = np.zeros((height + 2 * BORDER_PX, width + 2 * BORDER_PX, 2), np.float32)
     noise_m = np.array([SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, pose_sigma_m], np.float32)
     slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
-    _pixel_weights(pixels, depth_m, slope, noise_m, np.float32(farthest_m))
-    return pixels
+    _pixel_weights(out, depth_m, slope, noise_m, np.float32(farthest_m))
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})

@@ -1,6 +1,6 @@
 """The stage `fuse`: all good frames into one surface of the whole scene."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,17 +10,16 @@ from kinectbench.config import FusionSettings
 from kinectbench.errors import TrackingError
 from kinectbench.fusion.blocks import (
     BlockVolume,
-    blocks_of_cubes,
     blocks_of_grid,
     dense_grid,
     empty_volume,
     unique_blocks,
 )
 from kinectbench.fusion.color import color_vertices
-from kinectbench.fusion.integrate import integrate
+from kinectbench.fusion.integrate import DepthFrame, integrate
 from kinectbench.fusion.mesh import extract_mesh
 from kinectbench.fusion.pixel_weights import MAX_SLANT
-from kinectbench.fusion.visible_blocks import cubes_near_surface
+from kinectbench.fusion.visible_blocks import blocks_near_surface
 from kinectbench.fusion.vote_trust import POSE_SIGMAS, ray_width_m, trust_in_votes
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.sequence import Sequence
@@ -87,12 +86,13 @@ def fuse(
         if depth_m.any():
             distances_m.append(np.median(depth_m[depth_m > 0]))
         T_world_camera = trajectory.T_world_camera[index]
-        found.append(cubes_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m))
-    cubes = unique_blocks(np.concatenate(found).astype(np.int64))
-    volume = empty_volume(blocks_of_cubes(cubes), voxel_size_m, np.eye(4))
+        near = blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
+        found.append(near)
+    blocks = unique_blocks(np.concatenate(found).astype(np.int64))
+    volume = empty_volume(blocks, voxel_size_m, np.eye(4))
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
-    near = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
-    least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[near])) if near.any() else 0.0
+    crossed = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
+    least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[crossed])) if crossed.any() else 0.0
     distance_m = float(np.median(distances_m)) if distances_m else 0.0
     width_m = ray_width_m(sequence.camera, trajectory, distance_m)
     mesh = extract_mesh(volume, min_weight=least, trust=trust_in_votes(width_m, voxel_size_m))
@@ -168,17 +168,13 @@ def _integrate_frames(
     far: bool = False,
 ) -> None:
     truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
-    chosen = list(frames)
-    for done, index in enumerate(chosen, start=1):
-        depth_m = usable_depth_m(sequence, int(index), settings, far)
-        integrate(
-            volume,
-            depth_m,
-            sequence.camera,
-            trajectory.T_world_camera[index],
-            truncation_m,
-            trajectory.pose_sigma_m(int(index)),
-            settings.max_depth_m,
-        )
-        if progress:
-            progress(done, len(chosen))
+    chosen = [int(index) for index in frames]
+
+    def read() -> Iterator[DepthFrame]:
+        for done, index in enumerate(chosen, start=1):
+            depth_m = usable_depth_m(sequence, index, settings, far)
+            yield DepthFrame(depth_m, trajectory.T_world_camera[index], trajectory.pose_sigma_m(index))
+            if progress:
+                progress(done, len(chosen))
+
+    integrate(volume, read(), sequence.camera, truncation_m, settings.max_depth_m)

@@ -4,54 +4,66 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.fusion.blocks import BLOCK_VOXELS, CUBE_VOXELS, BlockVolume, unique_blocks
+from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
 from kinectbench.geometry import Camera
 
 TILE_PX = 4
-SAMPLE_PX = 4
+SAMPLES_APART_BLOCKS = 0.4
+# The usual depth of a frame is found in every sixteenth pixel of every sixteenth row.
+FEW_PX = 16
 # Nearer corners are not projected: their block counts as visible.
 NEAREST_M = 0.05
+# No block lies there.
+NOWHERE = np.int64(np.iinfo(np.int64).min)
 
 
-def cubes_near_surface(
+def blocks_near_surface(
     depth_m: NDArray[np.float32],
     camera: Camera,
     T_world_camera: NDArray[np.float64],
     margin_m: float,
     voxel_size_m: float,
 ) -> NDArray[np.int32]:
-    """Cubes of 16^3 voxels, world-aligned, within `margin_m` of a frame's depth, along the viewing rays.
+    """World-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
 
-    Every fourth pixel is looked at: at 4 m these are 30 mm apart, less than half a cube of 5 mm voxels.
+    Not every pixel is looked at: at the usual depth those that are lie at most 0.4 blocks apart.
 
     Returns:
-        (n, 3) int32, unique, sorted; cube c covers voxels `16 c ... 16 c + 15`.
+        (n, 3) int32, unique, sorted.
     """
-    cube_m = CUBE_VOXELS * voxel_size_m
-    offsets_m = np.linspace(-margin_m, margin_m, max(2, int(np.ceil(4 * margin_m / cube_m)) + 1))
+    block_m = BLOCK_VOXELS * voxel_size_m
+    offsets_m = np.linspace(-margin_m, margin_m, int(np.ceil(4 * margin_m / block_m)) + 1)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    return unique_blocks(_cubes_on_rays(depth_m, intrinsics, T_world_camera[:3] / cube_m, offsets_m))
+    some_m = depth_m[::FEW_PX, ::FEW_PX]
+    usual_m = float(np.median(some_m[some_m > 0])) if some_m.any() else 1.0
+    step_px = max(1, int(SAMPLES_APART_BLOCKS * block_m * min(camera.fx, camera.fy) / usual_m))
+    found = _blocks_on_rays(depth_m, step_px, intrinsics, T_world_camera[:3] / block_m, offsets_m)
+    return unique_blocks(found)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cubes_on_rays(depth, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
-    """The cubes that sampled pixels lie in, without those that repeat the one before: (n, 3) int64."""
+def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
+    """The blocks that sampled pixels lie in, without those that repeat the one before: (n, 3) int64."""
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape
-    samples = ((height - 1) // SAMPLE_PX + 1) * ((width - 1) // SAMPLE_PX + 1)
+    samples = ((height - 1) // step + 1) * ((width - 1) // step + 1)
     found, count = np.empty((samples * len(offsets), 3), np.int64), 0
-    for offset in offsets:
-        for v in range(0, height, SAMPLE_PX):
-            for u in range(0, width, SAMPLE_PX):
-                if depth[v, u] > 0:
+    last_i, last_j, last_k = NOWHERE, NOWHERE, NOWHERE
+    for v in range(0, height, step):
+        for u in range(0, width, step):
+            if depth[v, u] > 0:
+                x, y = (u - cx) / fx, (v - cy) / fy
+                along_x = T[0, 0] * x + T[0, 1] * y + T[0, 2]
+                along_y = T[1, 0] * x + T[1, 1] * y + T[1, 2]
+                along_z = T[2, 0] * x + T[2, 1] * y + T[2, 2]
+                for offset in offsets:
                     z = depth[v, u] + offset
-                    x, y = (u - cx) / fx * z, (v - cy) / fy * z
-                    i = np.int64(np.floor(T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]))
-                    j = np.int64(np.floor(T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]))
-                    k = np.int64(np.floor(T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]))
-                    before = found[max(count, 1) - 1]
-                    if count == 0 or i != before[0] or j != before[1] or k != before[2]:
+                    i = np.int64(np.floor(along_x * z + T[0, 3]))
+                    j = np.int64(np.floor(along_y * z + T[1, 3]))
+                    k = np.int64(np.floor(along_z * z + T[2, 3]))
+                    if i != last_i or j != last_j or k != last_k:
                         found[count, 0], found[count, 1], found[count, 2] = i, j, k
+                        last_i, last_j, last_k = i, j, k
                         count += 1
     return found[:count]
 
@@ -62,16 +74,18 @@ def visible_blocks(
     camera: Camera,
     T_camera_grid: NDArray[np.float64],
     truncation_m: float,
-) -> NDArray[np.int64]:
-    """Indices of the blocks that a frame may say something about, ascending.
+) -> NDArray[np.bool_]:
+    """Which blocks a frame may say something about.
 
     Left out are blocks that project beside the image, or lie behind all that was measured where they project.
     """
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     block_m = BLOCK_VOXELS * volume.voxel_size_m
-    seen = _visible(volume.blocks, block_m, _farthest(depth_m), T_camera_grid, intrinsics, camera.width,
-                    camera.height, truncation_m)  # fmt: skip
-    return np.flatnonzero(seen)
+    seen: NDArray[np.bool_] = _visible(
+        volume.blocks, block_m, _farthest(depth_m), T_camera_grid, intrinsics, camera.width, camera.height,
+        truncation_m,
+    )  # fmt: skip
+    return seen
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -110,17 +124,18 @@ def _visible(  # type: ignore[no-untyped-def]
             seen[b] = far > 0
         else:
             # The tiles of the pixels that voxels in the box round to.
-            left, right = _span(fx, x - half[0], x + half[0], near, far, cx, width)
-            top, bottom = _span(fy, y - half[1], y + half[1], near, far, cy, height)
+            by_near, by_far = 1 / near, 1 / far
+            left, right = _span(fx, x - half[0], x + half[0], by_near, by_far, cx, width)
+            top, bottom = _span(fy, y - half[1], y + half[1], by_near, by_far, cy, height)
             seen[b] = _any_beyond(farthest, left, right, top, bottom, near - truncation_m)
     return seen
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _span(focal, low, high, near, far, middle, count):  # type: ignore[no-untyped-def]
-    """First and last tile that coordinates from low to high at depths from near to far project to."""
-    first = focal * min(low / near, low / far) + middle - 0.5
-    last = focal * max(high / near, high / far) + middle + 1
+def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-untyped-def]
+    """First and last tile that coordinates from low to high project to, by one over nearest and farthest."""
+    first = focal * min(low * by_near, low * by_far) + middle - 0.5
+    last = focal * max(high * by_near, high * by_far) + middle + 1
     return int(max(first, 0.0)) // TILE_PX, int(np.floor(min(last, count - 1.0) / TILE_PX))
 
 

@@ -7,15 +7,14 @@ from analytic_scenes import CAMERA, box, depth_of, look_at, plane, sphere
 from kinectbench.fusion.blocks import (
     BLOCK_VOXELS,
     BlockVolume,
-    blocks_of_cubes,
     blocks_of_grid,
     dense_grid,
     empty_volume,
     in_cubes,
     unique_blocks,
 )
-from kinectbench.fusion.integrate import BEFORE_FAR_M, HALF_DIAGONAL, SURFACE_SIGMAS, integrate
-from kinectbench.fusion.visible_blocks import cubes_near_surface, visible_blocks
+from kinectbench.fusion.integrate import BEFORE_FAR_M, HALF_DIAGONAL, SURFACE_SIGMAS, DepthFrame, integrate
+from kinectbench.fusion.visible_blocks import blocks_near_surface, visible_blocks
 from kinectbench.geometry import (
     Camera,
     Grid,
@@ -96,8 +95,8 @@ def random_frames(count: int) -> list:
 def fused(frames, farthest_m=np.inf) -> BlockVolume:
     blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
     volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
-    for depth_m, T_world_camera in frames:
-        integrate(volume, depth_m, SMALL, T_world_camera, TRUNCATION_M, POSE_SIGMA_M, farthest_m)
+    posed = [DepthFrame(depth_m, T_world_camera, POSE_SIGMA_M) for depth_m, T_world_camera in frames]
+    integrate(volume, posed, SMALL, TRUNCATION_M, farthest_m)
     return volume
 
 
@@ -133,7 +132,7 @@ def test_weight_of_a_slanted_plane(slant_deg):
     depth_m = depth_of([plane(normal, 1.0 * normal[2])], camera, np.eye(4))
     grid = Grid((16, 16, 16), 0.004, rigid(np.eye(3), [-0.03, -0.03, 0.97]))
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
-    integrate(volume, depth_m, camera, np.eye(4), 0.02)
+    integrate(volume, [DepthFrame(depth_m, np.eye(4))], camera, 0.02)
     weight = volume.weight[0, 7, 7, 7]  # the centre lies on the optical axis at 1 m
     sigma_mm = 1000 * depth_sigma_m(1.0)
     assert weight == pytest.approx((normal[2] / sigma_mm) ** 2, rel=0.02)
@@ -182,7 +181,7 @@ def test_open3d_agrees(seed):
         unique_blocks(index // BLOCK_VOXELS), voxel_m, rigid(np.eye(3), np.full(3, -voxel_m / 2))
     )
     fused_depth_m = np.where(depth_m < 2.5, depth_m, np.float32(0))
-    integrate(ours, fused_depth_m, CAMERA, T_world_camera, 4 * voxel_m)
+    integrate(ours, [DepthFrame(fused_depth_m, T_world_camera)], CAMERA, 4 * voxel_m)
     row = {tuple(block): n for n, block in enumerate(ours.blocks.tolist())}
     b = np.array([row[tuple(block)] for block in (index // BLOCK_VOXELS).tolist()])
     at = (b, *(index % BLOCK_VOXELS).T)
@@ -206,10 +205,9 @@ def test_blocks_of_grid_and_dense_grid_are_inverse():
     assert not cube[:, :16].any()
 
 
-def test_blocks_of_cubes_and_in_cubes_are_inverse():
+def test_in_cubes_puts_each_block_in_its_place():
     cubes = np.array([[-2, 0, 1], [3, -1, 0]], np.int32)
-    blocks = blocks_of_cubes(cubes)
-    assert len(np.unique(blocks, axis=0)) == 16
+    blocks = (cubes[:, None] * 2 + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
     voxels = np.stack(np.meshgrid(*[np.arange(BLOCK_VOXELS)] * 3, indexing="ij"), -1)
     keys = ((blocks[:, None, None, None] * BLOCK_VOXELS + voxels) @ [10**6, 10**3, 1]).astype(np.int64)
     shuffled = np.random.default_rng(0).permutation(16)[:15]
@@ -225,18 +223,18 @@ def test_unique_blocks_sorts_and_keeps_signs():
     np.testing.assert_array_equal(unique_blocks(rows), np.unique(rows, axis=0))
 
 
-def test_cubes_near_a_surface_hold_the_truncation_band():
-    """Of all points within the margin of a pixel's depth, at most 1 % lie in a cube that was missed."""
+def test_blocks_near_a_surface_hold_the_truncation_band():
+    """Of all points within the margin of a pixel's depth, at most 1 % lie in a block that was missed."""
     T_world_camera = look_at(np.array([0.9, 0.6, 0.8]), np.zeros(3))
     depth_m = depth_of([sphere((0, 0, 0), 0.25), plane((0, 0, 1), -0.3)], CAMERA, T_world_camera)
     depth_m[depth_m > 3] = 0
-    blocks = cubes_near_surface(depth_m, CAMERA, T_world_camera, 0.02, 0.005)
+    blocks = blocks_near_surface(depth_m, CAMERA, T_world_camera, 0.02, 0.005)
     found = {tuple(block) for block in blocks.tolist()}
     rays = CAMERA.rays()[depth_m > 0]
     missed, total = 0, 0
     for offset_m in np.linspace(-0.02, 0.02, 9):
         points = transform_points(T_world_camera, rays * (depth_m[depth_m > 0] + offset_m)[:, None])
-        needed, counts = np.unique(np.floor(points / 0.08).astype(int), axis=0, return_counts=True)
+        needed, counts = np.unique(np.floor(points / 0.04).astype(int), axis=0, return_counts=True)
         missing = [tuple(block) not in found for block in needed.tolist()]
         missed += counts[missing].sum()
         total += counts.sum()
@@ -248,7 +246,7 @@ def test_blocks_behind_the_surface_are_left_out_and_no_others():
     depth_m = np.full((SMALL.height, SMALL.width), 1.5, np.float32)
     depth_m[:, :20] = 0.7
     volume = empty_volume(blocks_of_grid(Grid((96, 96, 96), VOXEL_M, T_WORLD_GRID)), VOXEL_M, T_WORLD_GRID)
-    seen = visible_blocks(volume, depth_m, SMALL, T_WORLD_GRID, TRUNCATION_M)
+    seen = np.flatnonzero(visible_blocks(volume, depth_m, SMALL, T_WORLD_GRID, TRUNCATION_M))
     _, weight, _, _, tie = reference(volume, [(depth_m, np.eye(4))])
     told_about = np.flatnonzero(((weight > 0) & ~tie).any(axis=(1, 2, 3)))
     assert set(told_about) <= set(seen)
