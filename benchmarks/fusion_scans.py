@@ -96,10 +96,10 @@ def _faced(truth: Truth) -> NDArray[np.bool_]:
 
 
 def trajectories(sequence: Sequence, truth: Truth) -> tuple[Trajectory, Trajectory]:
-    """The true one, and the tracker's laid onto it as for ATE."""
-    true = Trajectory(sequence.stamps_ns, true_poses(sequence), "trust")
+    """The true one, given to the tracker to be trusted; and the tracker's own laid onto it as for ATE."""
+    true = track(sequence, "trust", TrackingSettings())
     tracked = track(sequence, "ignore", TrackingSettings())
-    both = tracked.good_frames
+    both = np.intersect1d(true.good_frames, tracked.good_frames)
     T_true_tracked = align_worlds(tracked.T_world_camera[both], true.T_world_camera[both])
     return true, replace(tracked, T_world_camera=T_true_tracked @ tracked.T_world_camera)
 
@@ -114,7 +114,8 @@ def scan_figures(objects: Rows[tuple[str, int]], cache: Path) -> list[Figure]:
         with ingested(recording) as folder:
             sequence = sequence_in(folder)
             for name, trajectory in zip(rows, trajectories(sequence, truth), strict=True):
-                mesh = fuse(at_object_scale(sequence, truth), trajectory, SETTINGS).mesh
+                calibrated = sequence.calibrated(trajectory.depth_calibration)
+                mesh = fuse(at_object_scale(calibrated, truth), trajectory, SETTINGS).mesh
                 found = object_figures(mesh, truth)
                 rows[name].append(found)
                 lines.append(f"{family}{seed}, {name} poses: {_line(found)}")

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from kinectbench.config import TrackingSettings
 from kinectbench.errors import TrackingError
+from kinectbench.geometry.depth_calibration import DepthCalibration
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.compare import compare_poses, has_pose
+from kinectbench.tracking.depth_calibration import calibrate_posed
 from kinectbench.tracking.distant_frames import distant_residual_m, tie_distant
-from kinectbench.tracking.frame_check import FrameCheck, check_frames
+from kinectbench.tracking.frame_check import FrameCheck, check_frames, evenly_spread
 from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.health import GivenCheck
 from kinectbench.tracking.json_figures import median
@@ -38,6 +40,7 @@ class Checked:
         distant: frames that are far apart in time, registered from the given poses.
         given: the figures for people; `refined_distant_residual_m` is that of the registrations.
         sharpness: of the colour, by frame, where it was read.
+        calibration: of the depth, as frames agree best under these poses; all figures are with it.
     """
 
     T_given: Float64
@@ -45,6 +48,7 @@ class Checked:
     distant: tuple[Tie, ...]
     given: GivenCheck
     sharpness: Mapping[int, float]
+    calibration: DepthCalibration
 
 
 def check_given(
@@ -62,6 +66,9 @@ def check_given(
         progress: called with (done, total).
     """
     maps, every = MapCache(sequence), settings.check_stride_px
+    posed = np.flatnonzero(has_pose(T_given))
+    calibration = calibrate_posed(maps, T_given, evenly_spread(posed))
+    maps.calibrate(calibration)
     frames = check_frames(maps, T_given, settings, progress)
     sound = frames.compared[~frames.disagrees[frames.compared]]
     distant, shifts_m, unmatched = tie_distant(maps, T_given, sound, every)
@@ -76,7 +83,7 @@ def check_given(
         distant_unmatched=unmatched,
         largest_jump_m=max((by_m for _, by_m in frames.jumps), default=0.0),
     )
-    return Checked(T_given, frames, distant, given, maps.sharpness)
+    return Checked(T_given, frames, distant, given, maps.sharpness, calibration)
 
 
 def as_refined(
@@ -84,6 +91,7 @@ def as_refined(
 ) -> GivenCheck:
     """The figures, with those that compare the given poses with refined ones (n, 4, 4)."""
     maps, every = MapCache(sequence), settings.check_stride_px
+    maps.calibrate(checked.calibration)
     found_m = distant_residual_m(maps, checked.distant, every, T_refined)
     both = has_pose(checked.T_given) & has_pose(T_refined)
     apart_m = compare_poses(T_refined[both], checked.T_given[both]).ate_m.rmse if both.sum() >= 3 else np.nan
@@ -118,6 +126,7 @@ def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
         inlier_share=checked.frames.inlier_share,
         degenerate=checked.frames.degenerate,
         sharpness=checked.sharpness,
+        calibration=checked.calibration,
     )
 
 

@@ -7,13 +7,13 @@ registration a little the same way, and bends a walk around a chair by millimetr
 correction, a polynomial of the pixel.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, transform_points
+from kinectbench.geometry import Camera, invert_rigid, transform_points
 from kinectbench.geometry.depth_calibration import (
     NO_CALIBRATION,
     TERMS,
@@ -21,7 +21,8 @@ from kinectbench.geometry.depth_calibration import (
     legendre_terms,
 )
 from kinectbench.geometry.depth_noise import depth_sigma_m
-from kinectbench.tracking.frame_maps import Level
+from kinectbench.tracking.covisibility import covisible, glimpse
+from kinectbench.tracking.frame_maps import Level, MapCache
 from kinectbench.tracking.linearise import add_products, mirrored
 from kinectbench.tracking.registration import CORRELATED_POINTS
 
@@ -33,6 +34,10 @@ POINTS_PER_TIE = 1500
 PRIOR_PER_M = 0.0025
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
 MIN_TIES = 6
+# Of frames with known poses, pairs that share this much of their view, at most so many.
+MIN_SHARED_VIEW, POSED_PAIRS = 0.3, 400
+# Frames agree clearly better where given poses put them if this is left of the squares of their residuals.
+POSED_FALLS_TO = 0.98
 
 
 @dataclass(frozen=True)
@@ -44,33 +49,110 @@ class View:
     T_target_source: Float64
 
 
+@dataclass(frozen=True)
+class _Sums:
+    """A sum of squares of residuals as coefficients x change it: squares + 2 b x + x A x."""
+
+    A: Float64
+    b: Float64
+    squares: float
+
+    def __add__(self, other: "_Sums") -> "_Sums":
+        return _Sums(self.A + other.A, self.b + other.b, self.squares + other.squares)
+
+    def falls_to(self, coefficients_per_m: Float64) -> float:
+        """What share is left with these coefficients."""
+        x = coefficients_per_m
+        return 1 + float(2 * x @ self.b + x @ self.A @ x) / max(self.squares, 1e-12)
+
+
+NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
+
+
+@dataclass(frozen=True)
+class _TieSums:
+    """A tie's residuals where it lies (`posed`), and with the motion that is best for any coefficients."""
+
+    posed: _Sums
+    unexplained: _Sums
+
+
 def calibrate(views: Iterable[View]) -> DepthCalibration:
     """The correction that agrees best with many ties; each tie's motion is free besides.
 
     Args:
-        views: with depth as recorded, not yet corrected.
+        views: in the order of time, with depth as recorded, not yet corrected.
     """
-    k = len(TERMS)
-    normal_matrix = np.diag([((1 + i + j) / PRIOR_PER_M) ** 2 for i, j in TERMS])
-    right = np.zeros(k)
-    ties = 0
-    for view in views:
-        rows, residuals, weights = _linearised(view)
-        if len(rows) < 10 * k:
-            continue
-        ties += 1
-        sums = np.zeros((6 + k + 1, 6 + k + 1))
-        columns = np.ascontiguousarray(np.column_stack([rows, residuals]).T)
-        add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
-        sums = mirrored(sums)
-        A, b = sums[:-1, :-1], sums[:-1, -1]
-        # The motion is eliminated: what is left is what it cannot explain.
-        motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
-        normal_matrix += A[6:, 6:] - A[6:, :6] @ motion[:, :-1]
-        right += b[6:] - A[6:, :6] @ motion[:, -1]
-    if ties < MIN_TIES:
+    return _believed([each.unexplained for each in _all_sums(views)])
+
+
+def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
+    """The correction by which frames of known poses agree best; each pair's motion is free all the same.
+
+    Given poses are off by a hand-eye calibration, or made from the same distorted depth: then correct depth
+    fits them worse. So it is believed only if frames agree clearly better where the poses put them.
+
+    Args:
+        maps: of the recording, depth as recorded.
+        T_world_camera: (n, 4, 4), of all frames.
+        frames: (k,) those to look at, ascending; they have poses.
+    """
+    seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
+    pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
+    if not pairs:
         return NO_CALIBRATION
-    return DepthCalibration(np.asarray(-np.linalg.solve(normal_matrix, right), np.float64))
+    pairs = [pairs[n] for n in np.unique(np.linspace(0, len(pairs) - 1, POSED_PAIRS).astype(int))]
+    found = _all_sums(
+        View(maps[b].levels[0], maps[a].levels[0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
+        for a, b in pairs
+    )
+    sums = [each.unexplained for each in found]
+    helps = _left(sums, [each.posed for each in found]) < POSED_FALLS_TO
+    return _believed(sums) if helps else NO_CALIBRATION
+
+
+def _believed(sums: Sequence[_Sums]) -> DepthCalibration:
+    """Their solution, if what either half of the ties says explains the other half, too; or none."""
+    believed = len(sums) >= MIN_TIES and _left(sums, sums) < 1
+    return DepthCalibration(_solved(sums)) if believed else NO_CALIBRATION
+
+
+def _left(solved: Sequence[_Sums], judged: Sequence[_Sums]) -> float:
+    """What share of the squares of either half of ties is left with what the other half says, at most."""
+    half = len(solved) // 2
+    return max(
+        sum(judged[half:], NO_SUMS).falls_to(_solved(solved[:half])),
+        sum(judged[:half], NO_SUMS).falls_to(_solved(solved[half:])),
+    )
+
+
+def _solved(sums: Sequence[_Sums]) -> Float64:
+    whole = sum(sums, _Sums(np.diag([((1 + i + j) / PRIOR_PER_M) ** 2 for i, j in TERMS]), NO_SUMS.b, 0.0))
+    return np.asarray(-np.linalg.solve(whole.A, whole.b), np.float64)
+
+
+def _all_sums(views: Iterable[View]) -> list[_TieSums]:
+    return [each for each in map(_sums, views) if each is not None]
+
+
+def _sums(view: View) -> _TieSums | None:
+    """Of one tie; None where too little overlaps."""
+    k = len(TERMS)
+    rows, residuals, weights = _linearised(view)
+    if len(rows) < 10 * k:
+        return None
+    sums = np.zeros((6 + k + 1, 6 + k + 1))
+    columns = np.ascontiguousarray(np.column_stack([rows, residuals]).T)
+    add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
+    sums = mirrored(sums)
+    A, b = sums[:-1, :-1], sums[:-1, -1]
+    motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
+    posed = _Sums(A[6:, 6:], b[6:], float(sums[-1, -1]))
+    explained = A[6:, :6] @ motion
+    unexplained = _Sums(
+        posed.A - explained[:, :-1], posed.b - explained[:, -1], posed.squares - float(b[:6] @ motion[:, -1])
+    )
+    return _TieSums(posed, unexplained)
 
 
 def _linearised(view: View) -> tuple[Float64, Float64, Float64]:

@@ -82,7 +82,7 @@ def check_frames(
         progress: called with (done, total).
     """
     posed = np.flatnonzero(has_pose(T_given))
-    compared = posed[np.unique(np.linspace(0, len(posed) - 1, COMPARED_FRAMES).astype(np.int64))]
+    compared = evenly_spread(posed)
     checker = _Checker(maps, T_given, settings, compared)
     for done, frame in enumerate(posed.tolist(), start=1):
         checker.compare(frame)
@@ -92,6 +92,11 @@ def check_frames(
             progress(done, len(posed))
     checker.ask_again(posed)
     return checker.result(posed)
+
+
+def evenly_spread(frames: Indices) -> Indices:
+    """Of frames (k,) those that others are compared with."""
+    return frames[np.unique(np.linspace(0, len(frames) - 1, COMPARED_FRAMES).astype(np.int64))]
 
 
 class _Checker:

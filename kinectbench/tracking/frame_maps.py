@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import Camera
-from kinectbench.geometry.depth_calibration import corrected_depth_m
+from kinectbench.geometry.depth_calibration import DepthCalibration, corrected_depth_m
 from kinectbench.sequence import Sequence
 from kinectbench.tracking.map_kernels import (
     chosen_points,
@@ -120,7 +120,7 @@ class MapCache:
     Attributes:
         sequence: the recording.
         averaged: better depth of some frames, by index: see `improve`.
-        correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `correct`.
+        correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `calibrate`.
         sharpness: of the frames read, by index; none where colour is not registered to depth.
     """
 
@@ -157,9 +157,11 @@ class MapCache:
         self.averaged[index] = depth
         self._kept.pop(index, None)
 
-    def correct(self, correction_per_m: Float32 | None) -> None:
-        """From now on add this to 1 / depth of all frames; None: depth as recorded."""
-        self.correction_per_m = correction_per_m
+    def calibrate(self, calibration: DepthCalibration) -> None:
+        """From now on correct the depth of all frames."""
+        camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
+        none = calibration.is_none
+        self.correction_per_m = None if none else calibration.correction_per_m(camera.width, camera.height)
         self._kept.clear()
 
 

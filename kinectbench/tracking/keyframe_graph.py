@@ -244,10 +244,9 @@ class _Builder:
         chosen = np.unique(
             np.linspace(0, len(believed) - 1, min(len(believed), CALIBRATION_TIES)).astype(int)
         )
-        self.maps.correct(None)
+        self.maps.calibrate(NO_CALIBRATION)
         self.calibration = calibrate(self._view(believed[i]) for i in chosen)
-        level = self.maps[self.keyframes[0]].levels[0]
-        self.maps.correct(self.calibration.correction_per_m(level.camera.width, level.camera.height))
+        self.maps.calibrate(self.calibration)
         along = sorted(range(len(self.ties)), key=lambda t: (self.ties[t].a, self.ties[t].b))
         for t in along:
             self.ties[t] = self._again(self.ties[t])

@@ -20,7 +20,7 @@ class Trajectory:
         T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
         source: "trust", "refine" or "tracked": where the poses come from.
         health: figures about it, plain JSON values, as stored in health.json.
-        depth_calibration: of the recording's depth, as the poses were found with it; none for given poses.
+        depth_calibration: of the recording's depth, as the poses were found or checked with it.
     """
 
     stamps_ns: NDArray[np.int64]
