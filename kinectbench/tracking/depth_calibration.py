@@ -28,21 +28,21 @@ from kinectbench.tracking.registration import CORRELATED_POINTS
 
 Float64 = NDArray[np.float64]
 
-# A point of each tie in so many is enough.
-POINTS_PER_TIE = 1500
+# Points of each pair that are enough.
+POINTS_PER_PAIR = 1500
 # How large the correction may be expected: 1 % of depth at 4 m; higher degrees less.
 PRIOR_PER_M = 0.0025
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
-MIN_TIES = 6
-# Of frames with known poses, pairs that share this much of their view, at most so many.
-MIN_SHARED_VIEW, POSED_PAIRS = 0.3, 400
+MIN_PAIRS = 6
+# Pairs of frames that share this much of their view tell, at most so many.
+MIN_SHARED_VIEW, MAX_PAIRS = 0.3, 400
 # Frames agree clearly better where given poses put them if this is left of the squares of their residuals.
 POSED_FALLS_TO = 0.98
 
 
 @dataclass(frozen=True)
 class View:
-    """One tie as it is seen by the calibration: points of b that fall on a, finest level."""
+    """A pair of frames at the finest level: points of the source that fall on the target."""
 
     source: Level
     target: Level
@@ -70,15 +70,15 @@ NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
 
 
 @dataclass(frozen=True)
-class _TieSums:
-    """A tie's residuals where it lies (`posed`), and with the motion that is best for any coefficients."""
+class _PairSums:
+    """A pair's residuals where it lies (`posed`), and with the motion that is best for any coefficients."""
 
     posed: _Sums
     unexplained: _Sums
 
 
 def calibrate(views: Iterable[View]) -> DepthCalibration:
-    """The correction that agrees best with many ties; each tie's motion is free besides.
+    """The correction that pairs of frames agree on best; each pair's motion is free besides.
 
     Args:
         views: in the order of time, with depth as recorded, not yet corrected.
@@ -99,26 +99,29 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
     """
     seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
-    if not pairs:
-        return NO_CALIBRATION
-    pairs = [pairs[n] for n in np.unique(np.linspace(0, len(pairs) - 1, POSED_PAIRS).astype(int))]
     found = _all_sums(
         View(maps[b].levels[0], maps[a].levels[0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
-        for a, b in pairs
+        for a, b in evenly_chosen(pairs)
     )
     sums = [each.unexplained for each in found]
-    helps = _left(sums, [each.posed for each in found]) < POSED_FALLS_TO
+    helps = len(sums) >= MIN_PAIRS and _left(sums, [each.posed for each in found]) < POSED_FALLS_TO
     return _believed(sums) if helps else NO_CALIBRATION
 
 
+def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """At most 400 of the pairs, in their order: more add nothing."""
+    rows = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PAIRS)).astype(int)
+    return [pairs[row] for row in rows]
+
+
 def _believed(sums: Sequence[_Sums]) -> DepthCalibration:
-    """Their solution, if what either half of the ties says explains the other half, too; or none."""
-    believed = len(sums) >= MIN_TIES and _left(sums, sums) < 1
+    """Their solution, if what either half of the pairs says explains the other half, too; or none."""
+    believed = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if believed else NO_CALIBRATION
 
 
 def _left(solved: Sequence[_Sums], judged: Sequence[_Sums]) -> float:
-    """What share of the squares of either half of ties is left with what the other half says, at most."""
+    """What share of the squares of a half of the pairs is left with what the other half says, at most."""
     half = len(solved) // 2
     return max(
         sum(judged[half:], NO_SUMS).falls_to(_solved(solved[:half])),
@@ -131,11 +134,11 @@ def _solved(sums: Sequence[_Sums]) -> Float64:
     return np.asarray(-np.linalg.solve(whole.A, whole.b), np.float64)
 
 
-def _all_sums(views: Iterable[View]) -> list[_TieSums]:
+def _all_sums(views: Iterable[View]) -> list[_PairSums]:
     return [each for each in map(_sums, views) if each is not None]
 
 
-def _sums(view: View) -> _TieSums | None:
+def _sums(view: View) -> _PairSums | None:
     """Of one tie; None where too little overlaps."""
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
@@ -152,13 +155,13 @@ def _sums(view: View) -> _TieSums | None:
     unexplained = _Sums(
         posed.A - explained[:, :-1], posed.b - explained[:, -1], posed.squares - float(b[:6] @ motion[:, -1])
     )
-    return _TieSums(posed, unexplained)
+    return _PairSums(posed, unexplained)
 
 
 def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
     """Rows (m, 6 + k) of residual + row @ (twist, coefficients), the residuals (m,) and weights (m,)."""
     source, target = view.source, view.target
-    every = max(1, len(source.points) // POINTS_PER_TIE)
+    every = max(1, len(source.points) // POINTS_PER_PAIR)
     points = source.points[::every].astype(np.float64)
     p, normals = points[:, :3], points[:, 3:6]
     at = transform_points(view.T_target_source, p)

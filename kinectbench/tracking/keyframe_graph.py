@@ -14,7 +14,7 @@ from kinectbench.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.geometry.depth_calibration import NO_CALIBRATION, DepthCalibration
 from kinectbench.tracking.appearance import likeness
 from kinectbench.tracking.covisibility import Glimpse, covisible, glimpse
-from kinectbench.tracking.depth_calibration import View, calibrate
+from kinectbench.tracking.depth_calibration import View, calibrate, evenly_chosen
 from kinectbench.tracking.features import FeatureCache, pose_from_features
 from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.odometry import Odometry, every_of, is_believable, tie
@@ -41,8 +41,6 @@ FEWER_INLIERS = 0.015
 # Ties between two groups whose neighbourhood is tried.
 JOINTS_CONFIRMED = 5
 MIN_TIE_WEIGHT = 0.05
-# Ties that the depth's distortion is estimated from.
-CALIBRATION_TIES = 150
 LOOP_INLIERS, LOOP_OVERLAP = 0.93, 0.3
 
 
@@ -237,24 +235,20 @@ class _Builder:
             self.weights[chosen] = weights
 
     def calibrate(self) -> None:
-        """Estimate the depth distortion from the ties, and register them again with corrected depth."""
+        """Estimate the depth distortion where keyframes overlap; register the ties with corrected depth."""
         if not self.ties:
             return
-        believed = [t for t, weight in zip(self.ties, self.weights, strict=True) if weight >= MIN_TIE_WEIGHT]
-        chosen = np.unique(
-            np.linspace(0, len(believed) - 1, min(len(believed), CALIBRATION_TIES)).astype(int)
-        )
+        pairs = sorted((a, b) for share, a, b in self._covisible_pairs() if share >= MIN_SHARED_VIEW)
         self.maps.calibrate(NO_CALIBRATION)
-        self.calibration = calibrate(self._view(believed[i]) for i in chosen)
+        self.calibration = calibrate(self._view(a, b) for a, b in evenly_chosen(pairs))
         self.maps.calibrate(self.calibration)
         along = sorted(range(len(self.ties)), key=lambda t: (self.ties[t].a, self.ties[t].b))
         for t in along:
             self.ties[t] = self._again(self.ties[t])
 
-    def _view(self, each: Tie) -> View:
-        a, b = self.row[each.a], self.row[each.b]
+    def _view(self, a: int, b: int) -> View:
         T_a_b = invert_rigid(self.T_world[a]) @ self.T_world[b]
-        return View(self.maps[each.b].levels[0], self.maps[each.a].levels[0], T_a_b)
+        return View(self.maps[self.keyframes[b]].levels[0], self.maps[self.keyframes[a]].levels[0], T_a_b)
 
     def _both_in(self, each: Tie, rows: dict[int, int]) -> bool:
         return self.row[each.a] in rows and self.row[each.b] in rows
