@@ -1,5 +1,6 @@
 """Typed settings of a benchmark. Every default has its home here; unknown keys are refused at every depth."""
 
+import math
 import re
 from typing import Annotated, Literal
 
@@ -71,6 +72,15 @@ class BoxSettings(Settings):
         if min(size_m) <= 0:
             raise ValueError("every edge must be longer than 0")
         return size_m
+
+    @field_validator("yaw_rad")
+    @classmethod
+    def _within_a_turn(cls, yaw_rad: float) -> float:
+        if abs(yaw_rad) > 2 * math.pi:
+            raise ValueError(
+                f"more than a whole turn: in radians {yaw_rad:g} degrees are {math.radians(yaw_rad):.3f}"
+            )
+        return yaw_rad
 
     def box(self) -> OrientedBox:
         """The box as a value."""

@@ -120,10 +120,13 @@ def make_pair(
 def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | None:
     """Why a pair must not be used, or None."""
     if settings.framing == "view" and cut_share > MAX_CUT_SHARE:
-        return f"the cube of framing view cuts off {cut_share:.0%} of the shape"
+        return (
+            f"the cube of framing view cuts off {cut_share:.1%} of the shape, more than {MAX_CUT_SHARE:.0%}"
+        )
     if inside < settings.min_containment:
         # The view itself has passed: its mask was drawn by a person, or the cube cuts the shape.
-        return f"only {inside:.0%} of the masked partial lies in the shape: see the view's mask"
+        least = f"less than {settings.min_containment:.0%}"
+        return f"only {inside:.1%} of the masked partial lies in the shape, {least}: see the view's mask"
     return None
 
 

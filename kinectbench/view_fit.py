@@ -119,13 +119,16 @@ def truncated_share(camera: Camera, T_world_camera: NDArray[np.float64], rendere
 def refusal(fit: ViewFit, settings: ViewSettings, pairs: PairSettings) -> str | None:
     """Why a frame is no view, or None if it is one."""
     if fit.pixels < settings.min_pixels:
-        return f"only {fit.pixels} pixels on the object"
+        return f"only {fit.pixels} pixels on the object, less than {settings.min_pixels}"
     if fit.residual_m > pairs.max_residual_m:
-        return f"depth is {fit.residual_m * 1000:.1f} mm (median) off the object"
+        most_mm = pairs.max_residual_m * 1000
+        return f"depth is {fit.residual_m * 1000:.1f} mm (median) off the object, more than {most_mm:g} mm"
     if fit.containment < pairs.min_containment:
-        return f"only {fit.containment:.0%} of the partial lies in the object"
+        least = pairs.min_containment
+        return f"only {fit.containment:.1%} of the partial lies in the object, less than {least:.0%}"
     outlined = fit.visible_share * (1 - fit.truncated_share)
     if outlined < pairs.min_visible_share:
         cut = f"{fit.truncated_share:.0%} is cut by the image"
-        return f"depth on only {outlined:.0%} of the object's outline ({cut})"
+        least = pairs.min_visible_share
+        return f"depth on only {outlined:.1%} of the object's outline, less than {least:.0%} ({cut})"
     return None

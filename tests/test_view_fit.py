@@ -33,15 +33,24 @@ def test_nothing_in_sight_is_not_cut(renderer):
     assert truncated_share(CAMERA, rigid(np.eye(3), [0, 0, 1]), renderer) == 0.0
 
 
+OUTLINE = "of the object's outline, less than 25%"
+
+
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
         ({}, None),
-        ({"pixels": 20}, "only 20 pixels on the object"),
-        ({"residual_m": 0.0161}, "depth is 16.1 mm (median) off the object"),
-        ({"containment": 0.7}, "only 70% of the partial lies in the object"),
-        ({"visible_share": 0.2}, "depth on only 20% of the object's outline (0% is cut by the image)"),
-        ({"truncated_share": 0.8}, "depth on only 18% of the object's outline (80% is cut by the image)"),
+        ({"pixels": 20}, "only 20 pixels on the object, less than 500"),
+        ({"residual_m": 0.0161}, "depth is 16.1 mm (median) off the object, more than 15 mm"),
+        ({"containment": 0.7}, "only 70.0% of the partial lies in the object, less than 85%"),
+        (
+            {"visible_share": 0.2},
+            f"depth on only 20.0% {OUTLINE} (0% is cut by the image)",
+        ),
+        (
+            {"truncated_share": 0.8},
+            f"depth on only 18.0% {OUTLINE} (80% is cut by the image)",
+        ),
     ],
 )
 def test_gates(changed, reason):

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 
 # Suffix of a fact's name → the unit behind its value.
 UNITS = {"_hz": " Hz", "_px": " px", "_mm": " mm", "_deg": "°", "_m": " m", "_s": " s"}
+# Of a fact without a unit, what its value means.
+NOTES = {"pose_disagreement": " (0: the depth fits the poses, 1: nowhere)"}
 SIZE = ("width", "height")
 
 
@@ -21,7 +23,7 @@ def _in_words(name: str, value: object) -> tuple[str, str]:
     label = name.removesuffix(suffix).replace("_", " ").replace("color", "colour")
     if name.endswith("_share") and isinstance(value, float):
         return label, f"{100 * value:.1f} %"
-    return label, _value(name, value, UNITS.get(suffix, ""))
+    return label, _value(name, value, UNITS.get(suffix, "")) + NOTES.get(name, "")
 
 
 def _value(name: str, value: object, unit: str) -> str:

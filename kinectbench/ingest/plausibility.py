@@ -46,7 +46,7 @@ class Tally:
             )
         if self._frames - lost < MIN_FRAMES:
             raise RecordingError(
-                f"{self._path}: has {self._frames - lost} usable frames, and at least {MIN_FRAMES} are needed"
+                f"{self._path}: usable frames: {self._frames - lost}; at least {MIN_FRAMES} are needed"
             )
         return [f"frame left out: {why}" for why in self._reasons]
 

@@ -230,7 +230,7 @@ def test_empty_depth(tmp_path: Path) -> None:
 
 
 def test_too_few_frames(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="r: has 2 usable frames, and at least 3 are needed"):
+    with pytest.raises(RecordingError, match="r: usable frames: 2; at least 3 are needed"):
         ingest(write_tum(tmp_path / "r", frames=2))
 
 
