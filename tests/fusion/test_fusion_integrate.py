@@ -13,7 +13,14 @@ from kinectbench.fusion.blocks import (
     in_cubes,
     unique_blocks,
 )
-from kinectbench.fusion.integrate import BEFORE_FAR_M, HALF_DIAGONAL, SURFACE_SIGMAS, DepthFrame, integrate
+from kinectbench.fusion.integrate import (
+    BATCH_FRAMES,
+    BEFORE_FAR_M,
+    HALF_DIAGONAL,
+    SURFACE_SIGMAS,
+    DepthFrame,
+    integrate,
+)
 from kinectbench.fusion.visible_blocks import blocks_near_surface, visible_blocks
 from kinectbench.geometry import (
     Camera,
@@ -100,9 +107,9 @@ def fused(frames, farthest_m=np.inf) -> BlockVolume:
     return volume
 
 
-@pytest.mark.parametrize("farthest_m", [np.inf, 1.2])
-def test_kernel_against_numpy(farthest_m):
-    frames = random_frames(4)
+@pytest.mark.parametrize(("count", "farthest_m"), [(4, np.inf), (4, 1.2), (BATCH_FRAMES + 3, 1.2)])
+def test_kernel_against_numpy(count, farthest_m):
+    frames = random_frames(count)
     volume = fused(frames, farthest_m)
     tsdf, weight, free, surface, tie = reference(volume, frames, farthest_m)
     sure = ~tie
