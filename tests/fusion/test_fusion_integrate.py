@@ -113,7 +113,7 @@ def test_kernel_against_numpy(count, farthest_m):
     volume = fused(frames, farthest_m)
     tsdf, weight, free, surface, tie = reference(volume, frames, farthest_m)
     sure = ~tie
-    assert sure.mean() > 0.98
+    assert sure.mean() > 1 - 0.005 * count
     assert (weight > 0).mean() > 0.3 and surface.sum() > 1000 and free.sum() > 1000
     np.testing.assert_array_equal(volume.free[sure], free[sure])
     np.testing.assert_array_equal(volume.surface[sure], surface[sure])
