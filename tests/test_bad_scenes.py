@@ -1,6 +1,7 @@
 """Recordings with something wrong in them: each says what, and none becomes a silently wrong pair."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,6 +31,18 @@ def test_nothing_is_said_of_a_good_recording():
     assert seen.warnings == ()
     assert seen.figures["unseen_side"]["share"] == 0
     assert seen.figures["moving"] == {"judged": 24, "frames": [], "largest_share": 0.0}
+
+
+def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do():
+    verdict = "not good for ground truth: frames agree within 14.0 mm (median)"
+    bad = replace(
+        plain().trajectory, health={"grade": "not good", "verdict": verdict, "recommended": "refine"}
+    )
+    assert replace(plain(), trajectory=bad).witness().warnings == (
+        f"the trajectory is {verdict}; `trajectory: refine` is recommended",
+    )
+    good = replace(bad, health={"grade": "10 mm", "verdict": "good", "recommended": "trust"})
+    assert replace(plain(), trajectory=good).witness().warnings == ()
 
 
 @pytest.mark.parametrize("arc_deg", [300.0, 180.0, 120.0])

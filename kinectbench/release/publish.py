@@ -157,7 +157,7 @@ def _write(
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
     infos = {name: published.info for name, published in made.items()}
     reasons = reasons_against_distribution(_origins(infos))
-    warnings = [*reasons, *warnings]
+    warnings = [*reasons, *warnings, *_doubted(infos)]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     _write_texts(settings, folder, made, targets, warnings, options, found)
     public = _public_settings(settings, options.hold_back, found)
@@ -229,6 +229,16 @@ def _warnings(settings: BenchmarkSettings) -> list[str]:
     if not any(recording.split == "validation" for recording in settings.recordings):
         warnings.append("no validation split: thresholds are fixed at 0.5 unless a threshold file is given")
     return warnings
+
+
+def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:
+    """A line for each recording whose object or trajectory is doubtful; the datasheet has all of them."""
+    lines = []
+    for name, info in infos.items():
+        found = info.quality.get("warnings", [])
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        lines += [f"{name}: {found[0]}{more}"] if found else []
+    return lines
 
 
 def _origins(infos: Mapping[str, RecordingInfo]) -> dict[str, Origin]:

@@ -48,6 +48,7 @@ def doubts(selection: Selection) -> tuple[str, ...]:
     """
     parts = separate_parts(selection.object_points, selection.cell_m)
     if selection.given:
+        parts = max(parts, 1 + things_beside(selection.object_points, selection.cell_m))
         held = f"the box holds {parts} things that stand apart: give a box around one of them; {LOOK}"
         cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
         return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
@@ -77,6 +78,21 @@ def separate_parts(points_floor: NDArray[np.float64], cell_m: float = FINE_CELL_
     sizes = _cells(points_floor, label)
     sizes[~standing(label, points_floor)] = 0
     return int((sizes >= max(MIN_PART_CELLS, PART_SHARE * sizes.max())).sum())
+
+
+def things_beside(points_floor: NDArray[np.float64], cell_m: float = FINE_CELL_M) -> int:
+    """How many parts, however small, stand 0.1 m or more beside the largest one, seen from above."""
+    from scipy.spatial import cKDTree
+
+    if not len(points_floor):
+        return 0
+    label = label_pieces(points_floor, cell_m)
+    sizes = _cells(points_floor, label)
+    largest = cKDTree(points_floor[label == np.argmax(sizes), :2])
+    stands = standing(label, points_floor)
+    # The largest part is none: it lies at a distance of 0 from itself.
+    parts = np.flatnonzero((sizes >= MIN_PART_CELLS) & stands)
+    return sum(float(largest.query(points_floor[label == part, :2])[0].min()) >= BESIDE_M for part in parts)
 
 
 def cut_share(selection: Selection) -> float:

@@ -35,6 +35,7 @@ from kinectbench.shape.enclosure import (
     shadow,
 )
 from kinectbench.shape.labels import Label
+from kinectbench.shape.legs import carried_up
 
 Bools = NDArray[np.bool_]
 
@@ -159,7 +160,8 @@ def solidify(
     hollow behind an apron or under the object. It is occupied if it lies just behind a measured
     surface, or was never seen but is enclosed by such voxels in 15 of 26 directions and not open to the
     sides. Near the floor what is connected to nothing higher is floor; where the two cannot be told apart,
-    the lowest occupied layer is extruded down to the floor. The signed field of this solid is smoothed by a
+    the lowest occupied layer is extruded down to the floor. Legs whose upper end was hidden are carried up to
+    the object. The signed field of this solid is smoothed by a
     Gaussian of 0.7 voxels, and specks are dropped.
 
     Args:
@@ -179,7 +181,9 @@ def solidify(
     contact = evidence.contact
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
-    field = _smooth_field(evidence, _without_specks(solid), observation.grid.voxel_size_m)
+    voxel_m = observation.grid.voxel_size_m
+    solid = carried_up(solid, evidence.carved | excluded, contact.stop, voxel_m)
+    field = _smooth_field(evidence, _without_specks(solid), voxel_m)
     field[:, :, : layers.below] = np.abs(field[:, :, : layers.below])
     solid = _without_specks(field < 0)
     if not solid.any():

@@ -59,8 +59,18 @@ def unseen_side(T_floor_camera: NDArray[np.float64], center_floor: NDArray[np.fl
     return UnseenSide(gap_rad, towards_rad, max(0.0, gap_rad - 2 * SEEN_WITHIN_RAD) / (2 * np.pi))
 
 
+def _of_trajectory(trajectory: Trajectory) -> list[str]:
+    """What its own health says against it: shape and poses cannot be better than that."""
+    health = trajectory.health
+    if health.get("grade") != "not good":
+        return []
+    better = health.get("recommended")
+    remedy = "" if better in (None, trajectory.source) else f"; `trajectory: {better}` is recommended"
+    return [f"the trajectory is {health['verdict']}{remedy}"]
+
+
 def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, chosen: Segmentation) -> Witness:
-    """Say what speaks against the recording: one side never seen, few frames, movement, a doubtful choice.
+    """Say what speaks against the recording: bad poses, a side never seen, few frames, movement, the choice.
 
     Args:
         sequence: the recording.
@@ -72,7 +82,7 @@ def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, cho
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
     side = unseen_side(T_floor_camera, np.array(chosen.box.center_m))
     moving = moving_frames(sequence, trajectory, scene, chosen.floor)
-    warnings = list(chosen.doubts)
+    warnings = [*_of_trajectory(trajectory), *chosen.doubts]
     if side.share > 0:
         x, y = np.cos(side.towards_rad), np.sin(side.towards_rad)
         warnings.append(

@@ -22,6 +22,7 @@ from kinectbench.tracking.tracked import State, Tie, Tracked
 Float64 = NDArray[np.float64]
 
 NO_POSE = "the given trajectory has no pose at its time"
+NO_DEPTH = "it has no depth"
 CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
 MAX_JUMPS_TOLD = 5
 # If more of the frames disagree, something is wrong with all of them.
@@ -104,7 +105,7 @@ def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
     Raises:
         TrackingError: most frames disagree.
     """
-    posed, wrong = has_pose(checked.T_given), checked.frames.disagrees
+    posed, wrong, blind = has_pose(checked.T_given), checked.frames.disagrees, checked.frames.blind
     compared = int(np.isfinite(checked.frames.shift_m).sum())
     if wrong.sum() > 0.5 * compared:
         raise TrackingError(
@@ -112,12 +113,13 @@ def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
             f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
             "without them"
         )
-    kept = posed & ~wrong
+    kept = posed & ~wrong & ~blind
     states: tuple[State, ...] = tuple("tracked" if each else "lost" for each in kept)
     return Tracked(
         T_world_camera=np.where(kept[:, None, None], checked.T_given, np.nan),
         states=states,
-        reasons=dict.fromkeys(np.flatnonzero(~posed).tolist(), NO_POSE),
+        reasons=dict.fromkeys(np.flatnonzero(~posed).tolist(), NO_POSE)
+        | dict.fromkeys(np.flatnonzero(posed & blind).tolist(), NO_DEPTH),
         keyframes=checked.frames.compared[kept[checked.frames.compared]],
         ties=checked.distant,
         refused=(),

@@ -50,6 +50,7 @@ class FrameCheck:
         inlier_share: (n,) share of its points that agree once it has moved.
         degenerate: (n,) bool, the depth leaves a motion open.
         disagrees: (n,) bool.
+        blind: (n,) bool, it measured nothing that could be compared.
         jumps: where the trajectory jumps: the frame behind it, and by how much, metres.
     """
 
@@ -61,6 +62,7 @@ class FrameCheck:
     inlier_share: Float64
     degenerate: Bool
     disagrees: Bool
+    blind: Bool
     jumps: tuple[tuple[int, float], ...]
 
 
@@ -111,9 +113,11 @@ class _Checker:
         self.max_shift_m = settings.max_disagreement_m
         self.found: dict[int, Disagreement] = {}
         self.residual_m, self.noise_m, self.step_m = (np.full(n, np.nan) for _ in range(3))
+        self.blind = np.zeros(n, bool)
 
     def compare(self, frame: int) -> None:
         """With the frames that look at the same place from nearby."""
+        self.blind[frame] = len(self.maps[frame].levels[0].points) == 0
         near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
         found = self._ask(frame, near, coarsest=0) if near else None
         if found is None:
@@ -232,6 +236,7 @@ class _Checker:
             inlier_share,
             degenerate,
             disagrees,
+            self.blind,
             self.jumps(posed[~disagrees[posed]]),
         )
 

@@ -104,6 +104,15 @@ def test_color_and_other_warnings(build: Path, tmp_path: Path) -> None:
     assert (summary.pairs, summary.recordings) == (1, ("chair_02",))
 
 
+def test_a_doubtful_object_is_told(build: Path, tmp_path: Path) -> None:
+    shutil.copytree(build, tmp_path / "build")
+    quality_json = tmp_path / "build" / "chair_02" / "object" / "quality.json"
+    quality = json.loads(quality_json.read_text()) | {"warnings": ["it hangs", "it falls apart"]}
+    quality_json.write_text(json.dumps(quality))
+    summary = publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_02"])
+    assert "chair_02: it hangs (and 1 more)" in summary.warnings
+
+
 def test_a_failed_publish_leaves_the_old_release(build: Path, tmp_path: Path) -> None:
     shutil.copytree(build, tmp_path / "build")
     out = tmp_path / "benchmark"

@@ -16,7 +16,7 @@ from kinectbench.geometry import invert_rigid, transform_points
 from kinectbench.segmentation.candidate_pictures import COLORS_RGB, best_frame
 from kinectbench.segmentation.candidates import Candidates, find_candidates
 from kinectbench.segmentation.candidates_folder import box_line, read_candidates, write_candidates
-from kinectbench.segmentation.doubts import separate_parts
+from kinectbench.segmentation.doubts import separate_parts, things_beside
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.
@@ -138,6 +138,23 @@ def test_parts_are_counted_where_they_come_apart():
     crumb = grid[(grid < 0.055).all(axis=1)] + [0.36, 0, 0]
     assert separate_parts(np.concatenate([grid, grid + np.array([0, 0, 0.5]), crumb])) == 1
     assert separate_parts(np.zeros((0, 3))) == 0
+
+
+def test_a_small_thing_that_stands_beside_the_rest_is_another_one_and_a_leg_below_it_is_not():
+    top = np.stack(np.meshgrid(*[np.arange(0, 0.6, 0.01)] * 2, [0.01, 0.4], indexing="ij"), -1).reshape(-1, 3)
+    post = np.stack(np.meshgrid([0.3], [0.3], np.arange(0, 0.4, 0.01), indexing="ij"), -1).reshape(-1, 3)
+    block = np.stack(np.meshgrid(*[np.arange(0, 0.12, 0.01)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    table = np.concatenate([top, post])
+
+    def beside(thing: np.ndarray, x: float, y: float = 0.0, z: float = 0.0) -> int:
+        return things_beside(np.concatenate([table, thing + np.array([x, y, z])]))
+
+    assert things_beside(table) == 0
+    assert beside(block, 0.66) == 0  # 6 cm: perhaps a leg
+    assert beside(block, 0.75) == 1
+    assert beside(block, 0.2, 0.2, 0.1) == 0
+    assert beside(block[::20], 0.75) == 0  # a crumb
+    assert things_beside(np.zeros((0, 3))) == 0
 
 
 def test_the_floor_below_a_table_that_fills_the_frames():

@@ -17,6 +17,7 @@ from tracking_scenes import (
     errors_m,
     painted,
     waves,
+    with_depth,
     with_frames,
 )
 
@@ -25,7 +26,7 @@ from kinectbench.errors import TrackingError
 from kinectbench.geometry import invert_rigid, transform_points
 from kinectbench.sequence import GivenTrajectory, Sequence
 from kinectbench.tracking import Trajectory, track
-from kinectbench.tracking.check_given import Checked, check_given, warnings_of
+from kinectbench.tracking.check_given import NO_DEPTH, Checked, check_given, warnings_of
 from kinectbench.tracking.disagreement import ask, residuals_m
 from kinectbench.tracking.frame_maps import FrameMaps, MapCache
 from kinectbench.tracking.pictures import write_pictures
@@ -304,6 +305,17 @@ def test_trust_leaves_a_wrong_frame_out_and_names_it() -> None:
     assert set(rejected) == {"frame", "stamp_ns", "residual_mm", "shift_mm", "turn_deg", "reason"}
     assert health["given"]["disagreeing"] == [WRONG] and health["tracked"] == N - 1
     assert [row["state"] for row in health["per_frame"]].count("rejected") == 1
+
+
+def test_trust_leaves_frames_without_depth_out() -> None:
+    empty = [4, 9]
+    sequence = recording(truth())
+    nothing = np.zeros_like(sequence.frames.depth_native(0))
+    made = with_depth(sequence, dict.fromkeys(empty, nothing))
+    trajectory = track(replace(made, given_trajectory=sequence.given_trajectory), "trust", SETTINGS)
+    np.testing.assert_array_equal(trajectory.good_frames, np.setdiff1d(np.arange(N), empty))
+    stretches = trajectory.health["lost_stretches"]
+    assert [(each["first_frame"], each["reason"]) for each in stretches] == [(4, NO_DEPTH), (9, NO_DEPTH)]
 
 
 # --- refine

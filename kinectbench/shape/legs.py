@@ -1,0 +1,53 @@
+"""What stands under the object and carries it, where its upper end was hidden from every camera."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bools = NDArray[np.bool_]
+
+# A lower piece on the floor may be noise; one that ends farther below the object carries something else.
+MIN_HEIGHT_M, MAX_GAP_M = 0.05, 0.1
+# A piece's upper end: its columns in so many layers below its highest cell.
+END_LAYERS = 3
+# Of these columns, so many must find the object above them.
+MIN_SHARE = 0.5
+
+
+def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: float) -> Bools:
+    """Legs that end in the unseen below the largest piece, carried on straight up to it (own rule).
+
+    From above, a seat hides the upper end of a leg that stands back from its edge: what was measured is a
+    seat in the air, and sticks on the floor.
+
+    Args:
+        solid: bool (nx, ny, nz), upright; extruded down to the floor.
+        seen_empty: bool, cells that cannot be filled.
+        floor_layer: the lowest layer above the floor in which pieces are told apart.
+        voxel_size_m: edge of a cell.
+
+    Returns:
+        `solid` with the cells between such legs and the largest piece.
+    """
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(solid)
+    if count < 2:
+        return solid
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    largest = pieces == np.argmax(sizes)
+    reach = round(MAX_GAP_M / voxel_size_m)
+    filled = solid.copy()
+    for piece, (x, y, z) in enumerate(ndimage.find_objects(pieces), start=1):
+        stands = z.start <= floor_layer and (z.stop - floor_layer) * voxel_size_m >= MIN_HEIGHT_M
+        if piece == np.argmax(sizes) or not stands:
+            continue
+        end = slice(z.stop - END_LAYERS, z.stop)
+        columns = (pieces[x, y, end] == piece).any(axis=2)
+        gap = slice(end.start, z.stop + reach)
+        above = np.logical_or.accumulate(largest[x, y, gap], axis=2)
+        open_below = ~np.logical_or.accumulate(seen_empty[x, y, gap] & (pieces[x, y, gap] != piece), axis=2)
+        carried = columns & (above & open_below).any(axis=2)
+        if carried.sum() >= MIN_SHARE * columns.sum():
+            filled[x, y, gap] |= carried[:, :, None] & ~above
+    return filled
