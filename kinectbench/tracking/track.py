@@ -84,8 +84,13 @@ def _too_few_poses(sequence: Sequence, posed: int) -> str:
         f"{stamps[0] / 1e9:.3f}-{stamps[-1] / 1e9:.3f} s"
         for stamps in (sequence.stamps_ns, given.stamps_ns if given else sequence.stamps_ns)
     ]
+    apart = given is None or (
+        given.stamps_ns[0] > sequence.stamps_ns[-1] or given.stamps_ns[-1] < sequence.stamps_ns[0]
+    )
     problem = f"gives {posed} of {len(sequence)} frames a pose, and {MIN_GOOD_FRAMES} are needed"
+    if posed == 0:
+        problem = "shares no time with the frames" if apart else "has no pose close to the time of any frame"
     return (
-        f"the given trajectory {problem if posed else 'shares no time with the frames'}: frames {ranges[0]}, "
-        f"trajectory {ranges[1]}; use stamps of one clock, or `trajectory: ignore`"
+        f"the given trajectory {problem}: frames {ranges[0]}, trajectory {ranges[1]}; "
+        "use stamps of one clock, or `trajectory: ignore`"
     )

@@ -118,6 +118,14 @@ def test_no_common_time(chair):
         track(replace(chair.sequence, given_trajectory=late), "trust", SETTINGS)
 
 
+def test_poses_that_lie_too_far_apart_in_time_for_every_frame(chair):
+    given, half_step_ns = chair.sequence.given_trajectory, 10**7
+    stamps_ns = given.stamps_ns[[0, -1]] + np.array([half_step_ns, -half_step_ns])
+    sparse = GivenTrajectory(stamps_ns, given.T_world_camera[[0, -1]])
+    with pytest.raises(TrackingError, match=r"no pose close to the time of any frame: frames"):
+        track(replace(chair.sequence, given_trajectory=sparse), "trust", SETTINGS)
+
+
 def test_frames_outside_the_trajectory_are_lost(chair):
     given = chair.sequence.given_trajectory
     part = GivenTrajectory(given.stamps_ns[3:20], given.T_world_camera[3:20])
