@@ -22,6 +22,8 @@ MAX_DOUBTFUL_SHARE = 0.1
 # and 4 to 9) they share the trajectory's slow errors, and show less than half of them.
 MISSING_WITH_GIVEN_POSES, MISSING_WITH_TRACKED_POSES = (0.51, 0.33), (0.22, 2.31)
 GOOD_ESTIMATED_IOU = 0.82
+# A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
+MAX_VOLUME_SHARE_PER_MM = 0.1
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
 # So that a handle or a speck that one half of the frames shows does not move a side of the box.
@@ -48,6 +50,13 @@ def surface_sigma_m(odd: Observation, even: Observation) -> float:
     if not near.any():
         return odd.grid.voxel_size_m
     return float(1.4826 * np.median(np.abs(odd.tsdf[near] - even.tsdf[near])) / 2)
+
+
+def volume_share_per_mm(mesh: TriangleMesh) -> float:
+    """What share of the volume of a closed mesh (metres) changes if its surface moves by 1 mm."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    area_m2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    return 0.001 * area_m2 / max(mesh.volume_m3, 1e-9)
 
 
 def expected_iou(shape: SolidShape) -> float:
@@ -104,6 +113,12 @@ def measure_quality(
         warnings.append(
             f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin, hidden, "
             "without depth or cut off: record from closer, and from low down, too"
+        )
+    share_per_mm = volume_share_per_mm(together.mesh)
+    if share_per_mm > MAX_VOLUME_SHARE_PER_MM:
+        warnings.append(
+            f"the object's parts are thin: a surface that is off by 1 mm changes {share_per_mm:.0%} of the "
+            "volume, and any IoU by as much"
         )
     warnings += _unsupported(chosen, together)
     never_seen = unknown - together.doubtful_share

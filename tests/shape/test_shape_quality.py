@@ -5,10 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 from kinectbench.geometry import Grid, TriangleMesh
 from kinectbench.shape.labels import Label
-from kinectbench.shape.quality import _unsupported, estimated_iou, expected_iou
+from kinectbench.shape.quality import _unsupported, estimated_iou, expected_iou, volume_share_per_mm
 from kinectbench.shape.solid import SolidShape
 
 
@@ -57,3 +58,10 @@ def test_estimated_iou():
     for tracked in (True, False):
         ascending = [estimated_iou(*figures, tracked) for figures in ((0.8, 0.95), (0.9, 0.95), (0.9, 0.99))]
         assert ascending == sorted(set(ascending))
+
+
+def test_of_a_thin_board_a_millimetre_is_much():
+    board = trimesh.creation.box((1.0, 0.6, 0.02))
+    mesh = TriangleMesh(np.asarray(board.vertices), np.asarray(board.faces, np.int32))
+    area_m2, volume_m3 = 2 * (0.6 + 0.02 + 0.012), 0.012
+    assert volume_share_per_mm(mesh) == pytest.approx(0.001 * area_m2 / volume_m3)
