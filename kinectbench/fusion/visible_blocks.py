@@ -8,9 +8,9 @@ from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
 from kinectbench.geometry import Camera
 
 TILE_PX = 4
-SAMPLES_APART_BLOCKS = 0.4
-# The usual depth of a frame is found in every sixteenth pixel of every sixteenth row.
-FEW_PX = 16
+SAMPLES_APART_BLOCKS, MAX_SAMPLE_PX = 0.4, 4
+# How far nine of ten pixels measure at most is found in every sixteenth pixel of every sixteenth row.
+FEW_PX, FAR_PERCENTILE = 16, 90
 # Nearer corners are not projected: their block counts as visible.
 NEAREST_M = 0.05
 # No block lies there.
@@ -26,7 +26,8 @@ def blocks_near_surface(
 ) -> NDArray[np.int32]:
     """World-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
 
-    Not every pixel is looked at: at the usual depth those that are lie at most 0.4 blocks apart.
+    Not every pixel is looked at, but every fourth at least: at the depth that nine of ten pixels do not
+    exceed, those that are lie at most 0.4 blocks apart.
 
     Returns:
         (n, 3) int32, unique, sorted.
@@ -35,8 +36,9 @@ def blocks_near_surface(
     offsets_m = np.linspace(-margin_m, margin_m, int(np.ceil(4 * margin_m / block_m)) + 1)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     some_m = depth_m[::FEW_PX, ::FEW_PX]
-    usual_m = float(np.median(some_m[some_m > 0])) if some_m.any() else 1.0
-    step_px = max(1, int(SAMPLES_APART_BLOCKS * block_m * min(camera.fx, camera.fy) / usual_m))
+    far_m = float(np.percentile(some_m[some_m > 0], FAR_PERCENTILE)) if some_m.any() else 1.0
+    step_px = int(SAMPLES_APART_BLOCKS * block_m * min(camera.fx, camera.fy) / far_m)
+    step_px = min(max(step_px, 1), MAX_SAMPLE_PX)
     found = _blocks_on_rays(depth_m, step_px, intrinsics, T_world_camera[:3] / block_m, offsets_m)
     return unique_blocks(found)
 

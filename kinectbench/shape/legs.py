@@ -35,12 +35,13 @@ def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: 
         return solid
     sizes = np.bincount(pieces.reshape(-1))
     sizes[0] = 0
-    largest = pieces == np.argmax(sizes)
+    main = int(np.argmax(sizes))
+    largest = pieces == main
     reach = round(MAX_GAP_M / voxel_size_m)
     filled = solid.copy()
     for piece, (x, y, z) in enumerate(ndimage.find_objects(pieces), start=1):
         stands = z.start <= floor_layer and (z.stop - floor_layer) * voxel_size_m >= MIN_HEIGHT_M
-        if piece == np.argmax(sizes) or not stands:
+        if piece == main or not stands:
             continue
         end = slice(z.stop - END_LAYERS, z.stop)
         columns = (pieces[x, y, end] == piece).any(axis=2)

@@ -139,7 +139,7 @@ def _all_sums(views: Iterable[View]) -> list[_PairSums]:
 
 
 def _sums(view: View) -> _PairSums | None:
-    """Of one tie; None where too little overlaps."""
+    """Of one pair; None where too little overlaps."""
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
     if len(rows) < 10 * k:
@@ -149,6 +149,7 @@ def _sums(view: View) -> _PairSums | None:
     add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
     sums = mirrored(sums)
     A, b = sums[:-1, :-1], sums[:-1, -1]
+    # The motion is eliminated: what is left is what it cannot explain.
     motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
     posed = _Sums(A[6:, 6:], b[6:], float(sums[-1, -1]))
     explained = A[6:, :6] @ motion

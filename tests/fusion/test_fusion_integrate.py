@@ -230,11 +230,16 @@ def test_unique_blocks_sorts_and_keeps_signs():
     np.testing.assert_array_equal(unique_blocks(rows), np.unique(rows, axis=0))
 
 
-def test_blocks_near_a_surface_hold_the_truncation_band():
-    """Of all points within the margin of a pixel's depth, at most 1 % lie in a block that was missed."""
+@pytest.mark.parametrize("near_share", [0.0, 0.7])
+def test_blocks_near_a_surface_hold_the_truncation_band(near_share):
+    """Of all points within the margin of a pixel's depth, at most 1 % lie in a block that was missed.
+
+    Also of a frame that mostly shows something near.
+    """
     T_world_camera = look_at(np.array([0.9, 0.6, 0.8]), np.zeros(3))
     depth_m = depth_of([sphere((0, 0, 0), 0.25), plane((0, 0, 1), -0.3)], CAMERA, T_world_camera)
     depth_m[depth_m > 3] = 0
+    depth_m[:, : int(near_share * CAMERA.width)] = 0.5
     blocks = blocks_near_surface(depth_m, CAMERA, T_world_camera, 0.02, 0.005)
     found = {tuple(block) for block in blocks.tolist()}
     rays = CAMERA.rays()[depth_m > 0]
