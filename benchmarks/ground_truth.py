@@ -20,7 +20,7 @@ from kinectbench.config import BenchmarkSettings
 from kinectbench.processes import submit_all, worker_pool
 from kinectbench.simulate.truth import truth_folder
 
-SEEDS = tuple(range(1, 25))
+SEEDS = tuple(range(1, 28))
 PRESET = "orbit-v1"
 
 

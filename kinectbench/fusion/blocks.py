@@ -44,7 +44,7 @@ class BlockVolume:
 
     @property
     def surface(self) -> NDArray[np.uint16]:
-        """(n, 8, 8, 8) uint16, frames that measured a surface in the voxel."""
+        """(n, 8, 8, 8) uint16, frames that measured a surface in the voxel or just before it."""
         return (self.votes >> 16).astype(np.uint16)
 
     def dense(self, values: NDArray[Scalar], first_block: NDArray[np.int32], blocks: int) -> NDArray[Scalar]:

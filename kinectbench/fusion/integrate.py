@@ -57,9 +57,9 @@ def integrate(
 
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
     s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
-    clipped at +truncation; sigma holds the noise of the depth and of the pose. A frame votes `surface`
-    where |s| <= max(2 sigma, half a voxel's diagonal) and `free` in front of that. Voxels behind the
-    surface get nothing. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front of it hear:
+    clipped at +truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
+    where s > max(2 sigma, half a voxel's diagonal), else `surface`. Voxels farther behind the surface get
+    nothing. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front of it hear:
     they are free.
 
     Args:
@@ -188,8 +188,7 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
         sigma = near + growth * (depth - near_depth) * (depth - near_depth)
         # (max(2 sigma, half a diagonal))^2
         reach = max(SURFACE_SIGMAS_SQUARED * (sigma * sigma + pose * pose), half_diagonal * half_diagonal)
-        ahead = FREE_VOTE if distance > 0 else NO_VOTE
-        vote = SURFACE_VOTE if distance * distance <= reach else ahead
+        vote = FREE_VOTE if distance > 0 and distance * distance > reach else SURFACE_VOTE
         new_votes[n] += vote if added > 0 else NO_VOTE
     return any_added > 0
 

@@ -4,15 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.fusion.blocks import BLOCK_VOXELS, BlockVolume
-from kinectbench.fusion.vote_trust import seen_through_share
+from kinectbench.fusion.vote_trust import without_fringe
 from kinectbench.geometry import TriangleMesh, transform_points
 
 BRICK_BLOCKS = 16
-# More frames than this share see through a voxel only where there is no surface: on a flat one noise makes
-# that many do so, and all frames half a voxel in front of it.
-USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL = 0.1, 2.0
-# How far the rest moves the surface inward, if all frames see through.
-VOXELS_PER_FREE_SHARE = 9.0
 
 
 def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = None) -> TriangleMesh:
@@ -45,28 +40,6 @@ def isosurface(field: NDArray[np.float32], observed: NDArray[np.bool_] | None = 
     return mesh.keep_faces(whole)
 
 
-def without_fringe(
-    tsdf: NDArray[np.float32], votes: NDArray[np.uint32], voxel_size_m: float, trust: float = 1.0
-) -> NDArray[np.float32]:
-    """The TSDF, raised where more frames saw through than a surface there explains (own rule).
-
-    The mean of projective distances makes edges and thin parts thick: to a voxel beside an edge, frames in
-    which it lies just behind the part add a negative distance with full weight; those that look past the part
-    have little weight there, next to a depth edge. Their votes count alike.
-
-    Args:
-        tsdf: signed distances, metres, positive in front of the surface.
-        votes: of the same shape, as in `BlockVolume`.
-        voxel_size_m: edge of a voxel.
-        trust: what part of the votes is believed, `trust_in_votes`.
-    """
-    share = seen_through_share(votes & 0xFFFF, votes >> 16)
-    in_front = np.maximum(tsdf, np.float32(0)) / np.float32(voxel_size_m)
-    excess = share - np.float32(USUAL_FREE_SHARE) - np.float32(USUAL_FREE_SHARE_PER_VOXEL) * in_front
-    step = np.float32(trust * VOXELS_PER_FREE_SHARE * voxel_size_m)
-    return np.asarray(tsdf + step * np.maximum(excess, np.float32(0)), np.float32)
-
-
 def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> TriangleMesh:
     """The zero surface of a block volume in the world, brick by brick, joined without seams.
 
@@ -87,7 +60,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
         tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         votes = volume.dense(volume.votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        part = isosurface(without_fringe(tsdf, votes, volume.voxel_size_m, trust), weight > min_weight)
+        part = isosurface(without_fringe(tsdf, votes & 0xFFFF, votes >> 16, volume.voxel_size_m, trust), weight > min_weight)
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

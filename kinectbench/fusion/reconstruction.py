@@ -57,7 +57,7 @@ class Observation:
         tsdf: float32, metres, positive in front of the surface; 0 where weight is 0.
         weight: float32, 1/mm^2; 0 = never observed.
         free: uint16, frames that saw through.
-        surface: uint16, frames that measured a surface.
+        surface: uint16, frames that measured a surface there, or less than the truncation before it.
     """
 
     grid: Grid

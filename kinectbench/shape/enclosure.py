@@ -21,6 +21,8 @@ OVERHANG_M = 0.0045
 MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
 # So high at least is what of a hollow would else be inside.
 MIN_ENCLOSED_HOLLOW_M = 0.015
+# Under most of a hollow no more directions than these enclose: what is enclosed there, too, goes on.
+OPEN_BENEATH = 12.5 / 26
 # The least overhang over the uppermost layer of a hollow, as a share of that over the next one.
 FULL_OVERHANG = 0.6
 NOT_UNDER = 30_000
@@ -71,7 +73,8 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     it lead outside. Beside legs, which are flush, three directions are enough if the hollows found so far
     leave the voxel hardly enclosed. The uppermost layer of a hollow must be overhung nearly as far as the one
     below it. What is less than 35 mm high is no hollow, nor what has less than 15 mm that would else be
-    inside: cushions are rounded below. What would be a hollow but for its flush sides is doubtful, unless its
+    inside: cushions are rounded below; nor what is enclosed beneath, too, as a cushion within a frame is.
+    What would be a hollow but for its flush sides is doubtful, unless its
     sides go down further than 12 cm, as no apron does, or a hollow
     begins under it. Own rule.
 
@@ -101,11 +104,30 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]
     hollow[:, :, 1:] &= ~frayed
+    hollow = _open_beneath(hollow, state, enclosed)
     inside = (state == UNSEEN) & (opened >= ENCLOSED)
     body = (inside & ~under & (below_m < NOT_UNDER * voxel_size_m)).any(axis=2, keepdims=True)
     slab = open_below.any(axis=2, keepdims=True)
     flush = inside & under & (outside >= OPEN_BELOW) & ~slab & ~body
     return Hollows(hollow, ndimage.binary_opening(flush, high))
+
+
+def _open_beneath(
+    hollow: NDArray[np.bool_], state: NDArray[np.uint8], enclosed: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Those of its pieces (26 neighbours) under whose columns it is mostly open."""
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(hollow, np.ones((3, 3, 3)))
+    lowest = hollow[:, :, 1:] & ~hollow[:, :, :-1]
+    shut = (state == INSIDE) | ((state == UNSEEN) & (enclosed >= OPEN_BENEATH))
+    of = pieces[:, :, 1:][lowest]
+    columns = np.bincount(of, minlength=count + 1)
+    shut_columns = np.bincount(of, shut[:, :, :-1][lowest], minlength=count + 1)
+    is_open = 2 * shut_columns <= columns
+    is_open[0] = False
+    kept: NDArray[np.bool_] = is_open[pieces]
+    return kept
 
 
 @dataclass(frozen=True)

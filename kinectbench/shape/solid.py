@@ -11,8 +11,11 @@ from kinectbench.fusion.reconstruction import Observation
 from kinectbench.fusion.vote_trust import (
     RAY_WIDTHS_VOXELS,
     TRUST_IN_VOTES,
-    seen_through_share,
+    USUAL_FREE_SHARE,
+    USUAL_FREE_SHARE_PER_VOXEL,
+    VOXELS_PER_FREE_SHARE,
     trust_in_votes,
+    without_fringe,
 )
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import (
@@ -39,28 +42,28 @@ from kinectbench.shape.legs import carried_up
 
 Bools = NDArray[np.bool_]
 
-# Chosen on simulated furniture (20 objects of 4 families, seeds 101 to 105, true poses): how many of the
-# unseen voxels are inside, by the number of enclosing directions of 26. From 15 on more often than not; from
-# 16 on they nearly always are.
+# How many of the unseen voxels are inside, by the number of enclosing directions of 26, on simulated furniture
+# (28 objects of 4 families, seeds 18 to 24). From 15 on about half are, from 16 on most.
 INTERIOR_SHARE = 15.5 / 26
 ENCLOSING = np.array([0, 2, 5, 8, 10, 12, 14, 15, 16, 17, 20, 22, 26], np.float32) / 26
 INSIDE_SHARE = np.array(
-    [0.0, 0.02, 0.06, 0.1, 0.17, 0.29, 0.47, 0.75, 0.9, 0.95, 0.96, 0.985, 1.0], np.float32
+    [0.0, 0.02, 0.02, 0.04, 0.17, 0.34, 0.34, 0.52, 0.7, 0.89, 0.89, 0.89, 1.0], np.float32
 )
-HOLLOW_INSIDE_SHARE = np.float32(0.02)
+HOLLOW_INSIDE_SHARE = np.float32(0.05)
 # Under the object, by its enclosure, and what is called empty there and elsewhere (`enclosure.shadow`).
-UNDER_INSIDE_SHARE, EMPTY_UNDER_SHARE, EMPTY_BESIDE_SHARE = (np.float32(p) for p in (0.16, 0.07, 0.01))
+UNDER_INSIDE_SHARE, EMPTY_UNDER_SHARE, EMPTY_BESIDE_SHARE = (np.float32(p) for p in (0.12, 0.07, 0.01))
 # Of ten simulated things with flush sides under a seat seven were slabs throughout (seeds 4 to 18).
 DOUBTFUL_INSIDE_SHARE = np.float32(0.75)
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
-MIN_FREE_VOTES = 2
-# Logistic fit, over voxels near the true surface, of being inside against the signed distance (in voxels, no
-# more than three) and the share of frames that saw through the voxel.
-CLIPPED_VOXELS = 3.0
-LOGIT_PER_VOXEL, LOGIT_PER_FREE, LOGIT = 1.4, 8.0, 0.1
-# Through a surface that faces them so many frames seem to see, by their noise.
-FREE_BY_NOISE = 0.05
+# An unseen voxel is carved by so many frames, and by this share of those that look at the object: along
+# edges depth wanders, and a few frames seem to see through the last millimetres of a board.
+MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
+# How many of the observed voxels are inside, by their signed distance in voxels; the same 28 objects.
+SIGNED_VOXELS = np.array([-3, -2, -1, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1, 2, 3], np.float32)
+SIGNED_INSIDE_SHARE = np.array(
+    [0.98, 0.975, 0.94, 0.885, 0.775, 0.5, 0.125, 0.05, 0.02, 0.014, 0.003, 0.001], np.float32
+)
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
 METHOD = {
@@ -76,10 +79,10 @@ METHOD = {
     "hollow_enclosed_height_m": MIN_ENCLOSED_HOLLOW_M,
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,
-    "clipped_voxels": CLIPPED_VOXELS,
-    "free_by_noise": FREE_BY_NOISE,
-    "logit": [LOGIT, -LOGIT_PER_VOXEL, -LOGIT_PER_FREE],
-    "logit_trust": [RAY_WIDTHS_VOXELS, TRUST_IN_VOTES],
+    "min_free_share": MIN_FREE_SHARE,
+    "free_by_noise": [USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL],
+    "voxels_per_free_share": VOXELS_PER_FREE_SHARE,
+    "trust_in_votes": [RAY_WIDTHS_VOXELS, TRUST_IN_VOTES],
     "smoothing_voxels": SMOOTHING_VOXELS,
 }
 
@@ -162,7 +165,7 @@ def solidify(
     sides. Near the floor what is connected to nothing higher is floor; where the two cannot be told apart,
     the lowest occupied layer is extruded down to the floor. Legs whose upper end was hidden are carried up to
     the object. The signed field of this solid is smoothed by a
-    Gaussian of 0.7 voxels, and specks are dropped.
+    Gaussian of 0.7 voxels, specks are dropped, and voids filled.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -184,14 +187,15 @@ def solidify(
     voxel_m = observation.grid.voxel_size_m
     solid = carried_up(solid, evidence.carved | excluded, contact.stop, voxel_m)
     field = _smooth_field(evidence, _without_specks(solid), voxel_m)
-    field[:, :, : layers.below] = np.abs(field[:, :, : layers.below])
-    solid = _without_specks(field < 0)
+    empty = excluded.copy()
+    empty[:, :, : layers.below] = True
+    solid = _without_voids(_without_specks((field < 0) & ~empty)) & ~empty
     if not solid.any():
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
     labels = _label(observation, evidence, solid, layers.below)
     probability = _probability(observation, evidence, solid)
     probability[:, :, : layers.below] = 0
-    mesh = _closed_mesh(np.where(solid, field, np.abs(field)), observation.grid)
+    mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
     doubtful = int((evidence.doubtful & solid).sum()) / int(solid.sum())
     return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
 
@@ -204,8 +208,8 @@ def _weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_w
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed = observation.weight > least
     contact = slice(layers.below, layers.first)
-    signed_m = _corrected(observation, ray_width_m)
-    carved = np.where(observed, signed_m > 0, observation.free >= MIN_FREE_VOTES)
+    signed_m = _signed_distance_m(observation, ray_width_m)
+    carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
     behind = observed & ~carved
     excluded = excluded | _loose(behind & ~excluded, layers)
 
@@ -252,20 +256,17 @@ def _loose(behind: Bools, layers: FloorLayers) -> Bools:
     return loose
 
 
-def _corrected(observation: Observation, ray_width_m: float) -> NDArray[np.float32]:
-    """The signed distance at which being inside is as likely as not is 0, metres.
+def _signed_distance_m(observation: Observation, ray_width_m: float) -> NDArray[np.float32]:
+    """Of the surface, where a voxel was observed."""
+    voxel_m = observation.grid.voxel_size_m
+    trust = trust_in_votes(ray_width_m, voxel_m)
+    return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
 
-    The mean of projective distances makes thin parts thick: where some frames see the surface and others
-    pass beside it, the latter have little weight. What they saw through tells (own rule): log odds of being
-    inside fall with the signed distance and with the share of frames that saw through.
-    """
-    voxel_m = np.float32(observation.grid.voxel_size_m)
-    seen_through = seen_through_share(observation.free, observation.surface)
-    clipped_m = np.clip(observation.tsdf, -CLIPPED_VOXELS * voxel_m, CLIPPED_VOXELS * voxel_m)
-    trust = trust_in_votes(ray_width_m, observation.grid.voxel_size_m)
-    through = np.maximum(seen_through - np.float32(FREE_BY_NOISE), np.float32(0))
-    shift = (np.float32(trust * LOGIT_PER_FREE) * through - LOGIT) / LOGIT_PER_VOXEL
-    return np.asarray(clipped_m + voxel_m * shift, np.float32)
+
+def _least_free_votes(observation: Observation) -> int:
+    """How many frames must have seen through a voxel that was never observed near a surface."""
+    looking = int((observation.free.astype(np.int64) + observation.surface).max())
+    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 
 
 def _label(observation: Observation, evidence: _Evidence, solid: Bools, below: int) -> NDArray[np.uint8]:
@@ -298,10 +299,16 @@ def _without_specks(solid: Bools) -> Bools:
     return kept
 
 
+def _without_voids(solid: Bools) -> Bools:
+    """Fill what has no 6-connected way out: nobody can have looked into it."""
+    from scipy import ndimage
+
+    filled: Bools = ndimage.binary_fill_holes(solid)
+    return filled
+
+
 def _probability(observation: Observation, evidence: _Evidence, solid: Bools) -> NDArray[np.float32]:
     """Occupancy probability: from the enclosure where unseen, from the signed distance where measured."""
-    from scipy.special import expit
-
     inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
     under, empty = evidence.shadow.under, evidence.shadow.empty
     for where, share in (
@@ -312,8 +319,9 @@ def _probability(observation: Observation, evidence: _Evidence, solid: Bools) ->
         inferred[where] = np.minimum(inferred[where], share)
     inferred[evidence.doubtful] = np.minimum(inferred[evidence.doubtful], DOUBTFUL_INSIDE_SHARE)
     inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
-    measured = expit(-evidence.signed_m * np.float32(LOGIT_PER_VOXEL / observation.grid.voxel_size_m))
-    probability = np.where(evidence.unseen | evidence.hollow, inferred, measured)
+    signed_voxels = evidence.signed_m / np.float32(observation.grid.voxel_size_m)
+    measured = np.interp(signed_voxels, SIGNED_VOXELS, SIGNED_INSIDE_SHARE)
+    probability = np.where(evidence.unseen | evidence.hollow, inferred, measured).astype(np.float32)
     # What the rules above decided otherwise (floor contact, specks, neighbours) stays decided.
     decided = solid != (probability > 0.5)
     return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)

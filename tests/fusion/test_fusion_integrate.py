@@ -80,9 +80,9 @@ def reference(volume, frames, farthest_m=np.inf):
         weight += added
         margin = np.maximum(SURFACE_SIGMAS * sigma, HALF_DIAGONAL * VOXEL_M)
         free += measured & (sdf > margin)
-        surface += measured & (np.abs(sdf) <= margin)
+        surface += measured & (sdf <= margin)
         tie |= (np.abs(uv - np.floor(uv) - 0.5) < 1e-3).any(-1) | (np.abs(z) < 5e-3)
-        for limit in (-TRUNCATION_M, BEFORE_FAR_M, margin, -margin):
+        for limit in (-TRUNCATION_M, BEFORE_FAR_M, margin):
             tie |= np.abs(sdf - limit) < 1e-5
     return np.where(weight > 0, total / np.maximum(weight, 1e-30), 0), weight, free, surface, tie
 

@@ -8,7 +8,7 @@ import trimesh
 
 from kinectbench.errors import StorageError
 from kinectbench.fusion.blocks import BLOCK_VOXELS, blocks_of_grid, empty_volume
-from kinectbench.fusion.mesh import BRICK_BLOCKS, extract_mesh, isosurface, without_fringe
+from kinectbench.fusion.mesh import BRICK_BLOCKS, extract_mesh, isosurface
 from kinectbench.geometry import Grid, TriangleMesh, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.mesh_file import read_ply, write_ply
 
@@ -89,14 +89,6 @@ def test_voxels_of_less_weight_count_as_unobserved():
     assert mesh.vertices[:, 2].min() >= 0.16
     assert mesh.vertices[:, 2].min() < 0.18
     assert len(extract_mesh(volume, min_weight=2.0).faces) == 0
-
-
-def test_what_frames_saw_through_moves_the_surface_inward():
-    """By hand, 5 mm voxels: 45 mm for each share of free votes above 0.1, and 2 a voxel in front."""
-    free, surface = np.array([0, 1, 6, 6, 10, 0], np.uint32), np.array([10, 9, 4, 4, 0, 0], np.uint32)
-    tsdf = np.array([-0.004, -0.004, -0.004, 0.001, 0.012, 0.0], np.float32)
-    raised = without_fringe(tsdf, free | surface << 16, 0.005)
-    assert raised == pytest.approx([-0.004, -0.004, 0.0185, 0.0055, 0.012, 0.0], abs=1e-6)
 
 
 def test_keep_faces_drops_unused_vertices_and_keeps_colours():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinectbench.fusion.vote_trust import ray_width_m, seen_through_share, trust_in_votes
+from kinectbench.fusion.vote_trust import ray_width_m, seen_through_share, trust_in_votes, without_fringe
 from kinectbench.geometry import Camera
 from kinectbench.tracking.trajectory import Trajectory
 
@@ -29,3 +29,12 @@ def test_a_ray_is_as_wide_as_its_pixel_and_what_its_pose_is_off() -> None:
 def test_share_of_the_frames_with_a_vote() -> None:
     free, surface = np.array([0, 3, 0], np.uint16), np.array([0, 1, 7], np.uint16)
     np.testing.assert_allclose(seen_through_share(free, surface), [0.0, 0.75, 0.0])
+
+
+@pytest.mark.parametrize("trust", [1.0, 0.4])
+def test_what_frames_saw_through_moves_the_surface_inward(trust):
+    """By hand, 5 mm voxels: 75 mm for each share of free votes above 0.1, and 2 a voxel in front."""
+    free, surface = np.array([0, 1, 6, 6, 10, 0], np.uint32), np.array([10, 9, 4, 4, 0, 0], np.uint32)
+    tsdf = np.array([-0.004, -0.004, -0.004, 0.001, 0.012, 0.0], np.float32)
+    raised = without_fringe(tsdf, free, surface, 0.005, trust) - tsdf
+    assert raised == pytest.approx(trust * np.array([0, 0, 0.0375, 0.0075, 0, 0]), abs=1e-6)
