@@ -20,7 +20,7 @@ from kinectbench.config import BenchmarkSettings
 from kinectbench.processes import submit_all, worker_pool
 from kinectbench.simulate.truth import truth_folder
 
-SEEDS = tuple(range(1, 28))
+SEEDS = tuple(range(1, 31))
 PRESET = "orbit-v1"
 
 

@@ -60,7 +60,9 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
         tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         votes = volume.dense(volume.votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        part = isosurface(without_fringe(tsdf, votes & 0xFFFF, votes >> 16, volume.voxel_size_m, trust), weight > min_weight)
+        part = isosurface(
+            without_fringe(tsdf, votes & 0xFFFF, votes >> 16, volume.voxel_size_m, trust), weight > min_weight
+        )
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

@@ -19,10 +19,12 @@ OVERHANG_M = 0.0045
 # A hollow is at least so high and lies no deeper than this under the top, and so many of nine ways down from
 # it lead outside.
 MIN_HOLLOW_M, MAX_HOLLOW_M, OPEN_BELOW = 0.035, 0.12, 5
+# So high at most is what looks like a thick slab and may be a hollow behind flush sides.
+MAX_DOUBTFUL_M = 0.2
 # So high at least is what of a hollow would else be inside.
 MIN_ENCLOSED_HOLLOW_M = 0.015
-# Under most of a hollow no more directions than these enclose: what is enclosed there, too, goes on.
-OPEN_BENEATH = 12.5 / 26
+# Right under a hollow it is open, or as enclosed as behind an apron; above what is half enclosed is none.
+OPEN_BENEATH, APRON_BENEATH = 12.5 / 26, 16.5 / 26
 # The least overhang over the uppermost layer of a hollow, as a share of that over the next one.
 FULL_OVERHANG = 0.6
 NOT_UNDER = 30_000
@@ -66,17 +68,16 @@ class Hollows:
 def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_m: float) -> Hollows:
     """Unseen voxels behind an apron: under a top, open from below.
 
-    From no camera above the seat can the space between the aprons of a chair be told from a thick slab:
-    top and sides enclose both. But a slab or a cushion is flush, and a top juts out over the apron that it
-    rests on. So a voxel is hollow if the outline of some layer above it, within 12 cm, juts out over that
-    of its own layer by 5 mm in all of the four directions along the grid, and most of the nine ways down from
-    it lead outside. Beside legs, which are flush, three directions are enough if the hollows found so far
-    leave the voxel hardly enclosed. The uppermost layer of a hollow must be overhung nearly as far as the one
-    below it. What is less than 35 mm high is no hollow, nor what has less than 15 mm that would else be
-    inside: cushions are rounded below; nor what is enclosed beneath, too, as a cushion within a frame is.
-    What would be a hollow but for its flush sides is doubtful, unless its
-    sides go down further than 12 cm, as no apron does, or a hollow
-    begins under it. Own rule.
+    From no camera above the seat can the space between the aprons of a chair be told from a thick slab: top
+    and sides enclose both. But a slab or a cushion is flush, and a top juts out over the apron that it rests
+    on. So a voxel is hollow if the outline of some layer above it, within 12 cm, juts out over that of its
+    own layer by 5 mm in all of the four directions along the grid, and most of the nine ways down from it
+    lead outside. Beside legs, which are flush, three directions are enough if the hollows found so far leave
+    the voxel hardly enclosed. The uppermost layer of a hollow must be overhung nearly as far as the one below
+    it. What is less than 35 mm high is no hollow, nor what has less than 15 mm that would else be inside:
+    cushions are rounded below; nor what is half enclosed beneath, as a cushion in a frame is. What would be a
+    hollow but for its flush sides is doubtful, unless its sides go down further than 20 cm from its top, as
+    those of no seat do, or a hollow begins under it. Own rule.
 
     Args:
         state: as for `enclosure`; the grid is upright, its last axis points up.
@@ -89,8 +90,8 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     _, outside = _votes(bordered, -1, -1)
     least, second = _overhang(bordered)
     below_m = _under_inside(bordered) * voxel_size_m
-    under = (state == UNSEEN) & (below_m <= MAX_HOLLOW_M)
-    possible = under & (second * voxel_size_m > OVERHANG_M)
+    unseen = state == UNSEEN
+    possible = unseen & (below_m <= MAX_HOLLOW_M) & (second * voxel_size_m > OVERHANG_M)
     sure = possible & (least * voxel_size_m > OVERHANG_M) & (outside >= OPEN_BELOW)
     opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
     found = sure | (possible & (opened < ENCLOSED))
@@ -105,7 +106,8 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]
     hollow[:, :, 1:] &= ~frayed
     hollow = _open_beneath(hollow, state, enclosed)
-    inside = (state == UNSEEN) & (opened >= ENCLOSED)
+    under = unseen & (below_m <= MAX_DOUBTFUL_M)
+    inside = unseen & (opened >= ENCLOSED)
     body = (inside & ~under & (below_m < NOT_UNDER * voxel_size_m)).any(axis=2, keepdims=True)
     slab = open_below.any(axis=2, keepdims=True)
     flush = inside & under & (outside >= OPEN_BELOW) & ~slab & ~body
@@ -115,12 +117,13 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
 def _open_beneath(
     hollow: NDArray[np.bool_], state: NDArray[np.uint8], enclosed: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Those of its pieces (26 neighbours) under whose columns it is mostly open."""
+    """Those of its pieces (26 neighbours) under most of whose columns it is open, or the apron goes on."""
     from scipy import ndimage
 
     pieces, count = ndimage.label(hollow, np.ones((3, 3, 3)))
     lowest = hollow[:, :, 1:] & ~hollow[:, :, :-1]
-    shut = (state == INSIDE) | ((state == UNSEEN) & (enclosed >= OPEN_BENEATH))
+    half = (enclosed >= OPEN_BENEATH) & (enclosed < APRON_BENEATH)
+    shut = (state == INSIDE) | ((state == UNSEEN) & half)
     of = pieces[:, :, 1:][lowest]
     columns = np.bincount(of, minlength=count + 1)
     shut_columns = np.bincount(of, shut[:, :, :-1][lowest], minlength=count + 1)

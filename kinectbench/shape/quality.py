@@ -16,11 +16,10 @@ from kinectbench.shape.witness import Witness
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
 MAX_DOUBTFUL_SHARE = 0.1
-# Least squares over simulated objects of 4 families: what is missing from an IoU of 1 to the truth, against
-# what the probabilities expect to be missing and what halves disagree by. With exact poses (21 objects, seeds
-# 101 to 105 and chair 1) halves disagree by more than both err together; with our poses (28 objects, seeds 1
-# and 4 to 9) they share the trajectory's slow errors, and show less than half of them.
-MISSING_WITH_GIVEN_POSES, MISSING_WITH_TRACKED_POSES = (0.51, 0.33), (0.22, 2.31)
+# What is missing from an IoU of 1 to the truth, fitted on simulated objects of 4 families (seeds 18 to 27):
+# of what the probabilities expect to be missing, of what halves disagree by, and of what changes if the
+# surface is off by as much as a usual pose.
+MISSING_PER_EXPECTED, MISSING_PER_DISAGREEMENT, MISSING_PER_SHIFT = 0.22, 0.92, 2.3
 GOOD_ESTIMATED_IOU = 0.82
 # A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
 MAX_VOLUME_SHARE_PER_MM = 0.1
@@ -66,19 +65,23 @@ def expected_iou(shape: SolidShape) -> float:
     return inside / (int(solid.sum()) + float(probability[~solid].sum(dtype=np.float64)))
 
 
-def estimated_iou(expected: float, repeatability: float, tracked: bool) -> float:
+def estimated_iou(expected: float, repeatability: float, shifted_share: float) -> float:
     """An estimate of the IoU to the unknown truth, in [0, 1].
 
-    What is missing from 1 is a sum of what the voxels' probabilities expect to be missing and of what odd and
-    even frames disagree by (own rule, fitted on simulated objects; docs/ground-truth.md has its errors).
+    What is missing from 1 is a sum of what the voxels' probabilities expect to be missing, of what odd and
+    even frames disagree by, and of what the poses' errors cost, which both share (own rule, fitted on
+    simulated objects; docs/ground-truth.md has its errors).
 
     Args:
         expected: `expected_iou` of the solid.
         repeatability: IoU of the solids from odd and from even frames.
-        tracked: whether the poses were tracked or refined; given ones are taken at their word.
+        shifted_share: of the volume, what changes if the surface moves by what a usual pose may be off.
     """
-    per_expected, per_disagreement = MISSING_WITH_TRACKED_POSES if tracked else MISSING_WITH_GIVEN_POSES
-    missing = per_expected * (1 - expected) + per_disagreement * (1 - repeatability)
+    missing = (
+        MISSING_PER_EXPECTED * (1 - expected)
+        + MISSING_PER_DISAGREEMENT * (1 - repeatability)
+        + MISSING_PER_SHIFT * shifted_share
+    )
     return float(np.clip(1 - missing, 0, 1))
 
 
@@ -87,7 +90,7 @@ def measure_quality(
     shapes: tuple[SolidShape, SolidShape, SolidShape],
     sigma_m: float,
     seen: Witness,
-    tracked: bool,
+    pose_sigma_m: float,
 ) -> Quality:
     """Repeatability (IoU of the solids from odd and from even frames), estimated IoU, boxes, warnings.
 
@@ -96,7 +99,7 @@ def measure_quality(
         shapes: the solid from all, from the odd and from the even frames.
         sigma_m: standard deviation of the surface, metres.
         seen: what the recording could see of it; its warnings come first.
-        tracked: whether the poses were tracked or refined.
+        pose_sigma_m: by how much a usual pose may be off, metres; 0 if the poses are exact.
     """
     together, odd, even = shapes
     union = int((odd.solid | even.solid).sum())
@@ -108,13 +111,13 @@ def measure_quality(
         warnings.append(
             f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh"
         )
-    estimated = estimated_iou(expected_iou(together), repeatability, tracked)
+    share_per_mm = volume_share_per_mm(together.mesh)
+    estimated = estimated_iou(expected_iou(together), repeatability, 1000 * pose_sigma_m * share_per_mm)
     if estimated < GOOD_ESTIMATED_IOU:
         warnings.append(
             f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin, hidden, "
             "without depth or cut off: record from closer, and from low down, too"
         )
-    share_per_mm = volume_share_per_mm(together.mesh)
     if share_per_mm > MAX_VOLUME_SHARE_PER_MM:
         warnings.append(
             f"the object's parts are thin: a surface that is off by 1 mm changes {share_per_mm:.0%} of the "

@@ -25,6 +25,7 @@ from kinectbench.shape.enclosure import (
     FULL_OVERHANG,
     INSIDE,
     LEVEL_ENCLOSED,
+    MAX_DOUBTFUL_M,
     MAX_HOLLOW_M,
     MIN_ENCLOSED_HOLLOW_M,
     MIN_HOLLOW_M,
@@ -42,8 +43,8 @@ from kinectbench.shape.legs import carried_up
 
 Bools = NDArray[np.bool_]
 
-# How many of the unseen voxels are inside, by the number of enclosing directions of 26, on simulated furniture
-# (28 objects of 4 families, seeds 18 to 24). From 15 on about half are, from 16 on most.
+# How many of the unseen voxels are inside, by the number of enclosing directions of 26: counted on simulated
+# furniture (28 objects of 4 families, seeds 18 to 24). From 15 on about half are, from 16 on most.
 INTERIOR_SHARE = 15.5 / 26
 ENCLOSING = np.array([0, 2, 5, 8, 10, 12, 14, 15, 16, 17, 20, 22, 26], np.float32) / 26
 INSIDE_SHARE = np.array(
@@ -76,6 +77,7 @@ METHOD = {
     "hollow_overhang_m": OVERHANG_M,
     "hollow_full_overhang": FULL_OVERHANG,
     "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
+    "doubtful_height_m": MAX_DOUBTFUL_M,
     "hollow_enclosed_height_m": MIN_ENCLOSED_HOLLOW_M,
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,

@@ -11,6 +11,7 @@ from kinectbench.shape.enclosure import (
     OUTSIDE,
     UNSEEN,
     Hollows,
+    _open_beneath,
     enclosure,
     hollows,
     shadow,
@@ -126,9 +127,21 @@ def test_a_cushion_rounded_below_is_solid_to_its_underside():
 
 
 def test_a_deep_body_under_a_top_is_not_hollow():
-    # Twelve voxels of 20 mm are more than an apron's height; what lies beneath the upper ones is enclosed, too.
-    assert not hollows_of(seat(apron_inset=2), 0.02).sure.any()
-    assert hollows_of(seat(apron_inset=2), 0.009).sure.any()
+    # Twelve voxels of 20 mm are more than an apron's height: only the upper part may be hollow.
+    assert not hollows_of(seat(apron_inset=2), 0.02).sure[:, :, 18:24].any()
+
+
+@pytest.mark.parametrize(("state_beneath", "directions", "kept"), [
+    (UNSEEN, 9, True), (UNSEEN, 14, False), (UNSEEN, 17, True), (INSIDE, 0, False), (OUTSIDE, 0, True),
+])  # fmt: skip
+def test_what_lies_beneath_a_hollow(state_beneath: int, directions: int, kept: bool):
+    """By hand: under most of a piece it is open, or the apron goes on; the other piece is open below."""
+    hollow = np.zeros((12, 6, 8), bool)
+    hollow[1:5, 1:5, 4:7] = hollow[7:11, 1:5, 4:7] = True
+    state, enclosed = np.full(hollow.shape, UNSEEN, np.uint8), np.full(hollow.shape, 9 / 26, np.float32)
+    state[1:4, 1:5, 3], enclosed[1:4, 1:5, 3] = state_beneath, directions / 26
+    found = _open_beneath(hollow, state, enclosed)
+    assert (found[:6] == (hollow[:6] & kept)).all() and (found[6:] == hollow[6:]).all()
 
 
 def test_a_deep_flush_block_is_not_even_doubted():
