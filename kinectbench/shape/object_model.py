@@ -95,7 +95,9 @@ def build_object(
     whole, odd, even = (solidify(o, excluded, layers, width_m) for o in (together, *halves))
     sigma_m = surface_sigma_m(*halves)
     seen = witness(sequence, trajectory, scene, chosen)
-    quality = measure_quality(chosen, (whole, odd, even), sigma_m, seen, trajectory.usual_pose_sigma_m)
+    # Given poses are taken at their word.
+    pose_sigma_m = 0.0 if trajectory.source == "trust" else trajectory.usual_pose_sigma_m
+    quality = measure_quality(chosen, (whole, odd, even), sigma_m, seen, pose_sigma_m)
     surround = surround_grid(grid, chosen)
     some = frames[np.unique(np.linspace(0, len(frames) - 1, SURROUND_FRAMES).astype(int))]
     around = observe(sequence, trajectory, some, surround, fusion)

@@ -99,7 +99,7 @@ def measure_quality(
         shapes: the solid from all, from the odd and from the even frames.
         sigma_m: standard deviation of the surface, metres.
         seen: what the recording could see of it; its warnings come first.
-        pose_sigma_m: by how much a usual pose may be off, metres; 0 if the poses are exact.
+        pose_sigma_m: by how much a usual pose may be off, metres; 0 if the poses are taken at their word.
     """
     together, odd, even = shapes
     union = int((odd.solid | even.solid).sum())
