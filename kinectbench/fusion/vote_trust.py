@@ -16,7 +16,7 @@ RAY_WIDTHS_VOXELS, TRUST_IN_VOTES = [0.8, 1.0, 1.4], [1.0, 0.45, 0.0]
 # that many do so, and all frames half a voxel in front of it.
 USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL = 0.1, 2.0
 # How far the rest moves the surface inward, if all frames see through.
-VOXELS_PER_FREE_SHARE = 25.0
+VOXELS_PER_FREE_SHARE = 40.0
 
 
 def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) -> NDArray[np.float32]:

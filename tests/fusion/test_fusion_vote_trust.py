@@ -33,8 +33,8 @@ def test_share_of_the_frames_with_a_vote() -> None:
 
 @pytest.mark.parametrize("trust", [1.0, 0.4])
 def test_what_frames_saw_through_moves_the_surface_inward(trust):
-    """By hand, 5 mm voxels: 125 mm for each share of free votes above 0.1, and 2 a voxel in front."""
+    """By hand, 5 mm voxels: 200 mm for each share of free votes above 0.1, and 2 a voxel in front."""
     free, surface = np.array([0, 1, 6, 6, 10, 0], np.uint32), np.array([10, 9, 4, 4, 0, 0], np.uint32)
     tsdf = np.array([-0.004, -0.004, -0.004, 0.001, 0.012, 0.0], np.float32)
     raised = without_fringe(tsdf, free, surface, 0.005, trust) - tsdf
-    assert raised == pytest.approx(trust * np.array([0, 0, 0.0625, 0.0125, 0, 0]), abs=1e-6)
+    assert raised == pytest.approx(trust * np.array([0, 0, 0.1, 0.02, 0, 0]), abs=1e-6)

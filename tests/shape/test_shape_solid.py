@@ -312,7 +312,7 @@ def test_frames_that_saw_through_move_the_surface(ray_width_voxels: float, trust
     free = np.full(SHAPE, 30, np.uint16)
     seen = Observation(GRID, -np.float32(0.25 * VOXEL_M) * every, every, free=free, surface=100 - free)
     moved_m = _signed_distance_m(seen, ray_width_voxels * VOXEL_M)
-    expected_voxels = -0.25 + 25 * trust * (0.30 - 0.1)
+    expected_voxels = -0.25 + 40 * trust * (0.30 - 0.1)
     np.testing.assert_allclose(moved_m, expected_voxels * VOXEL_M, rtol=1e-4)
 
 
