@@ -53,16 +53,17 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     bricks = np.unique(volume.blocks // BRICK_BLOCKS, axis=0)
     parts, offset = [], 0
     vertices, faces = [], []
+    free_votes, surface_votes = volume.free, volume.surface
     for brick in bricks:
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
         tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        votes = volume.dense(volume.votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
-        part = isosurface(
-            without_fringe(tsdf, votes & 0xFFFF, votes >> 16, volume.voxel_size_m, trust), weight > min_weight
-        )
+        free = volume.dense(free_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        surface = volume.dense(surface_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        signed_m = without_fringe(tsdf, free, surface, volume.voxel_size_m, trust)
+        part = isosurface(signed_m, weight > min_weight)
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

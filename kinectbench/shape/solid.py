@@ -19,6 +19,7 @@ from kinectbench.fusion.vote_trust import (
 )
 from kinectbench.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.shape.enclosure import (
+    APRON_BENEATH,
     EMPTY_BESIDE,
     EMPTY_UNDER,
     ENCLOSED,
@@ -30,6 +31,8 @@ from kinectbench.shape.enclosure import (
     MIN_ENCLOSED_HOLLOW_M,
     MIN_HOLLOW_M,
     NEUTRAL,
+    OPEN_BELOW,
+    OPEN_BENEATH,
     OUTSIDE,
     OVERHANG_M,
     UNSEEN,
@@ -67,6 +70,14 @@ SIGNED_INSIDE_SHARE = np.array(
 )
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
+CHOSEN_ON = "simulated furniture of 4 families, seeds 1 to 27"
+
+
+def _table(at: NDArray[np.float32], share: NDArray[np.float32]) -> list[list[float]]:
+    """Support points and values of an interpolated probability, for the record."""
+    return [[round(float(x), 4), round(float(y), 4)] for x, y in zip(at, share, strict=True)]
+
+
 METHOD = {
     "name": "carving + hollows behind aprons + 26-direction enclosure + floor contact + smoothing",
     "occupied_share": round(ENCLOSED, 4),
@@ -79,6 +90,8 @@ METHOD = {
     "hollow_height_m": [MIN_HOLLOW_M, MAX_HOLLOW_M],
     "doubtful_height_m": MAX_DOUBTFUL_M,
     "hollow_enclosed_height_m": MIN_ENCLOSED_HOLLOW_M,
+    "hollow_beneath_share": [round(OPEN_BENEATH, 4), round(APRON_BENEATH, 4)],
+    "hollow_open_below": OPEN_BELOW,
     "least_weight_share": LEAST_WEIGHT_SHARE,
     "min_free_votes": MIN_FREE_VOTES,
     "min_free_share": MIN_FREE_SHARE,
@@ -86,6 +99,13 @@ METHOD = {
     "voxels_per_free_share": VOXELS_PER_FREE_SHARE,
     "trust_in_votes": [RAY_WIDTHS_VOXELS, TRUST_IN_VOTES],
     "smoothing_voxels": SMOOTHING_VOXELS,
+    "probability_by_enclosure": _table(ENCLOSING, INSIDE_SHARE),
+    "probability_by_signed_voxels": _table(SIGNED_VOXELS, SIGNED_INSIDE_SHARE),
+    "probability_of_hollow_doubtful_under_empty": [
+        round(float(share), 4)
+        for share in (HOLLOW_INSIDE_SHARE, DOUBTFUL_INSIDE_SHARE, UNDER_INSIDE_SHARE, EMPTY_UNDER_SHARE)
+    ],
+    "chosen_on": CHOSEN_ON,
 }
 
 
@@ -166,8 +186,8 @@ def solidify(
     surface, or was never seen but is enclosed by such voxels in 15 of 26 directions and not open to the
     sides. Near the floor what is connected to nothing higher is floor; where the two cannot be told apart,
     the lowest occupied layer is extruded down to the floor. Legs whose upper end was hidden are carried up to
-    the object. The signed field of this solid is smoothed by a
-    Gaussian of 0.7 voxels, specks are dropped, and voids filled.
+    the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks are dropped,
+    and voids filled.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -267,7 +287,7 @@ def _signed_distance_m(observation: Observation, ray_width_m: float) -> NDArray[
 
 def _least_free_votes(observation: Observation) -> int:
     """How many frames must have seen through a voxel that was never observed near a surface."""
-    looking = int((observation.free.astype(np.int64) + observation.surface).max())
+    looking = int((observation.free.astype(np.uint32) + observation.surface).max())
     return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 
 
