@@ -19,7 +19,7 @@ from kinectbench.tracking.trajectory import Trajectory
 CUTS = ((0.03, False), (0.02, False), (0.015, True))
 MIN_AREA_M2 = 0.05
 MAX_CANDIDATES = 9
-# Two boxes whose sides all differ by less show the same thing.
+# Two pieces that end within this of each other on all sides show the same thing.
 SAME_M = 0.06
 # So that the noise of the surface is inside.
 MARGIN_M = 0.02
@@ -74,7 +74,7 @@ def find_candidates(mesh: TriangleMesh, trajectory: Trajectory, settings: Segmen
     for cell_m, through_faces in CUTS:
         for points in _pieces(points_floor, max(cell_m, least_m), through_faces):
             candidate = _candidate(points, scene, automatic=False)
-            if not any(_same(candidate.box, other.box) for other in found):
+            if not any(_same(candidate, other) for other in found):
                 found.append(candidate)
     if not found:
         raise SegmentationError(
@@ -121,7 +121,7 @@ def _candidate(points_floor: NDArray[np.float64], scene: Scene, automatic: bool)
     return Candidate(box, points_floor, automatic, distance_m)
 
 
-def _same(one: OrientedBox, other: OrientedBox) -> bool:
-    corners = (one.corners_floor(), other.corners_floor())
-    sides = [np.concatenate([each.min(axis=0), each.max(axis=0)]) for each in corners]
+def _same(one: Candidate, other: Candidate) -> bool:
+    """By where their points lie: boxes around the same thing may be turned differently."""
+    sides = [np.concatenate([c.points_floor.min(axis=0), c.points_floor.max(axis=0)]) for c in (one, other)]
     return bool(np.abs(sides[0] - sides[1]).max() < SAME_M)
