@@ -70,7 +70,7 @@ def test_the_box_of_a_candidate_chooses_that_thing():
 
 
 def test_a_thing_counts_once_though_its_feet_turn_its_box():
-    """Of a cross-shaped block with its runners, which are too low for pieces, a box at 45 degrees is smaller."""
+    """Around a cross-shaped block with runners, too low for pieces, a box at 45 degrees is smaller."""
     block = [box((-0.3, -0.15, 0), (0.3, 0.15, 0.3)), box((-0.15, -0.3, 0), (0.15, 0.3, 0.3))]
     runners = [box((-0.34, -0.02, 0), (0.34, 0.02, 0.016)), box((-0.02, -0.34, 0), (0.02, 0.34, 0.016))]
     cross = recorded([FLOOR, *block, *runners], ring(16, 1.4, (0.0, 0.0, 0.15), (0.5, 0.8)), **FINE)
