@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.shape.opening import opened
+
 UNSEEN, OUTSIDE, INSIDE, NEUTRAL = 0, 1, 2, 3
 # From so many directions of 26 on an unseen voxel is inside more often than not.
 ENCLOSED = 14.5 / 26
@@ -84,34 +86,35 @@ def hollows(state: NDArray[np.uint8], enclosed: NDArray[np.float32], voxel_size_
         enclosed: `enclosure` of it.
         voxel_size_m: edge of a voxel, metres.
     """
-    from scipy import ndimage
-
     bordered = _bordered(state)
     _, outside = _votes(bordered, -1, -1)
     least, second = _overhang(bordered)
-    below_m = _under_inside(bordered) * voxel_size_m
+    below = _under_inside(bordered)
+    overhang, reach, doubtful_reach = (
+        int(length_m / voxel_size_m + 1e-6) for length_m in (OVERHANG_M, MAX_HOLLOW_M, MAX_DOUBTFUL_M)
+    )
     unseen = state == UNSEEN
-    possible = unseen & (below_m <= MAX_HOLLOW_M) & (second * voxel_size_m > OVERHANG_M)
-    sure = possible & (least * voxel_size_m > OVERHANG_M) & (outside >= OPEN_BELOW)
-    opened = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
-    found = sure | (possible & (opened < ENCLOSED))
-    high = np.ones((3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m))))
-    open_below = ndimage.binary_opening(found, high)
+    possible = unseen & (below <= reach) & (second > overhang)
+    sure = possible & (least > overhang) & (outside >= OPEN_BELOW)
+    without_sure = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
+    found = sure | (possible & (without_sure < ENCLOSED))
+    high = (3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m)))
+    open_below = opened(found, high)
     # Where a cushion is rounded below, its lowest layers look like the upper end of the shadow under it.
-    high_enclosed = np.ones((3, 3, max(1, round(MIN_ENCLOSED_HOLLOW_M / voxel_size_m))))
-    filled = ndimage.binary_opening(found & (enclosed >= ENCLOSED), high_enclosed)
+    high_enclosed = (3, 3, max(1, round(MIN_ENCLOSED_HOLLOW_M / voxel_size_m)))
+    filled = opened(found & (enclosed >= ENCLOSED), high_enclosed)
     hollow = open_below & filled.any(axis=2, keepdims=True)
     # Where the outline steps in over two layers, the upper one is still the top's, frayed at its edge.
     frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]
     hollow[:, :, 1:] &= ~frayed
     hollow = _open_beneath(hollow, state, enclosed)
-    under = unseen & (below_m <= MAX_DOUBTFUL_M)
-    inside = unseen & (opened >= ENCLOSED)
-    body = (inside & ~under & (below_m < NOT_UNDER * voxel_size_m)).any(axis=2, keepdims=True)
+    under = unseen & (below <= doubtful_reach)
+    inside = unseen & (without_sure >= ENCLOSED)
+    body = (inside & ~under & (below < NOT_UNDER)).any(axis=2, keepdims=True)
     slab = open_below.any(axis=2, keepdims=True)
     flush = inside & under & (outside >= OPEN_BELOW) & ~slab & ~body
-    return Hollows(hollow, ndimage.binary_opening(flush, high))
+    return Hollows(hollow, opened(flush, high))
 
 
 def _open_beneath(

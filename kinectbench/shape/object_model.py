@@ -29,6 +29,7 @@ FLOOR_LAYERS = 4
 SURROUND_FACTOR = 4
 # Free space far from the object is seen by nearly every frame: some of them are enough.
 SURROUND_FRAMES = 40
+MAX_VOXELS, MAX_SURROUND_CELLS = 1 << 26, 400
 Progress = Callable[[int, int], None]
 
 
@@ -86,14 +87,17 @@ def build_object(
     grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m)
     frames = trajectory.good_frames
     halves = [observe(sequence, trajectory, frames[start::2], grid, fusion, progress) for start in (0, 1)]
-    together = merge(*halves)
     excluded = chosen.excluded(grid, given_box)
     layers = floor_layers(chosen.floor, segmentation, fusion.voxel_size_m)
     middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
     away_m = np.linalg.norm(trajectory.T_world_camera[frames, :3, 3] - middle_world, axis=1)
     width_m = ray_width_m(sequence.camera, trajectory, float(np.median(away_m)))
-    whole, odd, even = (solidify(o, excluded, layers, width_m) for o in (together, *halves))
+    odd, even = (solidify(half, excluded, layers, width_m) for half in halves)
     sigma_m = surface_sigma_m(*halves)
+    together = merge(*halves)
+    # Of a large object each of them is a gigabyte.
+    del halves
+    whole = solidify(together, excluded, layers, width_m)
     seen = witness(sequence, trajectory, scene, chosen)
     # Given poses are taken at their word.
     pose_sigma_m = 0.0 if trajectory.source == "trust" else trajectory.usual_pose_sigma_m
@@ -109,12 +113,12 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float) -> Grid:
     """The fine grid around a box: aligned with it, standing four cells below the floor.
 
     Raises:
-        SegmentationError: it would take more than 2^28 voxels.
+        SegmentationError: it would take more than 2^26 voxels: minutes, and 6 GB.
     """
     size_m = np.array(box.size_m) + 2 * MARGIN_M
     size_m[2] = box.center_m[2] + box.size_m[2] / 2 + MARGIN_M + FLOOR_LAYERS * voxel_size_m
     blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS)).astype(int)
-    if blocks.prod() > (1 << 28) // CUBE_VOXELS**3:
+    if blocks.prod() > MAX_VOXELS // CUBE_VOXELS**3:
         raise SegmentationError(
             f"the object is {size_m[0]:.1f} x {size_m[1]:.1f} x {size_m[2]:.1f} m: too large for voxels of "
             f"{voxel_size_m * 1000:.0f} mm; give a box around the object in benchmark.yaml, or larger voxels"
@@ -142,10 +146,14 @@ def floor_layers(floor: Floor, segmentation: SegmentationSettings, voxel_size_m:
 
 
 def surround_grid(grid: Grid, chosen: Segmentation) -> Grid:
-    """A coarse grid that holds every cube a pair in framing `object` can have, whatever its orientation."""
+    """A coarse grid that holds every cube a pair in framing `object` can have, whatever its orientation.
+
+    Its cells are four voxels wide, around very large objects wider.
+    """
     radius_m = 0.5 * float(np.linalg.norm(grid.size_m))
     half_m = 1.1 * np.sqrt(3.0) * radius_m
-    voxel_m = SURROUND_FACTOR * grid.voxel_size_m
+    factor = max(SURROUND_FACTOR, int(np.ceil(2 * half_m / (MAX_SURROUND_CELLS * grid.voxel_size_m))))
+    voxel_m = factor * grid.voxel_size_m
     side = int(np.ceil(2 * half_m / (voxel_m * CUBE_VOXELS))) * CUBE_VOXELS
     middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
     rotation = chosen.floor.T_world_floor[:3, :3]

@@ -73,7 +73,7 @@ SPECK_SHARE = 0.02
 CHOSEN_ON = "simulated furniture of 4 families, seeds 1 to 27"
 
 
-def _table(at: NDArray[np.float32], share: NDArray[np.float32]) -> list[list[float]]:
+def _table(at: NDArray[np.floating], share: NDArray[np.floating]) -> list[list[float]]:
     """Support points and values of an interpolated probability, for the record."""
     return [[round(float(x), 4), round(float(y), 4)] for x, y in zip(at, share, strict=True)]
 
@@ -331,19 +331,21 @@ def _without_voids(solid: Bools) -> Bools:
 
 def _probability(observation: Observation, evidence: _Evidence, solid: Bools) -> NDArray[np.float32]:
     """Occupancy probability: from the enclosure where unseen, from the signed distance where measured."""
-    inferred = np.interp(evidence.enclosed, ENCLOSING, INSIDE_SHARE).astype(np.float32)
+    inferred = evidence.unseen | evidence.hollow
+    probability = np.empty(solid.shape, np.float32)
+    signed_voxels = evidence.signed_m[~inferred] / np.float32(observation.grid.voxel_size_m)
+    probability[~inferred] = np.interp(signed_voxels, SIGNED_VOXELS, SIGNED_INSIDE_SHARE)
+    probability[inferred] = np.interp(evidence.enclosed[inferred], ENCLOSING, INSIDE_SHARE)
     under, empty = evidence.shadow.under, evidence.shadow.empty
     for where, share in (
         (under, UNDER_INSIDE_SHARE),
         (under & empty, EMPTY_UNDER_SHARE),
         (empty & ~under, EMPTY_BESIDE_SHARE),
+        (evidence.doubtful, DOUBTFUL_INSIDE_SHARE),
     ):
-        inferred[where] = np.minimum(inferred[where], share)
-    inferred[evidence.doubtful] = np.minimum(inferred[evidence.doubtful], DOUBTFUL_INSIDE_SHARE)
-    inferred[evidence.hollow] = HOLLOW_INSIDE_SHARE
-    signed_voxels = evidence.signed_m / np.float32(observation.grid.voxel_size_m)
-    measured = np.interp(signed_voxels, SIGNED_VOXELS, SIGNED_INSIDE_SHARE)
-    probability = np.where(evidence.unseen | evidence.hollow, inferred, measured).astype(np.float32)
+        where = where & inferred
+        probability[where] = np.minimum(probability[where], share)
+    probability[evidence.hollow] = HOLLOW_INSIDE_SHARE
     # What the rules above decided otherwise (floor contact, specks, neighbours) stays decided.
     decided = solid != (probability > 0.5)
     return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from kinectbench.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.segmentation.floor import Floor, floor_frame
 from kinectbench.shape.labels import Label
 from kinectbench.shape.object_folder import read_object, write_object
-from kinectbench.shape.object_model import FLOOR_LAYERS, MARGIN_M, object_grid
+from kinectbench.shape.object_model import FLOOR_LAYERS, MARGIN_M, object_grid, surround_grid
 
 pytestmark = pytest.mark.xdist_group("chair_model")
 FLOOR = Floor(np.array([0.0, 0, 1, 0.3]), floor_frame(np.array([0.0, 0, 1, 0.3])), 0.001, 0.5)
@@ -99,6 +100,25 @@ def test_object_grid_is_upright_and_holds_the_box():
 def test_too_large_an_object():
     with pytest.raises(SegmentationError, match=r"too large for voxels of 1 mm.*box"):
         object_grid(OrientedBox((0, 0, 1), (3, 3, 2)), FLOOR, 0.001)
+
+
+def test_an_object_as_large_as_a_room_is_refused_at_the_usual_voxels():
+    with pytest.raises(SegmentationError, match=r"4.9 x 1.1 m: too large for voxels of 5 mm"):
+        object_grid(OrientedBox((0, 0, 0.53), (4.8, 4.8, 1.06)), FLOOR, 0.005)
+
+
+@pytest.mark.parametrize(("side_m", "cell_m"), [(0.6, 0.020), (3.4, 0.025)])
+def test_the_surround_holds_every_cube_and_stays_small(side_m: float, cell_m: float):
+    grid = object_grid(OrientedBox((0, 0, 0.2), (side_m, side_m, 0.4)), FLOOR, 0.005)
+    segmentation = SimpleNamespace(floor=FLOOR)
+    surround = surround_grid(grid, segmentation)  # type: ignore[arg-type]
+    assert surround.voxel_size_m == pytest.approx(cell_m)
+    assert max(surround.shape) <= 416
+    # A cube of the longest diagonal, whatever its orientation, in the middle of the grid.
+    middle = transform_points(grid.T_world_grid, grid.size_m / 2)
+    half_m = np.sqrt(3.0) * np.linalg.norm(grid.size_m) / 2
+    around = transform_points(invert_rigid(surround.T_world_grid), middle[None])[0]
+    assert around.min() >= half_m and (surround.size_m - around).min() >= half_m
 
 
 def test_folder_round_trip(chair, tmp_path: Path):
