@@ -11,7 +11,7 @@ from bad_scenes import AROUND, FINE, FLOOR, OBJECT, Recorded, recorded, table_of
 from kinectbench.errors import KinectBenchError, SegmentationError
 from kinectbench.geometry import OrientedBox
 from kinectbench.segmentation.select import select_in_box
-from kinectbench.shape.witness import unseen_side
+from kinectbench.shape.witness import unseen_side, witness
 from kinectbench.tracking.coverage import convergence_point
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
@@ -41,6 +41,9 @@ def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do():
     assert replace(plain(), trajectory=bad).witness().warnings == (
         f"the trajectory is {verdict}; `trajectory: refine` is recommended",
     )
+    kept = replace(bad, health=bad.health | {"recommended": "trust"})
+    (told,) = replace(plain(), trajectory=kept).witness().warnings
+    assert told.endswith("; if odd and even frames agree better with `trajectory: refine`, take that")
     good = replace(bad, health={"grade": "10 mm", "verdict": "good", "recommended": "trust"})
     assert replace(plain(), trajectory=good).witness().warnings == ()
 
@@ -177,6 +180,14 @@ def test_a_slope_is_no_floor():
     steep = recorded([plane((0.0, -np.sin(np.pi / 3), np.cos(np.pi / 3)), 0.0)])
     with pytest.raises(SegmentationError, match=r"no floor found.*give a box"):
         steep.segment()
+
+
+def test_a_floor_that_is_not_flat_may_be_something_else():
+    chosen = plain().segment()
+    rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
+    for each, told in ((chosen, False), (rough, True)):
+        found = witness(plain().sequence, plain().trajectory, plain().scene, each)
+        assert warned(found.warnings, "the floor found scatters by 19 mm") is told
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])

@@ -49,7 +49,10 @@ def doubts(selection: Selection) -> tuple[str, ...]:
     parts = separate_parts(selection.object_points, selection.cell_m)
     if selection.given:
         parts = max(parts, 1 + things_beside(selection.object_points, selection.cell_m))
-        held = f"the box holds {parts} things that stand apart: give a box around one of them; {LOOK}"
+        held = (
+            f"the box holds {parts} things that stand apart, or one whose joints no frame shows; if they are "
+            f"several, give a box around one of them: {LOOK}"
+        )
         cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
         return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
     lines = []

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.geometry import TriangleMesh
+from kinectbench.segmentation.floor import Floor
 from kinectbench.segmentation.moving import moving_frames
 from kinectbench.segmentation.segment import Segmentation
 from kinectbench.sequence import Sequence
@@ -15,6 +16,8 @@ from kinectbench.tracking.trajectory import Trajectory
 # A Kinect measures surfaces up to about this slant: an upright side is seen from so far around.
 SEEN_WITHIN_RAD = np.radians(75.0)
 MIN_FRAMES = 10
+# Real floors scatter by up to 6 mm, what is refused as no plane by 20 mm.
+MAX_FLOOR_NOISE_M = 0.010
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,23 @@ def _of_trajectory(trajectory: Trajectory) -> list[str]:
     if health.get("grade") != "not good":
         return []
     better = health.get("recommended")
-    remedy = "" if better in (None, trajectory.source) else f"; `trajectory: {better}` is recommended"
+    if better not in (None, trajectory.source):
+        remedy = f"; `trajectory: {better}` is recommended"
+    elif trajectory.source == "trust":
+        remedy = "; if odd and even frames agree better with `trajectory: refine`, take that"
+    else:
+        remedy = ""
     return [f"the trajectory is {health['verdict']}{remedy}"]
+
+
+def _of_floor(floor: Floor) -> list[str]:
+    """A warning of a floor that is hardly flat: it may be something else."""
+    if not floor.found or floor.noise_m <= MAX_FLOOR_NOISE_M:
+        return []
+    return [
+        f"the floor found scatters by {1000 * floor.noise_m:.0f} mm, a flat one by 1 to 6: it may be another "
+        "surface; record with more of the floor in view, or give a box"
+    ]
 
 
 def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, chosen: Segmentation) -> Witness:
@@ -82,7 +100,7 @@ def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, cho
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
     side = unseen_side(T_floor_camera, np.array(chosen.box.center_m))
     moving = moving_frames(sequence, trajectory, scene, chosen.floor)
-    warnings = [*_of_trajectory(trajectory), *chosen.doubts]
+    warnings = [*_of_trajectory(trajectory), *_of_floor(chosen.floor), *chosen.doubts]
     if side.share > 0:
         x, y = np.cos(side.towards_rad), np.sin(side.towards_rad)
         warnings.append(
