@@ -1,5 +1,6 @@
 """Offsets between clocks: of colour against depth, and of a given trajectory against depth."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,7 +12,7 @@ from kinectbench.doctor.fit import Pair, disagreement, frames_of
 from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.doctor.readings import Reading
 from kinectbench.ingest.association import TOLERANCE_NS
-from kinectbench.ingest.delay import estimate_delay, image_motion
+from kinectbench.ingest.delay import Motion, estimate_delay, image_motion
 from kinectbench.ingest.stamps import NS_PER_S
 from kinectbench.sequence import GivenTrajectory
 from kinectbench.tracking.given import poses_at
@@ -24,8 +25,9 @@ LEAST_CORRELATION = 0.6
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
 # Poses that are moved in time must fit this much better before it is said.
 BETTER = 0.93
-EDGE_FRAMES, EDGE_LAGS, EDGE_SIZE = 40, 12, (160, 120)
-EDGE_BETTER = 1.15
+EDGE_LAGS, EDGE_SIZE = 12, (160, 120)
+# The best lag must fit by so many standard errors, and so much better than none.
+EDGE_CLEAR, EDGE_BETTER = 5.0, 1.15
 MAX_GAP_S = 0.2
 PAIRED_SHARE = 0.8
 
@@ -123,12 +125,25 @@ def _read(reading: Reading, poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
     """By motion, or where depth shows too little of it, by edges that coincide."""
-    grays = [frame.gray for frame in run if frame.gray is not None]
-    depths = [frame.depth_m for frame in run]
-    found = estimate_delay(image_motion(stamps_ns.tolist(), depths), image_motion(stamps_ns.tolist(), grays))
-    if found is not None and found.correlation > LEAST_CORRELATION:
-        return found.delay_ns
-    return _edge_delay_ns(run, stamps_ns) if look.recording.color_registered else None
+    delay_ns = _motion_delay_ns(run, stamps_ns)
+    if delay_ns is None and look.recording.color_registered:
+        return _edge_delay_ns(run, stamps_ns)
+    return delay_ns
+
+
+def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
+    """The delay at which depth and colour move alike; None unless either half of the run alone tells it."""
+    depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
+    color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
+    middle = len(depth.times_ns) // 2
+    found: list[int] = []
+    for part in (slice(None), slice(middle), slice(middle, None)):
+        delay = estimate_delay(Motion(depth.times_ns[part], depth.shift_px_s[part]), color)
+        if delay is None or delay.correlation <= LEAST_CORRELATION:
+            return None
+        found.append(delay.delay_ns)
+    apart_ns = max(LEAST_NS, float(np.median(np.diff(stamps_ns))))
+    return found[0] if max(abs(half_ns - found[0]) for half_ns in found[1:]) <= apart_ns else None
 
 
 def _with_partners_ns(look: Look, delay_ns: int) -> int:
@@ -146,21 +161,33 @@ def _with_partners_ns(look: Look, delay_ns: int) -> int:
 
 
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The lag in frames at which edges of colour coincide best with jumps of depth; for registered colour."""
-    edges = [_edges_of(frame) for frame in run]
-    if len(run) <= 2 * EDGE_LAGS:
+    """The lag in frames at which edges of colour coincide best with jumps of depth; for registered colour.
+
+    None where that may be chance: unless the fit is clear, and either half of the run alone fits there best.
+    """
+    if len(run) // 2 <= EDGE_LAGS:
         return None
-    chosen = np.unique(np.linspace(EDGE_LAGS, len(run) - EDGE_LAGS - 1, EDGE_FRAMES).astype(int))
-    scores = np.zeros(2 * EDGE_LAGS + 1)
-    for index in chosen:
-        jumps = depth_jumps(run[index].depth_m, EDGE_SIZE)
-        for lag in range(-EDGE_LAGS, EDGE_LAGS + 1):
-            scores[lag + EDGE_LAGS] += float((jumps * edges[index + lag]).sum())
-    best = int(np.argmax(scores))
-    if best in (0, 2 * EDGE_LAGS) or scores[best] < EDGE_BETTER * scores[EDGE_LAGS]:
+    fits = _edge_fits(run)
+    by_lag = [np.diagonal(fits, lag) for lag in range(-EDGE_LAGS, EDGE_LAGS + 1)]
+    whole = [float(pairs.mean()) for pairs in by_lag]
+    best = int(np.argmax(whole))
+    error = float(fits.std()) / math.sqrt(len(by_lag[best]))
+    clear = whole[best] > EDGE_CLEAR * error and whole[best] >= EDGE_BETTER * whole[EDGE_LAGS]
+    halves = zip(*(np.array_split(pairs, 2) for pairs in by_lag), strict=True)
+    agreed = all(abs(int(np.argmax([pairs.mean() for pairs in half])) - best) <= 1 for half in halves)
+    if best in (0, 2 * EDGE_LAGS) or not clear or not agreed:
         return None
     # Colour that fits the depth of an earlier frame is late.
     return round((best - EDGE_LAGS) * float(np.median(np.diff(stamps_ns))))
+
+
+def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
+    """(n, n) how well jumps of depth i lie on edges of colour j, less what either has with all frames."""
+    jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
+    edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])
+    fits = (jumps @ edges.T).astype(np.float64)
+    # The middle of most images has many jumps and many edges, whichever frames they are.
+    return np.asarray(fits - fits.mean(axis=0) - fits.mean(axis=1, keepdims=True) + fits.mean())
 
 
 def _edges_of(frame: SmallFrame) -> NDArray[np.float64]:

@@ -1,21 +1,25 @@
 """Offsets between clocks that are put in by hand: the line that is offered takes them away again."""
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from small_benchmark import Run
-from wrong_recordings import make_wrong
+from wrong_recordings import make_wrong, rows_of, write_rows
 
 from kinectbench.config import CameraSettings
 from kinectbench.doctor import inspect
 from kinectbench.doctor.offsets import OffsetWatch
 from kinectbench.ingest.registry import open_recording
 from kinectbench.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.simulate.presets import preset_spec
+from kinectbench.simulate.simulate import simulate
 
 CHAIR = Path(__file__).parents[2] / "recordings/chair_01"
 LINE = re.compile(r"put `camera: \{(\w+): (-?[\d.]+)\}` into benchmark.yaml")
+ONE_WORKER = pytest.mark.xdist_group("orbits")  # else each worker simulates them
 # fault -> the setting, its value, how well that can be told (s)
 OFFSETS = {
     "colour three frames late": ("color_delay_s", 0.6, 0.001),
@@ -65,6 +69,41 @@ def test_what_is_offered_is_the_whole_delay(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["chair_01", "table_01.bag"])
 def test_nothing_is_offered_for_the_samples(name: str, tmp_path: Path) -> None:
     assert ingested(CHAIR.parent / name, CameraSettings(), tmp_path / "s") == []
+
+
+@pytest.fixture(scope="module")
+def orbits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Thirty frames all around an object, at 15 Hz: twelve degrees lie between two."""
+    root = tmp_path_factory.mktemp("orbits")
+    changes = {"path": {"frames": 30}, "sensor": {"width": 200, "height": 150}}
+    for name in ("table:seed=5", "table:seed=2", "couch:seed=1"):
+        simulate(preset_spec("orbit-v1", changes | {"object": name}), root / name)
+    return {folder.name: folder for folder in root.iterdir()}
+
+
+@ONE_WORKER
+@pytest.mark.parametrize("name", ["table:seed=5", "table:seed=2", "couch:seed=1"])
+def test_big_steps_are_no_delay(name: str, orbits: dict[str, Path], tmp_path: Path) -> None:
+    assert ingested(orbits[name], CameraSettings(), tmp_path / "s") == []
+
+
+@ONE_WORKER
+@pytest.mark.parametrize("frames", [-4, -3, -2, 2, 3, 4])
+def test_a_delay_is_found_in_big_steps(frames: int, orbits: dict[str, Path], tmp_path: Path) -> None:
+    folder = shutil.copytree(orbits["table:seed=2"], tmp_path / "r")
+    rows = rows_of(folder, "rgb")
+    shown = [(row[0], rows[i - frames][1]) for i, row in enumerate(rows) if 0 <= i - frames < len(rows)]
+    write_rows(folder, "rgb", [list(row) for row in shown])
+    ((key, value),) = ingested(folder, CameraSettings(), tmp_path / "s")
+    assert key == "color_delay_s" and value == pytest.approx(frames / 15, abs=0.001)
+
+
+@ONE_WORKER
+def test_chance_is_no_delay(orbits: dict[str, Path], tmp_path: Path) -> None:
+    """Colour of another recording, whose motion is by chance much like that of the depth."""
+    folder = shutil.copytree(orbits["couch:seed=1"], tmp_path / "r")
+    shutil.copytree(orbits["table:seed=5"] / "rgb", folder / "rgb", dirs_exist_ok=True)
+    assert ingested(folder, CameraSettings(), tmp_path / "s") == []
 
 
 def test_ingest_tells_it(command: Callable[..., Run], tmp_path: Path) -> None:
