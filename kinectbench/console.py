@@ -24,6 +24,8 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "residual_mm": "residual mm",
     },
 }
+# How the page shows them; other figures have three decimals.
+FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
 
 err = Console(stderr=True)
 out = Console()
@@ -78,19 +80,20 @@ def summary_table(rows: Sequence[Mapping[str, Any]], stages: Sequence[str]) -> T
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
     columns["status"] = "status"
-    table = Table()
+    medians = "contained and residual: medians over the pairs" if "residual_mm" in columns else None
+    table = Table(caption=medians, caption_justify="left")
     for key, title in columns.items():
         table.add_column(title, justify="left" if key in ("recording", "status") else "right")
     for row in rows:
-        table.add_row(*(_cell(row.get(key)) for key in columns))
+        table.add_row(*(_cell(row.get(key), FORMATS.get(key, ".3f")) for key in columns))
     return table
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, spec: str) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):
         # Frames by their index.
         shown = ", ".join(map(str, value[:6])) + (" …" if len(value) > 6 else "")
         return f"{len(value)} (frame{'s' * (len(value) > 1)} {shown})" if value else "0"
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
+    return format(value, spec) if isinstance(value, float) else str(value)

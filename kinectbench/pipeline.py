@@ -5,6 +5,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 from kinectbench.errors import KinectBenchError, internal_error
@@ -133,8 +134,9 @@ def summary(job: Job, stages: Collection[str]) -> dict[str, Any]:
         "views": len(views["views"]) if views else None,
         "pairs": len(rows) if pairs else None,
         "refused": len(pairs.get("refused", [])) + len(views.get("refused", [])) if pairs else None,
-        "containment": round(sum(r["containment"] for r in rows) / len(rows), 4) if rows else None,
-        "residual_mm": round(1000 * sum(r["residual_m"] for r in rows) / len(rows), 2) if rows else None,
+        # Medians, as on the page; with all their decimals, or they would be rounded twice.
+        "containment": round(median(r["containment"] for r in rows), 6) if rows else None,
+        "residual_mm": round(1000 * median(r["residual_m"] for r in rows), 6) if rows else None,
         "warnings": [
             warning for part in (sequence, health, quality, views) for warning in part.get("warnings", [])
         ],

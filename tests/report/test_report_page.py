@@ -1,6 +1,7 @@
 """The page as a whole: self-contained, safe, stable, and there whatever is missing."""
 
 import base64
+import io
 import json
 import re
 from html.parser import HTMLParser
@@ -9,11 +10,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from report_fake_build import score, write_build
+from report_fake_build import score, write_build, write_pairs
+from rich.console import Console
 
 from kinectbench.config import BenchmarkSettings
+from kinectbench.console import summary_table
 from kinectbench.errors import KinectBenchError, StorageError
+from kinectbench.pipeline import summary
 from kinectbench.report import write_report
+from kinectbench.report.recording import collect
+from kinectbench.stages import Job
 
 
 class Reader(HTMLParser):
@@ -92,6 +98,26 @@ def test_shows_figures_of_every_stage(html: str) -> None:
         assert words in text, words
     assert "<b>0.410</b>" in html
     assert "0.380" in html and "<b>0.380</b>" not in html
+
+
+def test_the_console_gives_the_same_figures_of_pairs(settings: BenchmarkSettings, tmp_path: Path) -> None:
+    """Of pairs one of which is far off: its mean is not their median."""
+    recording, folder = settings.recordings[0], tmp_path / "build" / "chair_01"
+    write_pairs(folder / "pairs", 3)
+    listed = json.loads((folder / "pairs" / "pairs.json").read_text())
+    for row, containment, residual_m in zip(
+        listed["pairs"], (0.9, 0.9912, 0.995), (0.0121, 0.0053, 0.00349), strict=True
+    ):
+        row.update(containment=containment, residual_m=residual_m)
+    (folder / "pairs" / "pairs.json").write_text(json.dumps(listed))
+    part = collect(recording, folder)
+    assert (part.containment, part.residual) == ("99.1 %", "5.3 mm")
+    row = summary(Job(settings, recording, tmp_path), ("pairs",))
+    console = Console(width=160, record=True, file=io.StringIO())
+    console.print(summary_table([row], ("pairs",)))
+    told = console.export_text()
+    assert "99.1%" in told and " 5.3 " in told
+    assert "medians over the pairs" in told
 
 
 def test_same_input_gives_the_same_bytes(
