@@ -21,8 +21,15 @@ COLORS_RGB = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 1
 JUDGED_FRAMES = 60
 JUDGED_POINTS = 1500
 SEEN_M = 0.05
-# Of two frames that show as much, the nearer one is taken.
-NEARER_BONUS_M = 0.01
+# In frames that see less of the surface than this share of what the best one sees, the thing is hidden.
+MIN_SEEN = 0.5
+# Of the others those with the whole box in the image count more than those that see a few more points.
+WHOLE_WEIGHT = 2.0
+# Of two frames that show as much, the nearer one is taken: there the thing is larger.
+NEARER_BONUS_M = 0.1
+# Frames show a thing about as well if their scores differ by less: of these the sharpest one is taken.
+SIMILAR = 0.05
+USUAL_BLUR = 1.0
 NEAR_M = 0.05
 # Pairs of corners, in the order of `OrientedBox.corners_floor`, that share an edge.
 EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
@@ -83,15 +90,26 @@ def candidate_picture(
 
 
 def best_frame(candidate: Candidate, floor: Floor, sequence: Sequence, trajectory: Trajectory) -> int:
-    """Of 60 frames the one in which most of the candidate is seen, not hidden; the nearer of equal ones."""
+    """Of 60 frames the one that shows a candidate best.
+
+    What counts is how much of its box lies in the image, how much of its surface is seen there, not hidden,
+    and how near it is; of frames that are about equal in this, the sharpest one is taken.
+    """
     good = trajectory.good_frames
     judged = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), JUDGED_FRAMES)).astype(int))]
     points_world = _sampled_world(candidate, floor)
-    scores = []
-    for frame in judged:
-        pixels, distance_m = _seen(points_world, int(frame), sequence, trajectory)
-        scores.append(len(pixels) / len(points_world) + NEARER_BONUS_M / distance_m)
-    return int(judged[int(np.argmax(scores))])
+    corners_world = transform_points(floor.T_world_floor, candidate.box.corners_floor())
+    whole, seen, nearness = np.zeros((3, len(judged)))
+    for k, frame in enumerate(judged.tolist()):
+        whole[k] = _inside(corners_world, frame, sequence, trajectory).mean()
+        pixels, distance_m = _seen(points_world, frame, sequence, trajectory)
+        seen[k] = len(pixels) / len(points_world)
+        nearness[k] = NEARER_BONUS_M / distance_m
+    scores = np.where(seen >= MIN_SEEN * seen.max(), WHOLE_WEIGHT * whole + seen + nearness, 0.0)
+    blur = {row["frame"]: row.get("blur") for row in trajectory.health.get("per_frame", [])}
+    similar = np.flatnonzero(scores > scores.max() - SIMILAR).tolist()
+    best = min(similar, key=lambda k: (blur.get(int(judged[k])) or USUAL_BLUR, -scores[k]))
+    return int(judged[best])
 
 
 def _sampled_world(candidate: Candidate, floor: Floor) -> Float64:
@@ -104,14 +122,23 @@ def _seen(
 ) -> tuple[NDArray[np.int64], float]:
     """Pixels (k, 2) of the points that the frame measured where they are, and their mean distance, metres."""
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
-    ahead = points_camera[points_camera[:, 2] > NEAR_M]
-    pixels = np.rint(sequence.camera.project(ahead)).astype(np.int64)
-    size_px = np.array([sequence.camera.width, sequence.camera.height])
-    inside = np.all((pixels >= 0) & (pixels < size_px), axis=1)
-    pixels, z_m = pixels[inside], ahead[inside, 2]
+    points_camera = points_camera[_inside(points_world, frame, sequence, trajectory)]
+    pixels = np.rint(sequence.camera.project(points_camera)).astype(np.int64)
+    z_m = points_camera[:, 2]
     depth_m = sequence.depth_m(frame)[pixels[:, 1], pixels[:, 0]]
     seen = (depth_m > 0) & (np.abs(depth_m - z_m) < SEEN_M)
     return pixels[seen], float(z_m[seen].mean()) if seen.any() else np.inf
+
+
+def _inside(
+    points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory
+) -> NDArray[np.bool_]:
+    """Whether each point lies in front of the camera and in the image: (n,)."""
+    points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
+    ahead = points_camera[:, 2] > NEAR_M
+    pixels = np.rint(sequence.camera.project(np.where(ahead[:, None], points_camera, 1.0)))
+    size_px = np.array([sequence.camera.width, sequence.camera.height])
+    return np.asarray(ahead & np.all((pixels >= 0) & (pixels < size_px), axis=1))
 
 
 def _background(sequence: Sequence, frame: int) -> Rgb:

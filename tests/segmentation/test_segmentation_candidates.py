@@ -1,22 +1,25 @@
 """Candidate boxes: what stands on a floor, numbered, in the form and frame of benchmark.yaml."""
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from analytic_scenes import CAMERA, box, ring
+from analytic_scenes import CAMERA, box, depth_of, ring, sequence_of, trajectory_of
 from bad_scenes import FINE, FLOOR, OBJECT, SEGMENTATION, recorded, table_of
 
 from kinectbench.config import BoxSettings
 from kinectbench.errors import SegmentationError
-from kinectbench.geometry import invert_rigid, transform_points
+from kinectbench.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.segmentation.candidate_pictures import COLORS_RGB, best_frame
-from kinectbench.segmentation.candidates import Candidates, find_candidates
+from kinectbench.segmentation.candidates import Candidate, Candidates, find_candidates
 from kinectbench.segmentation.candidates_folder import box_line, read_candidates, write_candidates
 from kinectbench.segmentation.doubts import separate_parts, things_beside
+from kinectbench.segmentation.floor import Floor
+from kinectbench.simulate.path import look_at
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.
@@ -135,6 +138,28 @@ def test_the_box_is_drawn_where_it_stands(folder: Path):
             assert np.abs(patch - color).sum(axis=-1).min() < 60, (a, b)
             checked += 1
     assert checked >= 2
+
+
+def test_the_best_frame_shows_the_whole_box_and_is_sharp():
+    """A block whose top all frames see: one nearer by cuts its lower end, in one it is mostly hidden."""
+    near = look_at(np.array([1.0, 0.0, 0.9]), np.array([0.0, 0.0, 0.72]))
+    far = look_at(np.array([1.5, 0.0, 1.0]), np.array([0.0, 0.0, 0.25]))
+    poses = np.stack([near, far, far, far])
+    block, screen = box((-0.2, -0.15, 0.0), (0.2, 0.15, 0.5)), box((0.6, -0.05, 0.0), (0.62, 0.5, 1.2))
+    in_view = ([block], [block], [block], [block, screen])
+    depths_m = [depth_of([FLOOR, *s], CAMERA, T) for s, T in zip(in_view, poses, strict=True)]
+    blur = (0.8, 2.0, 1.0, 0.5)
+    rows = [{"frame": k, "shift_mm": None, "blur": value} for k, value in enumerate(blur)]
+    trajectory = replace(trajectory_of(poses), health={"per_frame": rows})
+    x, y = np.meshgrid(np.linspace(-0.19, 0.19, 20), np.linspace(-0.14, 0.14, 20))
+    top = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
+    candidate = Candidate(OrientedBox((0, 0, 0.25), (0.4, 0.3, 0.5)), top, False, 0.0)
+    floor = Floor(np.array([0.0, 0, 1, 0]), np.eye(4), 0.0, 1.0)
+    sequence = sequence_of(depths_m, CAMERA)
+    assert best_frame(candidate, floor, sequence, trajectory) == 2
+    # What is hidden is not shown, though its box lies in the image.
+    poses[1:3] = np.nan
+    assert best_frame(candidate, floor, sequence, trajectory) == 0
 
 
 def test_parts_are_counted_where_they_come_apart():
