@@ -2,7 +2,6 @@
 
 import gc
 import os
-import signal
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -46,7 +45,12 @@ from kinectbench.commands_track import track
 from kinectbench.commands_truth import evaluate, simulate, synthesize
 from kinectbench.commands_verify import verify
 from kinectbench.errors import KinectBenchError, SettingsError, internal_error
-from kinectbench.interrupts import check_interrupt, interrupts_remembered
+from kinectbench.interrupts import (
+    check_interrupt,
+    ignore_interrupts,
+    interrupted_status,
+    interrupts_remembered,
+)
 
 app = typer.Typer(
     add_completion=False,
@@ -57,6 +61,7 @@ app = typer.Typer(
     "predictions against it.",
 )
 
+# What typer makes of KeyboardInterrupt.
 INTERRUPTED = 130
 
 STAGES = {
@@ -232,14 +237,15 @@ def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
     with interrupts_remembered():
         status, message = _run()
+    if status == INTERRUPTED:
+        ignore_interrupts()  # a second one would interrupt the end
     if message:
         from kinectbench import console
 
         console.lines("error", [message], "red")
     if status == INTERRUPTED:
         # Libraries that were interrupted while they were imported complain at the end of Python, or end it
-        # with a status of their own; a second Ctrl-C would interrupt the end.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # with a status of their own.
         gc.collect()
         if "kinectbench.processes" in sys.modules:
             from kinectbench.processes import give_back_shared
@@ -247,7 +253,7 @@ def main() -> None:
             give_back_shared()
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status)
+        os._exit(interrupted_status())
     sys.exit(status)
 
 

@@ -9,6 +9,7 @@ from queue import Empty
 from typing import Any, Protocol
 
 from kinectbench.errors import StorageError
+from kinectbench.interrupts import check_interrupt
 from kinectbench.locks import locked
 from kinectbench.pipeline import Outcome, build_recording
 from kinectbench.processes import CONTEXT, submit_all, worker_pool
@@ -87,6 +88,7 @@ def build(
     try:
         while left:
             left = _in_pool(left, at_once, task, outcomes)
+            check_interrupt()  # a SIGTERM to the whole group ends the workers, too
             if left and at_once == 1:
                 # A single process takes them in their order: the first that is left killed it.
                 culprit, *left = left

@@ -136,19 +136,22 @@ def test_killed_between_the_two_renames_of_publishing(command: Command, small: P
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 @pytest.mark.parametrize("whom", ["all", "parent"])
-def test_interrupted(command: Command, small: Path, fresh: Path, jobs: str, whom: str) -> None:
-    """Ctrl-C reaches every process of the terminal; `kill -INT` the parent alone."""
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted(
+    command: Command, small: Path, fresh: Path, jobs: str, whom: str, number: int, status: int
+) -> None:
+    """Ctrl-C and `timeout` reach every process of the group; `kill` the parent alone."""
     process = start(fresh, "build", "--jobs", jobs)
     wait_for(lambda: bool(list((fresh / "build").glob("*/.*.part"))), process)
     time.sleep(0.3)
     asked = time.monotonic()
     if whom == "all":
-        os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, number)
     else:
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
     result = finish(process)
     assert time.monotonic() - asked < 15
-    assert result.status == 130, result
+    assert result.status == status, result
     assert result.err == STOPPED
     assert result.out == ""
     wait_until_all_ended(process)
@@ -171,15 +174,30 @@ def test_interrupted_at_any_moment(fresh: Path, wait_s: float) -> None:
 
 
 @pytest.mark.parametrize("wait_s", [0.0, 0.003, 0.01, 0.1])
-def test_interrupted_while_workers_start(fresh: Path, wait_s: float) -> None:
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted_while_workers_start(fresh: Path, wait_s: float, number: int, status: int) -> None:
     process = start(fresh, "build", "--jobs", "2")
     wait_for(lambda: len(group(process)) >= 3, process)
     time.sleep(wait_s)
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, number)
     result = finish(process)
-    assert result.status == 130
+    assert result.status == status
     assert result.err == STOPPED
     wait_until_all_ended(process)
+
+
+def test_stopped_by_timeout(fresh: Path) -> None:
+    """It sends SIGTERM to the command, and then to the command's group."""
+    process = start(fresh, "build", "--jobs", "2")
+    wait_for(lambda: bool(list((fresh / "build").glob("*/.*.part"))), process)
+    for _ in range(3):
+        process.send_signal(signal.SIGTERM)
+        os.killpg(process.pid, signal.SIGTERM)
+        time.sleep(0.05)
+    result = finish(process)
+    assert (result.status, result.err) == (143, STOPPED)
+    wait_until_all_ended(process)
+    assert leftovers(fresh) == []
 
 
 # --- disks --------------------------------------------------------------------------------------------
