@@ -9,6 +9,7 @@ from queue import Empty
 from typing import Any, Protocol
 
 from kinectbench.errors import StorageError
+from kinectbench.failures import keep_failure
 from kinectbench.interrupts import check_interrupt
 from kinectbench.locks import locked
 from kinectbench.pipeline import Outcome, build_recording
@@ -122,7 +123,9 @@ class _Outcomes:
 
 
 def _killed(job: Job) -> Outcome:
-    return Outcome(job.recording.id, (), (), KILLED_ALONE.format(id=job.recording.id), 0.0)
+    error = KILLED_ALONE.format(id=job.recording.id)
+    keep_failure(job.build, None, error)
+    return Outcome(job.recording.id, (), (), error, 0.0)
 
 
 def _here(job: Job, task: _Task, watcher: Watcher) -> Outcome:

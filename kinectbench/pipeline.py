@@ -3,12 +3,14 @@
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 from kinectbench.errors import KinectBenchError, internal_error
+from kinectbench.failures import forget_failure, keep_failure
 from kinectbench.interrupts import check_interrupt
 from kinectbench.locks import locked
 from kinectbench.stages import STAGES, Job, Stage, stages_upto
@@ -59,25 +61,44 @@ def build_recording(
         with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
             artefacts: dict[str, Artefact] = {}
             for stage in stages_upto(upto):
-                artefact = _artefact(job, stage, artefacts)
-                artefacts[stage.name] = artefact
-                if artefact.is_current() and stage.name not in force:
-                    current.append(stage.name)
-                    continue
-                report(stage.name, 0, 1)
-                _make(job, stage, artefact, report)
-                made.append(stage.name)
-    except KinectBenchError as failure:
-        error = str(failure)
-    except MemoryError:
-        error = NO_MEMORY
+                with _failure_kept(job, stage):
+                    artefact = _artefact(job, stage, artefacts)
+                    artefacts[stage.name] = artefact
+                    if artefact.is_current() and stage.name not in force:
+                        current.append(stage.name)
+                        continue
+                    report(stage.name, 0, 1)
+                    _make(job, stage, artefact, report)
+                    made.append(stage.name)
+            forget_failure(job.build, (*made, *current))
     except Exception as failure:
-        if os.environ.get("KINECTBENCH_DEBUG"):
-            raise
-        error = internal_error(failure)
+        error = _told(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
+
+
+@contextmanager
+def _failure_kept(job: Job, stage: Stage) -> Iterator[None]:
+    """Keep on disk why a stage failed, for the page; of `suggest` it shows nothing."""
+    try:
+        yield
+    except Exception as failure:
+        check_interrupt()
+        if stage.name in STAGE_NAMES:
+            keep_failure(job.build, stage.name, _told(failure))
+        raise
+
+
+def _told(failure: Exception) -> str:
+    """What people are told of an error, in one line; an unforeseen one goes on with KINECTBENCH_DEBUG set."""
+    if isinstance(failure, KinectBenchError):
+        return str(failure)
+    if isinstance(failure, MemoryError):
+        return NO_MEMORY
+    if os.environ.get("KINECTBENCH_DEBUG"):
+        raise failure
+    return internal_error(failure)
 
 
 def is_current(job: Job, upto: str) -> bool:

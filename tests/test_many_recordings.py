@@ -2,10 +2,11 @@
 
 import dataclasses
 import errno
+import json
 import os
 import signal
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PosixPath
 
 import pytest
 from small_benchmark import Run, copied, finish, hashes, leftovers, start
@@ -23,8 +24,8 @@ pytestmark = pytest.mark.xdist_group("resume")
 Command = Callable[..., Run]
 
 
-class Deadly:
-    """Whoever unpickles it is killed, as by a system that runs out of memory."""
+class Deadly(PosixPath):
+    """Whoever unpickles this path is killed, as by a system that runs out of memory."""
 
     def __reduce__(self) -> tuple[Callable[[int], None], tuple[int]]:
         return signal.raise_signal, (signal.SIGKILL,)
@@ -49,16 +50,18 @@ class Listener:
 # --- killed workers -----------------------------------------------------------------------------------
 
 
-def test_a_recording_that_kills_its_process_fails_alone(small: Path) -> None:
+def test_a_recording_that_kills_its_process_fails_alone(small: Path, tmp_path: Path) -> None:
     settings = load_benchmark(small / "benchmark.yaml", ())
     chair, table = (Job(settings, recording, small) for recording in settings.recordings)
-    deadly = dataclasses.replace(chair, root=Deadly())  # type: ignore[arg-type]
+    deadly = dataclasses.replace(chair, root=Deadly(tmp_path))
     listener = Listener()
     outcomes = build([deadly, table], workers=2, watcher=listener)
     assert [outcome.recording for outcome in outcomes] == ["chair", "table"]
     assert (
         outcomes[0].error is not None and "its process was killed although no other ran" in outcomes[0].error
     )
+    kept = json.loads((tmp_path / "build" / "chair" / "failed.json").read_text())
+    assert kept == {"format_version": 1, "stage": None, "error": outcomes[0].error}
     assert outcomes[1].error is None and len(outcomes[1].current) == 6
     assert sorted(listener.ends) == ["chair", "table"]
     (warning,) = listener.warnings

@@ -1,5 +1,6 @@
 """The pipeline: what is made again and what is not, and the same bytes however it is run."""
 
+import html
 import json
 import os
 import shutil
@@ -195,6 +196,24 @@ def test_one_byte_of_a_depth_image_changes_everything(command: Command, one: Pat
 def test_a_damaged_cache_of_hashes_is_no_harm(command: Command, one: Path, text: str) -> None:
     (one / "build" / "chair" / "sources.json").write_text(text)
     assert made(command(one, "build", "--json")) == ()
+
+
+def test_why_a_stage_failed_is_kept_for_the_page_until_it_succeeds(command: Command, one: Path) -> None:
+    elsewhere = "recordings.chair.box={center_m: [9, 9, 0.5], size_m: [0.2, 0.2, 0.2]}"
+    result = command(one, "report", "--set", elsewhere)
+    assert result.status == 1
+    told = result.err.splitlines()[0].removeprefix("chair: error: ")
+    file = one / "build" / "chair" / "failed.json"
+    assert json.loads(file.read_text()) == {"format_version": 1, "stage": "segment", "error": told}
+    page = one / "scores" / "index.html"
+    assert f"The last build failed: segment: {told}" in html.unescape(page.read_text())
+    # What comes before it is well and says nothing of it; not even a damaged file stops the next run.
+    assert command(one, "fuse").status == 0 and file.exists()
+    assert command(one, "report").status == 0 and not file.exists()
+    assert "The last build failed" not in page.read_text()
+    file.write_text("[")
+    assert command(one, "fuse").status == 0 and not file.exists()
+    assert leftovers(one) == []
 
 
 def test_masks_count_by_their_contents(command: Command, one: Path) -> None:

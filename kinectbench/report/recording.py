@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench.config import RecordingSettings
 from kinectbench.errors import StorageError
+from kinectbench.failures import FAILED_JSON
 from kinectbench.geometry import transform_points
 from kinectbench.report import images, looks, pictures, stored
 from kinectbench.report.frames import FramePicture, frame_pictures
@@ -48,6 +49,7 @@ class RecordingPart:
         containment: median over the pairs, as text.
         residual: median over the pairs, as text.
         missing: what is not built yet.
+        failed: why the last build of it failed, one line, or "".
     """
 
     settings: RecordingSettings
@@ -61,6 +63,7 @@ class RecordingPart:
     containment: str
     residual: str
     missing: tuple[str, ...]
+    failed: str = ""
 
 
 def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
@@ -103,7 +106,14 @@ def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
         containment=_percent(_median(rows, "containment")),
         residual=_millimetres(_median(rows, "residual_m")),
         missing=tuple(name for name, absent in missing.items() if absent),
+        failed=_failed(folder / FAILED_JSON),
     )
+
+
+def _failed(path: Path) -> str:
+    """Which stage failed and why, "" if none did."""
+    failure = stored.read_json(path) or {}
+    return ": ".join(str(failure[key]) for key in ("stage", "error") if failure.get(key))
 
 
 def _refused_frames(path: Path) -> list[tuple[str, str, str]]:
