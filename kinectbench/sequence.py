@@ -92,6 +92,11 @@ class Sequence:
         return np.ascontiguousarray(np.asarray(bgr)[..., ::-1])
 
 
+def counts_frames(stamps_ns: NDArray[np.int64]) -> bool:
+    """Whether stamps (n,) are those of a recording without any: they count frames in whole seconds."""
+    return bool(len(stamps_ns)) and not (stamps_ns % 10**9).any()
+
+
 @dataclass(frozen=True)
 class MemoryFrames:
     """Frames made on demand by a function: tests and the simulator use it.

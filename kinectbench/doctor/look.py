@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.images import DamagedImageError, image_header
 from kinectbench.ingest.recording import RawFrame, Recording
-from kinectbench.ingest.stamps import NS_PER_S
+from kinectbench.sequence import counts_frames
 
 # A recording with more frames is looked at in runs: a long one in its middle, short ones elsewhere.
 ALL_FRAMES = 250
@@ -82,8 +82,7 @@ class Look:
     @property
     def counts_frames(self) -> bool:
         """Whether the recording has no stamps of its own: they count frames in seconds."""
-        stamps_ns = self.recording.stamps_ns
-        return bool(len(stamps_ns)) and not (stamps_ns % NS_PER_S).any()
+        return counts_frames(self.recording.stamps_ns)
 
     def neighbours(self) -> Iterator[tuple[SmallFrame, SmallFrame]]:
         """Every two frames that follow each other in the recording."""

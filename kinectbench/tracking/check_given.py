@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.config import TrackingSettings
 from kinectbench.errors import TrackingError
 from kinectbench.geometry.depth_calibration import DepthCalibration
-from kinectbench.sequence import Sequence
+from kinectbench.sequence import Sequence, counts_frames
 from kinectbench.tracking.compare import compare_poses, has_pose
 from kinectbench.tracking.depth_calibration import calibrate_posed
 from kinectbench.tracking.distant_frames import distant_residual_m, tie_distant
@@ -135,9 +135,11 @@ def trusted(checked: Checked, settings: TrackingSettings) -> Tracked:
 def warnings_of(sequence: Sequence, checked: Checked) -> list[str]:
     """What people should know of a given trajectory: jumps, implausible drift, frames that nothing checks."""
     jumps = checked.frames.jumps
+    # Stamps that only count the frames tell nothing more.
+    counted = counts_frames(sequence.stamps_ns)
     told = [
-        f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame} "
-        f"({sequence.stamps_ns[frame] / 1e9:.3f} s)"
+        f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame}"
+        + ("" if counted else f" ({sequence.stamps_ns[frame] / 1e9:.3f} s)")
         for frame, by_m in jumps[:MAX_JUMPS_TOLD]
     ]
     if len(jumps) > MAX_JUMPS_TOLD:

@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench.errors import TrackingError
 from kinectbench.sequence import GivenTrajectory
 from kinectbench.tracking.compare import compare_poses, has_pose, match_stamps
-from kinectbench.tracking.pictures import comparison_picture
+from kinectbench.tracking.pictures import comparison_picture, timeline
 from kinectbench.tracking.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -98,8 +98,8 @@ def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Co
         rpe_metre_mm=None if metre_m is None else 1000 * metre_m.rmse,
         rpe_metre_deg=None if metre_rad is None else float(np.degrees(metre_rad.rmse)),
     )
-    time_s = (trajectory.stamps_ns[frames[posed]] - trajectory.stamps_ns[0]) / 1e9
-    return figures, comparison_picture(error, T_estimate, T_reference, time_s)
+    moments, when = timeline(trajectory.stamps_ns)
+    return figures, comparison_picture(error, T_estimate, T_reference, moments[frames[posed]], when)
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]], reference: str) -> "Table":

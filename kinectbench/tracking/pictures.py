@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.sequence import counts_frames
 from kinectbench.tracking.compare import TrajectoryError
 from kinectbench.tracking.coverage import convergence_point, from_above
 from kinectbench.tracking.trajectory import Trajectory
@@ -30,6 +31,7 @@ MAX_LOOPS_DRAWN = 200
 MAX_KEYFRAMES_DRAWN = 150
 MIN_REACH_M = 0.25
 NOTHING = "no frame has a pose"
+TIME, FRAME = "time, s", "frame"
 
 
 def write_pictures(folder: Path, trajectory: Trajectory) -> None:
@@ -44,6 +46,20 @@ def write_pictures(folder: Path, trajectory: Trajectory) -> None:
     (folder / "covisibility.png").write_bytes(covisibility_picture(trajectory.health))
 
 
+def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
+    """What the frames are drawn over, and its label.
+
+    Args:
+        stamps_ns: (n,) of the sequence, n > 0.
+
+    Returns:
+        (n,) seconds from the first frame on; the frames' indices where the recording has no stamps.
+    """
+    if counts_frames(stamps_ns):
+        return np.arange(len(stamps_ns), dtype=np.float64), FRAME
+    return (stamps_ns - stamps_ns[0]) / 1e9, TIME
+
+
 def path_picture(trajectory: Trajectory) -> bytes:
     """The cameras from above, up in the picture where the first one looks: a PNG file.
 
@@ -52,7 +68,9 @@ def path_picture(trajectory: Trajectory) -> bytes:
     with a pose.
     """
     figure = _figure(6.6, 5.6)
-    axes = figure.add_subplot(aspect="equal", xlabel="right, m", ylabel="ahead, m")
+    axes = figure.add_subplot(xlabel="right, m", ylabel="ahead, m")
+    # More is shown beside a narrow path, instead of an empty margin.
+    axes.set_aspect("equal", adjustable="datalim")
     good = trajectory.good_frames
     if not len(good):
         _say(axes, NOTHING)
@@ -60,12 +78,12 @@ def path_picture(trajectory: Trajectory) -> bytes:
     T = trajectory.T_world_camera
     R_above_world = from_above(T[good])
     places = (T[:, :3, 3] - T[good[0], :3, 3]) @ R_above_world.T
-    time_s = (trajectory.stamps_ns - trajectory.stamps_ns[0]) / 1e9
+    moments, when = timeline(trajectory.stamps_ns)
     _draw_gaps(axes, places, good, trajectory.health)
     _draw_loops(axes, places, trajectory.health)
     x, y = places[good, :2].T
-    points = axes.scatter(x, y, c=time_s[good], s=7, cmap=TIME_COLORS, linewidths=0, zorder=3)
-    figure.colorbar(points, label="time, s", shrink=0.8)
+    points = axes.scatter(x, y, c=moments[good], s=7, cmap=TIME_COLORS, linewidths=0, zorder=3)
+    figure.colorbar(points, label=when, shrink=0.8)
     keyframes = np.intersect1d(trajectory.health.get("keyframes", []), good).astype(np.int64)
     if len(keyframes):
         # More circles than these would hide the path.
@@ -89,24 +107,26 @@ def path_picture(trajectory: Trajectory) -> bytes:
 def health_picture(trajectory: Trajectory) -> bytes:
     """Residual, share of inliers, speed, turn rate and blur of each frame over time: a PNG file.
 
-    Frames without a pose are shaded; a line marks where the camera was found again.
+    Where the recording has no stamps, they are drawn over the frames. Frames without a pose are shaded; a
+    line marks where the camera was found again.
     """
     rows = trajectory.health["per_frame"]
-    time_s = (trajectory.stamps_ns - trajectory.stamps_ns[0]) / 1e9
+    moments, when = timeline(trajectory.stamps_ns)
+    speed, turn = ("step, m", "turn, °") if when == FRAME else ("speed, m/s", "turn, °/s")
     panels = (
         ("residual_mm", "residual, mm", BLUE, 1.0),
         ("inlier_share", "inliers, %", GREEN, 100.0),
-        ("speed_m_per_s", "speed, m/s", INK, 1.0),
-        ("turn_rad_per_s", "turn, °/s", INK, 180 / np.pi),
+        ("speed_m_per_s", speed, INK, 1.0),
+        ("turn_rad_per_s", turn, INK, 180 / np.pi),
         ("blur", "blur, × median", ORANGE, 1.0),
     )
     figure = _figure(8.6, 6.8)
     grid = figure.subplots(len(panels), 1, sharex=True)
     for axes, (key, label, color, unit) in zip(grid, panels, strict=True):
         values = unit * np.array([np.nan if row.get(key) is None else row[key] for row in rows], np.float64)
-        _mark_states(axes, time_s, [row["state"] for row in rows])
+        _mark_states(axes, moments, [row["state"] for row in rows])
         if np.isfinite(values).any():
-            axes.plot(time_s, values, ".-", color=color, linewidth=0.8, markersize=2.5)
+            axes.plot(moments, values, ".-", color=color, linewidth=0.8, markersize=2.5)
             # A few wild frames must not flatten the rest.
             top = 1.15 * min(float(np.nanmax(values)), 4 * float(np.nanmedian(values)) + 1e-9)
             axes.set_ylim(0, 102 if key == "inlier_share" else max(top, 1e-3))
@@ -114,7 +134,7 @@ def health_picture(trajectory: Trajectory) -> bytes:
             _say(axes, "not known")
         axes.set_ylabel(label, fontsize=9)
         axes.tick_params(labelsize=8)
-    grid[-1].set_xlabel("time, s")
+    grid[-1].set_xlabel(when)
     figure.align_ylabels(grid)
     handles, labels = grid[0].get_legend_handles_labels()
     if handles:
@@ -150,7 +170,8 @@ def comparison_picture(
     error: TrajectoryError,
     T_world_camera_estimate: Float64,
     T_world_camera_reference: Float64,
-    time_s: Float64,
+    moments: Float64,
+    when: str,
 ) -> bytes:
     """A trajectory laid onto a reference, from above, and its errors over time: a PNG file.
 
@@ -158,7 +179,8 @@ def comparison_picture(
         error: of these poses.
         T_world_camera_estimate: (n, 4, 4) the matched poses.
         T_world_camera_reference: (n, 4, 4).
-        time_s: (n,) seconds from the first frame on.
+        moments: (n,) what the errors are drawn over, of `timeline`.
+        when: its label.
     """
     figure = _figure(6.6, 7.2)
     above, below = figure.subplots(2, 1, height_ratios=(3, 1))
@@ -178,9 +200,9 @@ def comparison_picture(
     above.set(xlabel="right, m", ylabel="ahead, m", aspect="equal")
     _fit(above, np.concatenate([reference[:, :2], estimate[:, :2]]))
     _legend(above)
-    below.plot(time_s, errors_mm, ".-", color=BLUE, linewidth=0.8, markersize=2.5)
+    below.plot(moments, errors_mm, ".-", color=BLUE, linewidth=0.8, markersize=2.5)
     below.axhline(1000 * error.ate_m.rmse, color=RED, linewidth=1, linestyle="--", label="rmse")
-    below.set(xlabel="time, s", ylabel="error, mm", ylim=(0, None))
+    below.set(xlabel=when, ylabel="error, mm", ylim=(0, None))
     _legend(below)
     return _png(figure)
 
@@ -212,16 +234,16 @@ def _draw_loops(axes: "Axes", places: Float64, health: Mapping[str, Any]) -> Non
             label = "_"
 
 
-def _mark_states(axes: "Axes", time_s: Float64, states: list[str]) -> None:
+def _mark_states(axes: "Axes", moments: Float64, states: list[str]) -> None:
     """Shade the frames without a pose, half-way to their neighbours; mark where it was found again."""
-    edges_s = np.concatenate([time_s[:1], (time_s[:-1] + time_s[1:]) / 2, time_s[-1:]])
+    edges = np.concatenate([moments[:1], (moments[:-1] + moments[1:]) / 2, moments[-1:]])
     for state, color, label in (("lost", RED, "lost"), ("rejected", ORANGE, "left out")):
         for first, last in _runs(states, state):
-            axes.axvspan(edges_s[first], edges_s[last + 1], color=color, alpha=0.22, linewidth=0, label=label)
+            axes.axvspan(edges[first], edges[last + 1], color=color, alpha=0.22, linewidth=0, label=label)
             label = "_"
     label = "found again"
     for first, _ in _runs(states, "relocalised"):
-        axes.axvline(time_s[first], color=GREEN, linewidth=1.5, label=label)
+        axes.axvline(moments[first], color=GREEN, linewidth=1.5, label=label)
         label = "_"
 
 
@@ -238,7 +260,9 @@ def _fit(axes: "Axes", points_m: Float64) -> None:
     reach_m = np.maximum(0.56 * (high_m - low_m), MIN_REACH_M)
     left, bottom = (low_m + high_m) / 2 - reach_m
     right, top = (low_m + high_m) / 2 + reach_m
-    axes.set(xlim=(left, right), ylim=(bottom, top))
+    # `auto` lets the limits give way to equal axes; nothing is drawn after this that would move them.
+    axes.set_xlim(left, right, auto=True)
+    axes.set_ylim(bottom, top, auto=True)
 
 
 def _say(axes: "Axes", text: str) -> None:

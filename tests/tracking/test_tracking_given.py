@@ -171,6 +171,8 @@ def test_a_jump_is_named_and_costs_nothing(at: int) -> None:
     )
     assert found and abs(int(found[1]) - 67) <= 3 and int(found[2]) == at
     assert float(found[3]) == pytest.approx(recording().stamps_ns[at] / 1e9, abs=0.001)
+    counting = replace(recording(), stamps_ns=np.arange(len(poses), dtype=np.int64) * 10**9)
+    assert warnings_of(counting, check) == [warning.partition(" (")[0]]
 
 
 def test_frames_without_a_pose_are_not_judged() -> None:

@@ -1,5 +1,6 @@
 """Pictures of trajectories: what is drawn where, and that nothing breaks when there is little to draw."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from kinectbench.tracking.pictures import (
     covisibility_picture,
     health_picture,
     path_picture,
+    timeline,
     write_pictures,
 )
 from kinectbench.tracking.trajectory import Trajectory
@@ -96,6 +98,28 @@ def test_a_circle_is_round(orbit: np.ndarray) -> None:
     rows, columns = np.nonzero(colored)
     assert np.ptp(rows) > 300
     assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=4)
+
+
+def test_beside_a_narrow_path_the_picture_is_not_empty(caplog: pytest.LogCaptureFixture) -> None:
+    poses = np.tile(np.eye(4), (30, 1, 1))
+    poses[:, 2, 3] = np.linspace(0, 3, 30)
+    image = pixels(path_picture(trajectory_of(poses)))
+    columns = np.flatnonzero((~near(image, PAPER, 8)).any(axis=0))
+    assert columns[0] < 0.04 * image.shape[1] and columns[-1] > 0.96 * image.shape[1]
+    assert caplog.records == []  # matplotlib has nothing to complain about
+
+
+def test_where_stamps_only_count_frames_there_are_no_seconds(orbit: np.ndarray) -> None:
+    stamps_ns = np.array([0, 1, 2, 5], np.int64) * 10**9
+    moments, when = timeline(stamps_ns)
+    assert (moments.tolist(), when) == ([0, 1, 2, 3], "frame")
+    moments, when = timeline(stamps_ns + np.array([0, 0, 0, 10**8]))
+    assert (moments.tolist(), when) == ([0, 1, 2, 5.1], "time, s")
+    # A nanosecond does not show, but the labels do.
+    counted = replace(trajectory_of(orbit), stamps_ns=np.arange(60, dtype=np.int64) * 10**9)
+    timed = replace(counted, stamps_ns=counted.stamps_ns + (np.arange(60) == 59))
+    for picture in (path_picture, health_picture):
+        assert picture(counted) != picture(timed)
 
 
 def test_where_they_look_is_drawn_if_it_is_one_point(orbit: np.ndarray) -> None:
@@ -226,9 +250,11 @@ def test_comparison_shows_both_paths_and_the_errors(orbit: np.ndarray) -> None:
     estimate = orbit.copy()
     estimate[:, :3, 3] += np.random.default_rng(0).normal(scale=0.005, size=(60, 3))
     time_s = np.arange(60) / 10
-    png = comparison_picture(compare_poses(estimate, orbit), estimate, orbit, time_s)
+    png = comparison_picture(compare_poses(estimate, orbit), estimate, orbit, time_s, "time, s")
     image = pixels(png)
     assert near(image, (138, 143, 152), 10).sum() > 500  # the reference
     assert near(image, BLUE).sum() > 300 and near(image, RED, 80).sum() > 50
-    exact = comparison_picture(compare_poses(orbit, orbit), orbit, orbit, time_s)
-    assert exact != png and comparison_picture(compare_poses(orbit, orbit), orbit, orbit, time_s) == exact
+    exact, again = (
+        comparison_picture(compare_poses(orbit, orbit), orbit, orbit, time_s, "time, s") for _ in range(2)
+    )
+    assert exact != png and again == exact
