@@ -5,11 +5,11 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
-from kinectbench.errors import KinectBenchError, internal_error
+from kinectbench.errors import KinectBenchError, SegmentationError, ShapeError, TrackingError, internal_error
 from kinectbench.failures import forget_failure, keep_failure
 from kinectbench.interrupts import check_interrupt
 from kinectbench.locks import locked
@@ -117,9 +117,27 @@ def _artefact(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Arte
 def _make(job: Job, stage: Stage, artefact: Artefact, report: Callable[[str, int, int], None]) -> None:
     started = time.monotonic()
     with artefact.write() as folder:
-        stage.run(job, folder, lambda done, total: report(stage.name, done, total))
+        try:
+            stage.run(job, folder, lambda done, total: report(stage.name, done, total))
+        except (TrackingError, SegmentationError, ShapeError) as failure:
+            raise type(failure)(_explained(job, failure)) from failure
         timing = {"seconds": round(time.monotonic() - started, 3)}
         (folder / "timing.json").write_text(pretty_json(timing))
+
+
+def _explained(job: Job, failure: KinectBenchError) -> str:
+    """The line of a failure, behind the doubts about the depth's scale, if there are any: they explain it."""
+    from kinectbench.doctor.hopeless import doubted_scale
+    from kinectbench.ingest.registry import open_recording
+
+    try:
+        recording = open_recording(job.source, job.recording.camera)
+        if job.recording.trajectory == "ignore":
+            recording = replace(recording, given_trajectory=None, trajectory_error="")
+        doubt = doubted_scale(recording)
+    except KinectBenchError:
+        doubt = ""  # the recording itself is gone or damaged since it was read
+    return f"{doubt} (under `camera:` in benchmark.yaml). What failed: {failure}" if doubt else str(failure)
 
 
 def summary(job: Job, stages: Collection[str]) -> dict[str, Any]:

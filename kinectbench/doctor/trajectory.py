@@ -167,7 +167,11 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
         if fit.reading.changes == 1 and fit.reading.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(look).tolist()
             scale = look.recording.depth_scale * fit.reading.unit_m
-            name, advice = "depth_scale", f"or else depth is in another unit: `depth_scale: {scale:g}`"
+            at_scale_m = median_m / fit.reading.unit_m
+            name = "depth_scale"
+            advice = (
+                f"or with `depth_scale: {scale:g}`, by which the median of the depth is {at_scale_m:.2f} m"
+            )
             if is_likely(median_m, far_m):
                 name, advice = "trajectory_scale", "write the poses in metres"
         if fit.reading.images == "mirrored":

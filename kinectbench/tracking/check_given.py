@@ -17,12 +17,13 @@ from kinectbench.tracking.frame_check import FrameCheck, check_frames, evenly_sp
 from kinectbench.tracking.frame_maps import MapCache
 from kinectbench.tracking.health import GivenCheck
 from kinectbench.tracking.json_figures import median
+from kinectbench.tracking.map_kernels import MAX_DEPTH_M, MIN_DEPTH_M
 from kinectbench.tracking.tracked import State, Tie, Tracked
 
 Float64 = NDArray[np.float64]
 
 NO_POSE = "the given trajectory has no pose at its time"
-NO_DEPTH = "it has no depth"
+NO_DEPTH = f"it has no depth between {MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m"
 CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
 MAX_JUMPS_TOLD = 5
 # If more of the frames disagree, something is wrong with all of them.

@@ -70,9 +70,12 @@ def _finished(
     posed = int(np.isfinite(tracked.T_world_camera[:, 0, 0]).sum())
     if posed < MIN_GOOD_FRAMES:
         reasons = sorted(set(tracked.reasons.values()))
+        advice = "record more slowly, or give a trajectory"
+        if source == "trust":
+            advice = "correct the poses or the depth"
         raise TrackingError(
-            f"only {posed} of {len(sequence)} frames could be tracked, and {MIN_GOOD_FRAMES} are needed"
-            f"{': ' if reasons else ''}{'; '.join(reasons)}; record more slowly, or give a trajectory"
+            f"only {posed} of {len(sequence)} frames can be used, and {MIN_GOOD_FRAMES} are needed"
+            f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}"
         )
     figures = health(sequence, source, tracked, warnings, check)
     return Trajectory(sequence.stamps_ns, tracked.T_world_camera, source, figures, tracked.calibration)

@@ -8,16 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from small_benchmark import Run
+from small_benchmark import Run, small_spec
 from wrong_recordings import WRONG, make_wrong, rows_of
 
 from kinectbench.config import CameraSettings
 from kinectbench.doctor import Finding, inspect
 from kinectbench.doctor.finding import Diagnosis, gravest_first
-from kinectbench.doctor.hopeless import refuse_hopeless
+from kinectbench.doctor.hopeless import doubted_scale, refuse_hopeless
 from kinectbench.doctor.look import frames_to_read
 from kinectbench.errors import RecordingError
 from kinectbench.ingest.registry import open_recording
+from kinectbench.simulate.simulate import simulate
 
 sys.path.append(str(Path(__file__).parents[1] / "ingest"))
 from ingest_writers import BagWriter
@@ -156,3 +157,56 @@ def test_a_build_does_not_begin_with_it(name: str, tmp_path: Path, command: Call
     (tmp_path / "benchmark.yaml").write_text(yaml)
     built = command(tmp_path, "build", "--jobs", "1")
     assert built.status == 1 and len(built.err.splitlines()) == 1 and "kinectbench inspect" in built.err
+
+
+@pytest.fixture(scope="module")
+def small_chair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("small") / "chair"
+    simulate(small_spec("chair"), folder)
+    return folder
+
+
+@pytest.mark.parametrize("scale", [1000, 50000])
+@pytest.mark.parametrize("trajectory", ["trust", "ignore"])
+def test_a_build_that_fails_names_the_scale(
+    scale: int, trajectory: str, small_chair: Path, command: Callable[..., Run], tmp_path: Path
+) -> None:
+    camera = f"camera: {{depth_scale: {scale}}}"
+    yaml = f"{{id: a, path: '{small_chair}', category: chair, trajectory: {trajectory}, {camera}}}"
+    (tmp_path / "benchmark.yaml").write_text(f"name: x\nrecordings:\n  - {yaml}\n")
+    built = command(tmp_path, "build", "--jobs", "1")
+    (error,) = (line for line in built.err.splitlines() if line.startswith("a: error:"))
+    assert built.status == 1 and f"{small_chair}: the depth's scale may be wrong: " in error
+    assert "with `depth_scale: 5000`" in error and error.index("scale") < error.index("What failed: ")
+
+
+def test_a_build_that_fails_does_not_blame_a_right_scale(
+    small_chair: Path, command: Callable[..., Run], tmp_path: Path
+) -> None:
+    assert doubted_scale(open_recording(small_chair)) == ""
+    yaml = f"name: x\nrecordings: [{{id: a, path: '{small_chair}', category: chair}}]\n"
+    (tmp_path / "benchmark.yaml").write_text(yaml)
+    built = command(tmp_path, "build", "--jobs", "1", "--set", "fusion.max_depth_m=0.35")
+    assert built.status == 1 and "a: error: no object found: the fused scene is empty" in built.err
+    assert "depth_scale" not in built.err
+
+
+@pytest.mark.parametrize("median_m", [0.25, 5.0])
+def test_near_and_far_scans_are_not_refused(
+    median_m: float, small_chair: Path, command: Callable[..., Run], tmp_path: Path
+) -> None:
+    diagnosis, _ = inspect(small_chair)
+    scale = 5000 * diagnosis.facts["depth_m"]["median"] / median_m  # type: ignore[index]
+    yaml = f"name: x\nrecordings: [{{id: a, path: '{small_chair}', category: chair, trajectory: ignore}}]\n"
+    (tmp_path / "benchmark.yaml").write_text(yaml)
+    said = command(tmp_path, "ingest", "--set", f"recordings.a.camera={{depth_scale: {scale:g}}}")
+    assert said.status == 0 and "may be wrong" not in said.err
+
+
+def test_depth_out_of_reach_is_not_called_missing(
+    small_chair: Path, command: Callable[..., Run], tmp_path: Path
+) -> None:
+    yaml = f"{{id: a, path: '{small_chair}', category: chair, camera: {{depth_scale: 600}}}}"
+    (tmp_path / "benchmark.yaml").write_text(f"name: x\nrecordings:\n  - {yaml}\n")
+    built = command(tmp_path, "build", "--jobs", "1")
+    assert "it has no depth between 0.3 and 4.5 m; correct the poses or the depth" in built.err
