@@ -132,6 +132,15 @@ class FusionSettings(Settings):
     min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")
     max_depth_m: float = Field(3.0, gt=0.1, le=20, description="farther depth is not fused")
 
+    @model_validator(mode="after")
+    def _some_depth(self) -> "FusionSettings":
+        if self.min_depth_m >= self.max_depth_m:
+            raise ValueError(
+                f"min_depth_m is {self.min_depth_m:g} and max_depth_m {self.max_depth_m:g}, so that no depth "
+                "would be fused: min_depth_m must be less"
+            )
+        return self
+
 
 class SegmentationSettings(Settings):
     """Floor plane and object selection."""

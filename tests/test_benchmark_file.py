@@ -278,6 +278,24 @@ def test_wrong_overrides_name_the_override(tmp_path: Path, override: str, expect
     assert "\n" not in message
 
 
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        (
+            "fusion.min_depth_m=3",
+            "fusion: min_depth_m is 3 and max_depth_m 3, so that no depth would be fused",
+        ),
+        ("fusion={min_depth_m: 2, max_depth_m: 0.2}", "min_depth_m is 2 and max_depth_m 0.2, so"),
+        ("fusion.max_depth_m=0.2", "fusion: min_depth_m is 0.3 and max_depth_m 0.2, so"),
+    ],
+)
+def test_a_range_of_depth_without_depth(tmp_path: Path, override: str, expected: str) -> None:
+    (line,) = complaint(tmp_path, "name: x\nrecordings: [{id: a, path: r, category: c}]\n", override).split(
+        "\n"
+    )
+    assert expected in line
+
+
 def test_an_override_does_not_hide_a_wrong_file(tmp_path: Path) -> None:
     assert "'name' stands twice" in complaint(tmp_path, GOOD + "name: again\n", "name=x")
 
