@@ -13,7 +13,7 @@ from kinectbench.errors import KinectBenchError, SegmentationError, ShapeError, 
 from kinectbench.failures import forget_failure, keep_failure
 from kinectbench.interrupts import check_interrupt
 from kinectbench.locks import locked
-from kinectbench.stages import STAGES, Job, Stage, stages_upto
+from kinectbench.stages import STAGES, Job, Stage, check_masks, stages_upto
 from kinectbench.workspace import Artefact, pretty_json
 
 NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
@@ -60,7 +60,12 @@ def build_recording(
     try:
         with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
             artefacts: dict[str, Artefact] = {}
-            for stage in stages_upto(upto):
+            stages = stages_upto(upto)
+            for stage in stages:
+                if stage.name == "sample-views":
+                    with _failure_kept(job, stage):
+                        check_masks(job)  # before the stages that take long
+            for stage in stages:
                 with _failure_kept(job, stage):
                     artefact = _artefact(job, stage, artefacts)
                     artefacts[stage.name] = artefact

@@ -197,11 +197,22 @@ def _view_settings(job: Job) -> Mapping[str, Any]:
     }
 
 
+def check_masks(job: Job) -> None:
+    """Refuse a folder of masks that is not there.
+
+    Raises:
+        RecordingError: it is named in benchmark.yaml, but missing.
+    """
+    if job.masks is not None and not job.masks.is_dir():
+        raise RecordingError(
+            f"{job.recording.id}: no such folder of masks: {job.masks}; make it, or correct `masks`"
+        )
+
+
 def _mask_sources(job: Job) -> Mapping[str, str]:
+    check_masks(job)
     if job.masks is None:
         return {}
-    if not job.masks.is_dir():
-        raise RecordingError(f"{job.recording.id}: no such folder of masks: {job.masks}")
     return {"masks": content_hash(sorted(job.masks.glob("*.png")), job.masks, None)}
 
 

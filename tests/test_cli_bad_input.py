@@ -333,6 +333,14 @@ def test_bad_masks(command: Command, one: Path, name: str) -> None:
     assert hashes(one / "build") == before
 
 
+def test_a_lost_folder_of_masks_stops_a_build_at_its_start(command: Command, one: Path) -> None:
+    shutil.rmtree(one / "build")
+    check_line(
+        command(one, "build", "--set", "recordings.chair.masks=masks/none"), 1, "no such folder of masks"
+    )
+    assert not list((one / "build").glob("chair/*/"))
+
+
 # --- settings and usage -------------------------------------------------------------------------------
 
 BAD_USAGE = {
