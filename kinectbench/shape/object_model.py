@@ -84,7 +84,7 @@ def build_object(
         ShapeError: no solid can be made.
     """
     chosen = segment(scene, trajectory, given_box, segmentation)
-    grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m)
+    grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m, given=given_box is not None)
     frames = trajectory.good_frames
     halves = [observe(sequence, trajectory, frames[start::2], grid, fusion, progress) for start in (0, 1)]
     excluded = chosen.excluded(grid, given_box)
@@ -109,8 +109,8 @@ def build_object(
     return ObjectModel(chosen.floor, quality.box, whole, surround, labels, sigma_m, quality.figures)
 
 
-def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float) -> Grid:
-    """The fine grid around a box: aligned with it, standing four cells below the floor.
+def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: bool = False) -> Grid:
+    """The fine grid around a box (`given`: a person's): aligned with it, four cells below the floor.
 
     Raises:
         SegmentationError: it would take more than 2^26 voxels: minutes, and 6 GB.
@@ -119,9 +119,12 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float) -> Grid:
     size_m[2] = box.center_m[2] + box.size_m[2] / 2 + MARGIN_M + FLOOR_LAYERS * voxel_size_m
     blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS)).astype(int)
     if blocks.prod() > MAX_VOXELS // CUBE_VOXELS**3:
+        what, advice = "the object", "give a box around the object"
+        if given:
+            what, advice = "with its margin the given box", "give a smaller one, close around the object,"
         raise SegmentationError(
-            f"the object is {size_m[0]:.1f} x {size_m[1]:.1f} x {size_m[2]:.1f} m: too large for voxels of "
-            f"{voxel_size_m * 1000:.0f} mm; give a box around the object in benchmark.yaml, or larger voxels"
+            f"{what} is {size_m[0]:.1f} x {size_m[1]:.1f} x {size_m[2]:.1f} m: too large for voxels of "
+            f"{voxel_size_m * 1000:.0f} mm; {advice} in benchmark.yaml, or larger voxels"
         )
     nx, ny, nz = (int(n) * CUBE_VOXELS for n in blocks)
     turn = yaw_rotation(box.yaw_rad)

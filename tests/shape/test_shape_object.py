@@ -100,6 +100,9 @@ def test_object_grid_is_upright_and_holds_the_box():
 def test_too_large_an_object():
     with pytest.raises(SegmentationError, match=r"too large for voxels of 1 mm.*box"):
         object_grid(OrientedBox((0, 0, 1), (3, 3, 2)), FLOOR, 0.001)
+    said = r"the given box is 60\.1 x 60\.1 x .* too large for voxels of 5 mm; give a smaller one"
+    with pytest.raises(SegmentationError, match=said):
+        object_grid(OrientedBox((0, 0, 45), (60, 60, 90)), FLOOR, 0.005, given=True)
 
 
 def test_an_object_as_large_as_a_room_is_refused_at_the_usual_voxels():
