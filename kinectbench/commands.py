@@ -112,10 +112,21 @@ def build_jobs(
         row["error"] = outcome.error
         row["made"], row["current"] = list(outcome.made), list(outcome.current)
         rows.append(row)
-        if outcome.made:
-            console.recording_lines(job.recording.id, "warning", row["warnings"], "yellow")
+        # Told although all is up to date: whoever has just drawn a mask expects it to be used.
+        unused = _unused_masks(job) if upto in ("sample-views", "pairs") else []
+        row["warnings"] += unused
+        told = row["warnings"] if outcome.made else unused
+        console.recording_lines(job.recording.id, "warning", told, "yellow")
         console.recording_lines(job.recording.id, "error", [outcome.error] if outcome.error else [], "red")
     return rows
+
+
+def _unused_masks(job: "Job") -> list[str]:
+    """A warning if masks lie where benchmark.yaml does not name them."""
+    if job.unused_masks is None:
+        return []
+    name = job.recording.id
+    return [f"{job.unused_masks}: not used; add `masks: masks/{name}` to {name} in benchmark.yaml to use it"]
 
 
 def built(rows: list[dict[str, Any]]) -> list[str]:

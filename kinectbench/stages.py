@@ -41,6 +41,12 @@ class Job:
         """The folder of a person's masks, if there is one."""
         return None if self.recording.masks is None else self.root / self.recording.masks
 
+    @property
+    def unused_masks(self) -> Path | None:
+        """`masks/<recording>/`, if it is there and benchmark.yaml names no masks of the recording."""
+        folder = self.root / "masks" / self.recording.id
+        return folder if self.recording.masks is None and folder.is_dir() else None
+
 
 @dataclass(frozen=True)
 class Stage:

@@ -230,6 +230,19 @@ def test_masks_count_by_their_contents(command: Command, one: Path) -> None:
 # --- same bytes ---------------------------------------------------------------------------------------
 
 
+def test_masks_that_benchmark_yaml_does_not_name_are_told(command: Command, one: Path) -> None:
+    assert "masks" not in command(one, "build").err
+    (one / "masks" / "chair").mkdir(parents=True)
+    result = command(one, "build", "--json")
+    (row,) = json.loads(result.out)
+    assert row["made"] == []
+    told = "masks/chair: not used; add `masks: masks/chair` to chair in benchmark.yaml to use it"
+    assert row["warnings"][-1] == told and result.err == f"chair: warning: {told}\n"
+    assert command(one, "segment").err == ""
+    named = command(one, "build", "--set", "recordings.chair.masks=masks/chair")
+    assert named.status == 0 and "not used" not in named.err
+
+
 def test_two_runs_at_once(small: Path, tmp_path: Path) -> None:
     root = copied(small, tmp_path / "b", "benchmark.yaml", "recordings")
     runs = [start(root, "publish", "--jobs", "1") for _ in range(2)]
