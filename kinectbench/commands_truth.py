@@ -21,6 +21,12 @@ from kinectbench.commands import (
 )
 from kinectbench.errors import SettingsError
 
+# Those of `simulate.spec.Format`, which takes too long to import for a help text.
+FORMATS = (
+    "tum", "7scenes", "folder", "redwood", "bag", "bag_compressed", "ros2_sqlite", "ros2_mcap", "realsense",
+    "realsense_old", "klg", "sens", "stray", "scanner_app", "bop",
+)  # fmt: skip
+
 
 def simulate(
     out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
@@ -29,9 +35,7 @@ def simulate(
     preset: Annotated[str, typer.Option(help="see --presets")] = "orbit-v1",
     frames: Annotated[int | None, typer.Option(min=1, help="number of frames")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="draws everything but the object")] = None,
-    form: Annotated[
-        str | None, typer.Option("--format", help="tum, 7scenes, folder, bag, bag_compressed")
-    ] = None,
+    form: Annotated[str | None, typer.Option("--format", help=", ".join(FORMATS))] = None,
     overrides: Set = None,
     presets: Annotated[bool, typer.Option("--presets", help="list the presets")] = False,
     contact_sheets: Annotated[
