@@ -22,7 +22,7 @@ from kinectbench.stages import STAGES
 
 PAGE = 4096
 # Files that say when something was made, or by whom.
-NOT_MADE = (".lock", "timing.json", "sources.json")
+NOT_MADE = (".lock", "timing.json", "sources.json", "failed.json")
 ROOMY = "size=200m"
 
 

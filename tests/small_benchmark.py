@@ -26,7 +26,7 @@ views: {count: 3, min_pixels: 100}
 tracking: {check_stride_px: 4}
 """
 # What a run may write without having made anything.
-NOT_MADE = (".lock", "sources.json", "timing.json")
+NOT_MADE = (".lock", "sources.json", "failed.json", "timing.json")
 STAGE_FOLDERS = {
     "ingest": "sequence",
     "track": "trajectory",
