@@ -20,7 +20,7 @@ def keep_failure(build: Path, stage: str | None, error: str) -> None:
         error: why, one line, as people are told.
     """
     content = {"format_version": 1, "stage": stage, "error": error}
-    with contextlib.suppress(StorageError), replaced_file(build / FAILED_JSON) as temporary:
+    with contextlib.suppress(StorageError, OSError), replaced_file(build / FAILED_JSON) as temporary:
         temporary.write_text(pretty_json(content))
 
 
