@@ -29,6 +29,7 @@ FLOOR_LAYERS = 4
 SURROUND_FACTOR = 4
 # Free space far from the object is seen by nearly every frame: some of them are enough.
 SURROUND_FRAMES = 40
+# Of the fine grid in all, and of the coarse one along an axis: a laptop's memory.
 MAX_VOXELS, MAX_SURROUND_CELLS = 1 << 26, 400
 Progress = Callable[[int, int], None]
 
@@ -113,7 +114,7 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: b
     """The fine grid around a box (`given`: a person's): aligned with it, four cells below the floor.
 
     Raises:
-        SegmentationError: it would take more than 2^26 voxels: minutes, and 6 GB.
+        SegmentationError: it would take more than 2^26 voxels: over a minute, and more than 5 GB.
     """
     size_m = np.array(box.size_m) + 2 * MARGIN_M
     size_m[2] = box.center_m[2] + box.size_m[2] / 2 + MARGIN_M + FLOOR_LAYERS * voxel_size_m

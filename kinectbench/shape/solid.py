@@ -101,10 +101,13 @@ METHOD = {
     "smoothing_voxels": SMOOTHING_VOXELS,
     "probability_by_enclosure": _table(ENCLOSING, INSIDE_SHARE),
     "probability_by_signed_voxels": _table(SIGNED_VOXELS, SIGNED_INSIDE_SHARE),
-    "probability_of_hollow_doubtful_under_empty": [
-        round(float(share), 4)
-        for share in (HOLLOW_INSIDE_SHARE, DOUBTFUL_INSIDE_SHARE, UNDER_INSIDE_SHARE, EMPTY_UNDER_SHARE)
-    ],
+    "probability_by_rule": {
+        "hollow": round(float(HOLLOW_INSIDE_SHARE), 4),
+        "doubtful": round(float(DOUBTFUL_INSIDE_SHARE), 4),
+        "under": round(float(UNDER_INSIDE_SHARE), 4),
+        "under_empty": round(float(EMPTY_UNDER_SHARE), 4),
+        "beside_empty": round(float(EMPTY_BESIDE_SHARE), 4),
+    },
     "chosen_on": CHOSEN_ON,
 }
 
