@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test lint types docs docs-pictures samples clean
+.PHONY: help setup demo test lint types docs docs-format docs-pictures docs-architecture samples clean
 
 BIN := .venv/bin
 # The demo's commands run inside demo/.
@@ -26,9 +26,10 @@ demo: setup ## a whole benchmark from simulated recordings: build, publish, scor
 test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2
 
-lint: setup ## style and formatting
+lint: setup ## style, formatting, and which room of the package imports which
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
+	@$(BIN)/lint-imports --cache-dir .import_linter_cache
 
 types: setup ## static types
 	@$(BIN)/mypy
@@ -40,11 +41,18 @@ docs: setup ## the documentation as a site, in site/; a broken link or anchor is
 docs-pictures: setup ## make the tutorial's pictures again (simulated; some minutes)
 	@$(BIN)/python scripts/docs_pictures.py
 
+docs-format: setup ## write the schemas, and the tables of keys in docs/format.md, from the models again
+	@$(BIN)/python -m kinectbench.release.publish.schemas
+	@$(BIN)/python scripts/docs_format.py
+
+docs-architecture: setup ## draw the rooms of the package and list the stored files in docs/architecture.md again
+	@$(BIN)/python scripts/docs_architecture.py
+
 samples: setup ## write the sample recordings again (simulated, same bytes)
 	@$(BIN)/kinectbench simulate --samples recordings
 
 clean: ## remove .venv, caches and everything built
-	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis kinectbench.egg-info
+	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache kinectbench.egg-info
 	rm -rf build benchmark benchmark-private predictions scores site
 	rm -rf demo/recordings demo/build demo/benchmark demo/predictions demo/scores
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -13,11 +13,11 @@ from builds import build_root, built, read_json
 from cabinet import cabinet_settings, data_argument
 from figures import Figure, arguments, equals, run, told
 
-from kinectbench.config import BenchmarkSettings
-from kinectbench.ingest.stamps import parse_stamp_ns
-from kinectbench.ingest.text_rows import text_rows
+from kinectbench.core.trajectory.stamps import parse_stamp_ns
+from kinectbench.core.trajectory.text_rows import text_rows
+from kinectbench.settings.models import BenchmarkSettings
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "ingest"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from ingest_writers import BagWriter
 
 BAG_ID = "bag"

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from kinectbench.config import BenchmarkSettings
-from kinectbench.errors import RecordingError
-from kinectbench.parallel import build
-from kinectbench.stages import STAGES, Job
+from kinectbench.core.errors import RecordingError
+from kinectbench.engine.parallel import build
+from kinectbench.engine.stages import STAGES, Job
+from kinectbench.settings.models import BenchmarkSettings
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

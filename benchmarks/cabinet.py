@@ -10,7 +10,6 @@ import os
 import resource
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from builds import build_root, built, read_json, stage_seconds
@@ -18,13 +17,14 @@ from faces import Face, measure_faces
 from figures import Figure, arguments, at_least, at_most, equals, run, told
 from numpy.typing import NDArray
 
-from kinectbench.config import BenchmarkSettings, BoxSettings
-from kinectbench.geometry import OrientedBox
-from kinectbench.mesh_file import read_ply
-from kinectbench.segmentation.floor import Floor
-from kinectbench.shape.object_folder import read_object
-from kinectbench.stages import Job
-from kinectbench.views_folder import read_views
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.engine.stages import Job
+from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.stages.sample_views.views import read_views
+from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.object_model import read_object
 
 ID = "cabinet"
 FOLDER = "tum_fr3_cabinet"
@@ -61,14 +61,14 @@ def object_figures(job: Job) -> list[Figure]:
     below_m = model.shape.grid.T_world_grid[2, 3] + lowest * model.shape.grid.voxel_size_m
     offset_m, tilt_deg = floor_against_world(model.floor, model.box)
     return [
-        equals("chosen", model.quality["selection"], "automatic"),
+        equals("chosen", model.quality.selection, "automatic"),
         equals("pieces of the solid (6-connected)", int(pieces), 1),
         at_most("underside of the solid off z = 0, m", abs(float(below_m)), MAX_FLOOR_OFFSET_M),
         told("box, m", [*model.box.size_m]),
         at_most("floor off z = 0 below the object's centre, m", offset_m, MAX_FLOOR_OFFSET_M),
         at_most("floor tilted from z = 0, degrees", tilt_deg, MAX_FLOOR_TILT_DEG),
         at_most("box of odd and of even frames: largest difference of a side, m", *_sides(model.quality)),
-        told("solids of odd and of even frames: IoU", model.quality["repeatability_iou"]),
+        told("solids of odd and of even frames: IoU", model.quality.repeatability_iou),
         told("surface's standard deviation, m", model.surface_sigma_m),
     ]
 
@@ -80,14 +80,13 @@ def floor_against_world(floor: Floor, box: OrientedBox) -> tuple[float, float]:
     return abs(float((a * x + b * y + d) / c)), float(np.degrees(np.arccos(min(1.0, abs(c)))))
 
 
-def _sides(quality: dict[str, Any]) -> tuple[float, float]:
+def _sides(quality: QualityFile) -> tuple[float, float]:
     """The largest difference of any of the six sides' places, in the boxes' common yaw; and the bar."""
-    odd, even = (_places(quality[name]) for name in ("box_odd", "box_even"))
+    odd, even = (_places(each.box()) for each in (quality.box_odd, quality.box_even) if each)
     return float(np.abs(odd - even).max()), MAX_SIDE_DIFFERENCE_M
 
 
-def _places(said: dict[str, Any]) -> NDArray[np.float64]:
-    box = BoxSettings.model_validate(said).box()
+def _places(box: OrientedBox) -> NDArray[np.float64]:
     middle = box.T_floor_box[:3, :3].T @ np.array(box.center_m)
     half = np.array(box.size_m) / 2
     return np.concatenate([middle - half, middle + half])

@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.errors import KinectBenchError
-from kinectbench.release.verify import verify
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.release.check.verify import verify
 
 CHANGED = "{}: changed since it was published"
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from figures import Figure, arguments, at_least, at_most, equals, run, told
 
-from kinectbench.errors import RecordingError
-from kinectbench.ingest.depth_code import decode_depth, encode_depth
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.depth_code import decode_depth, encode_depth
 
 FRAMES = 20
 ROUNDS = 15

@@ -12,11 +12,11 @@ import numpy as np
 from figures import Figure, arguments, at_least, at_most, equals, run, told
 from known_builds import FRAMES, chair, known_build, make_truth, noisy, write_build
 
-from kinectbench.evaluate.evaluation import Evaluation, evaluate
-from kinectbench.evaluate.run import evaluate_recording
-from kinectbench.evaluate.surface import surface_errors, surface_figures
-from kinectbench.geometry import rigid, rotation_from_quaternion_xyzw
-from kinectbench.simulate.truth import Truth, write_truth
+from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate
+from kinectbench.lab.evaluate.run import evaluate_recording
+from kinectbench.lab.evaluate.surface import surface_errors, surface_figures
+from kinectbench.lab.simulate.truth import Truth, write_truth
 
 NOISE_M, SEEDS = 0.005, range(20)
 DILATED_M = 0.004

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import OrientedBox, invert_rigid, transform_points
+from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 
 REACH_M = 0.025
 EDGE_M = 0.030

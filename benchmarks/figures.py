@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
-from kinectbench.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError
 
 PIPED_WIDTH = 160
 

@@ -20,12 +20,12 @@ import numpy as np
 from figures import Figure, arguments, at_most, equals, run, told
 from numpy.typing import NDArray
 
-from kinectbench.config import CameraSettings
-from kinectbench.ingest.recording import RawFrame, Recording
-from kinectbench.ingest.registry import open_recording
-from kinectbench.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.sequence import Sequence
-from kinectbench.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.core.sequence import Sequence
+from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 # What a layout cannot hold: no stated pose; colour as a video.
 WITHOUT_POSES = {"realsense", "realsense_old", "klg"}

@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory
 from figures import Figure, arguments, equals, run, told
 from small_runs import copied, leftovers, make_small, published, start
 
-from kinectbench.errors import StorageError
-from kinectbench.stages import STAGES
+from kinectbench.core.errors import StorageError
+from kinectbench.engine.stages import STAGES
 
 PAGE = 4096
 # Files that say when something was made, or by whom.

@@ -17,11 +17,11 @@ from fusion_speed import speed_figures
 from memory import peak_mb
 from tracking_recordings import OBJECTS, ingested, object_spec, sequence_in, simulated, true_poses
 
-from kinectbench.config import FusionSettings
-from kinectbench.fusion import fuse
-from kinectbench.processes import submit_all, worker_pool
-from kinectbench.simulate.truth import read_truth, truth_folder
-from kinectbench.tracking.trajectory import Trajectory
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.engine.processes import submit_all, worker_pool
+from kinectbench.lab.simulate.truth import read_truth, truth_folder
+from kinectbench.settings.models import FusionSettings
+from kinectbench.stages.fuse import fuse
 
 OBJECT_MB, ROOM_MB = 1000.0, 4000.0
 ROOM_DEPTH_M = 8.0

@@ -9,17 +9,16 @@ from figures import Figure, at_least, at_most, told
 from numpy.typing import NDArray
 from tracking_recordings import ingested, object_spec, sequence_in, simulated, true_poses
 
-from kinectbench.config import FusionSettings, TrackingSettings
-from kinectbench.evaluate.surface import SurfaceFigures, surface_errors, surface_figures
-from kinectbench.fusion import fuse
-from kinectbench.geometry import TriangleMesh, invert_rigid, transform_points
-from kinectbench.sequence import FrameStore, Sequence
-from kinectbench.simulate.truth import Truth, read_truth, truth_folder
-from kinectbench.tracking import track
-from kinectbench.tracking.compare import align_worlds
-from kinectbench.tracking.trajectory import Trajectory
-
-Float64 = NDArray[np.float64]
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
+from kinectbench.core.sequence import FrameStore, Sequence
+from kinectbench.core.trajectory.compare import align_worlds
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.lab.evaluate.surface import SurfaceFigures, surface_errors, surface_figures
+from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
+from kinectbench.settings.models import FusionSettings, TrackingSettings
+from kinectbench.stages.fuse import fuse
+from kinectbench.stages.track import track
 
 CUBE_M, VOXEL_M = 2.0, 0.005
 SETTINGS = FusionSettings(scene_voxel_size_m=VOXEL_M)

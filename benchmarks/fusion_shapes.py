@@ -1,20 +1,24 @@
 """Exact depth of a sphere, a plane and a box, and how far from them the fused surface lies."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from figures import Figure, at_most, told
-from numpy.typing import NDArray
 
-from kinectbench.config import FusionSettings
-from kinectbench.fusion import fuse
-from kinectbench.geometry import Camera
-from kinectbench.sequence import MemoryFrames, Sequence
-from kinectbench.simulate.path import look_at
-from kinectbench.tracking.trajectory import Trajectory
+from kinectbench.core.geometry import Camera
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.lab.simulate.path import look_at
+from kinectbench.settings.models import FusionSettings
+from kinectbench.stages.fuse import fuse
 
-Float64 = NDArray[np.float64]
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from analytic_scenes import MemoryFrames
+
+from kinectbench.core.types import Float64
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 # 20 units a millimetre: depth is exact to 0.025 mm.

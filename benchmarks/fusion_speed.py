@@ -11,18 +11,16 @@ from fusion_scans import SETTINGS, VOXEL_M, at_object_scale, object_figures
 from numpy.typing import NDArray
 from tracking_recordings import true_poses
 
-from kinectbench.fusion.blocks import BlockVolume, empty_volume, unique_blocks
-from kinectbench.fusion.color import color_vertices
-from kinectbench.fusion.integrate import BATCH_FRAMES, DepthFrame, integrate
-from kinectbench.fusion.mesh import extract_mesh
-from kinectbench.fusion.reconstruction import usable_depth_m
-from kinectbench.fusion.visible_blocks import blocks_near_surface
-from kinectbench.geometry import TriangleMesh, invert_rigid
-from kinectbench.sequence import Sequence
-from kinectbench.simulate.truth import Truth
-from kinectbench.tracking.trajectory import Trajectory
-
-Float64 = NDArray[np.float64]
+from kinectbench.core.geometry import TriangleMesh, invert_rigid
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.lab.simulate.truth import Truth
+from kinectbench.stages.fuse.blocks import BlockVolume, empty_volume, unique_blocks
+from kinectbench.stages.fuse.integrate import BATCH_FRAMES, DepthFrame, integrate
+from kinectbench.stages.fuse.mesh import color_vertices, extract_mesh
+from kinectbench.stages.fuse.reconstruction import usable_depth_m
+from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
 
 STRIDE = 5
 DEPTH_BAR, COLOR_BAR = 8.0, 4.0

@@ -16,9 +16,9 @@ from ground_truth_rows import OURS, Row, Task, measure_row
 from numpy.typing import NDArray
 from tracking_recordings import FAMILIES, object_spec, simulated
 
-from kinectbench.config import BenchmarkSettings
-from kinectbench.processes import submit_all, worker_pool
-from kinectbench.simulate.truth import truth_folder
+from kinectbench.engine.processes import submit_all, worker_pool
+from kinectbench.lab.simulate.truth import truth_folder
+from kinectbench.settings.models import BenchmarkSettings
 
 SEEDS = tuple(range(1, 31))
 PRESET = "orbit-v1"
@@ -68,7 +68,7 @@ def line(row: Row) -> str:
     assert solid and floor and masks and pairs and pairs.containment
     words = f"{row.name:8} IoU {solid.fine.iou:.3f} (64^3 {solid.coarse.iou:.3f}"
     words += f", known {solid.fine.known_iou:.3f})"
-    words += f"  estimated {row.quality['estimated_iou']:.3f}  unknown {solid.fine.true_unknown_share:.3f}"
+    words += f"  estimated {row.quality.estimated_iou:.3f}  unknown {solid.fine.true_unknown_share:.3f}"
     words += f" + {row.hull_unknown:.3f}  floor {np.degrees(floor.angle_rad):.2f} deg"
     words += (
         f" {1000 * floor.height_m:+.1f} mm  masks {masks.mean_valid_iou:.3f} / {masks.worst_valid_iou:.3f}"
@@ -84,11 +84,9 @@ def solid_figures(rows: Sequence[Row]) -> list[Figure]:
 
     solids = [row.evaluation.solid for row in rows if row.evaluation.solid]
     actual = np.array([solid.fine.iou for solid in solids])
-    estimated = np.array([row.quality["estimated_iou"] for row in rows])
+    estimated = np.array([row.quality.estimated_iou for row in rows])
     silent = [
-        row.name
-        for row, value in zip(rows, actual, strict=True)
-        if value < 0.7 and not row.quality["warnings"]
+        row.name for row, value in zip(rows, actual, strict=True) if value < 0.7 and not row.quality.warnings
     ]
     calibration = sum(row.calibration / row.calibration[:, 0].sum() for row in rows)
     ece = float(np.abs(calibration[:, 1] - calibration[:, 2]).sum() / calibration[:, 0].sum())

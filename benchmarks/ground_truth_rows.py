@@ -2,30 +2,27 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from builds import read_json
 from numpy.typing import NDArray
 from solid_recipes import RECIPES, poisson
 
-from kinectbench.config import FusionSettings, SegmentationSettings
-from kinectbench.evaluate.build import Build, read_build
-from kinectbench.evaluate.evaluation import Evaluation, evaluate
-from kinectbench.evaluate.overlap import iou
-from kinectbench.evaluate.registration import Registration, register
-from kinectbench.evaluate.solid import canonical_cube, compare_on
-from kinectbench.fusion.reconstruction import observe
-from kinectbench.geometry import TriangleMesh
-from kinectbench.mesh_file import read_ply
-from kinectbench.segmentation.masks import inner_silhouette
-from kinectbench.segmentation.render import DepthRenderer
-from kinectbench.shape.labels import Label
-from kinectbench.shape.object_model import FLOOR_LAYERS, ObjectModel
-from kinectbench.simulate.truth import Truth, mesh_occupancy, read_truth, truth_occupancy
-from kinectbench.stored import read_tracked
-
-Bools = NDArray[np.bool_]
+from kinectbench.core.artefacts.object import Label, QualityFile
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.types import Bools
+from kinectbench.engine.steps import read_tracked
+from kinectbench.lab.evaluate.build import Build, Registration, read_build, register
+from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate
+from kinectbench.lab.evaluate.solid import canonical_cube, compare_on, iou
+from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth, truth_occupancy
+from kinectbench.settings.models import FusionSettings, SegmentationSettings
+from kinectbench.stages.fuse.reconstruction import observe
+from kinectbench.stages.sample_views.masks import inner_silhouette
+from kinectbench.stages.segment.grids import FLOOR_LAYERS
+from kinectbench.stages.segment.object_model import ObjectModel
 
 # Calibration is asked for this near to the surface, and wherever nothing is known.
 NEAR_VOXELS = 4
@@ -54,7 +51,7 @@ class Row:
     name: str
     family: str
     evaluation: Evaluation
-    quality: dict[str, Any]
+    quality: QualityFile
     recipes: dict[str, float]
     hull_unknown: float
     calibration: NDArray[np.float64]

@@ -12,18 +12,17 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from kinectbench.evaluate.build import read_build
-from kinectbench.evaluate.registration import register
-from kinectbench.evaluate.renders import SIZE_PX, render_errors, viewpoints
-from kinectbench.evaluate.solid import canonical_cube, compare_on
-from kinectbench.evaluate.surface import Surface
-from kinectbench.geometry import TriangleMesh, invert_rigid
-from kinectbench.report.images import read_gray
-from kinectbench.report.pictures import CLAY, PAPER, Viewpoint
-from kinectbench.simulate.truth import is_truth, read_truth
-from kinectbench.voxels.pair_file import unpack
+from kinectbench.core.geometry import TriangleMesh, invert_rigid
+from kinectbench.core.images import read_gray
+from kinectbench.core.pictures import CLAY, PAPER, Viewpoint
+from kinectbench.core.types import Rgb
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.lab.evaluate.build import read_build, register
+from kinectbench.lab.evaluate.charts import SIZE_PX, render_errors, viewpoints
+from kinectbench.lab.evaluate.solid import canonical_cube, compare_on
+from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.simulate.truth import is_truth, read_truth
 
-Rgb = NDArray[np.uint8]
 TITLES = ("colour", "mask", "partial (64^3)", "our solid", "true solid", "outside | missing", "slice")
 TITLE_PX = 22
 MISSING, EXTRA, RIGHT = (66, 110, 190), (205, 70, 60), (190, 190, 185)

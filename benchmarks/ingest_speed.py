@@ -16,13 +16,13 @@ import cv2
 from figures import Figure, arguments, at_least, at_most, run, told
 from memory import peak_mb
 
-from kinectbench.config import CameraSettings
-from kinectbench.ingest.images import decode_depth_png
-from kinectbench.ingest.recording import RawFrame, Recording
-from kinectbench.ingest.registry import open_recording
-from kinectbench.ingest.sequence_folder import write_sequence
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import decode_depth_png
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.sequence_folder import write_sequence
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "ingest"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from ingest_writers import BagWriter
 
 SETTINGS = CameraSettings(fx=525.0, fy=525.0, cx=319.5, cy=239.5)

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from figures import Figure, arguments, equals, run, told
 from small_runs import FAMILIES, copied, leftovers, make_small, published, start
 
-from kinectbench.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError
 
 # What a command writes first; then it is killed.
 FIRST_FILE = {"build": "build/*/.*.part", "publish": ".benchmark.*.part"}

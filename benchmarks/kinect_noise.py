@@ -6,28 +6,27 @@ Sources: Nguyen et al. 2012 (axial noise, eq. 3 and 4; lateral noise, eq. 1), Kh
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from figures import Figure, arguments, at_least, at_most, run, told
-from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, OrientedBox
-from kinectbench.geometry.mesh import box_mesh
-from kinectbench.simulate.kinect import (
+from kinectbench.core.geometry import Camera, OrientedBox
+from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.lab.simulate.kinect import (
     KinectNoise,
-    axial_sigma_m,
-    depth_step_m,
     draw_device,
     measure,
 )
-from kinectbench.simulate.render import Renderer
-from kinectbench.simulate.scene import Item, Scene
-from kinectbench.simulate.shading import Rendering
-from kinectbench.simulate.texture import TEXTURE_PX, Texture
+from kinectbench.lab.simulate.render import TEXTURE_PX, Renderer, Rendering, Texture
+from kinectbench.lab.simulate.scene import Item, Scene
 
-Float = NDArray[np.float64]
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from references import axial_sigma_m, depth_step_m
+
+from kinectbench.core.types import Float64
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 DEPTHS_M = np.arange(0.6, 4.01, 0.2)
@@ -54,7 +53,7 @@ def plane(depth_m: float, tilt_rad: float) -> Rendering:
     return Renderer(scene, TEXTURE).render(CAMERA, T_room_camera)
 
 
-def errors_m(rendering: Rendering, distortion: float = 0.0, seed: int = 0) -> Float:
+def errors_m(rendering: Rendering, distortion: float = 0.0, seed: int = 0) -> Float64:
     """Measured minus exact depth (height, width), metres; NaN = no measurement."""
     device = draw_device(CAMERA, distortion, 0.0, np.random.default_rng(seed))
     measured_m = measure(rendering, CAMERA, device, np.random.default_rng(seed + 1)).astype(np.float64)
@@ -79,7 +78,7 @@ def sigma_over_published(depth_m: float, tilt_rad: float) -> tuple[float, float]
     return float(np.sqrt(np.nanmean(np.square(deviations)))), float(np.sqrt(np.nanmean(np.square(ratios))))
 
 
-def correlations(error_m: Float) -> list[float]:
+def correlations(error_m: Float64) -> list[float]:
     """Of errors `LAGS_PX` apart along rows, within patches that a plane is fitted to."""
     v, u = np.mgrid[:PATCH_PX, :PATCH_PX]
     basis = np.linalg.qr(np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1).astype(np.float64))[0]
@@ -144,7 +143,7 @@ def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
     ]
 
 
-def draw_plot(path: Path, by_depth: Float, by_tilt: Float, found: Float) -> None:
+def draw_plot(path: Path, by_depth: Float64, by_tilt: Float64, found: Float64) -> None:
     """Measured points over published curves: over depth, over tilt, and correlation over distance."""
     import matplotlib
 

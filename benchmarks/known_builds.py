@@ -1,6 +1,7 @@
 """Builds whose errors are known: made from the truth itself, perfect or with chosen errors."""
 
 import json
+import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -9,10 +10,10 @@ import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.alignment import Alignment
-from kinectbench.config import PairSettings
-from kinectbench.evaluate.build import Build
-from kinectbench.geometry import (
+from kinectbench.core.artefacts.object import BoxPart, Label, QualityFile
+from kinectbench.core.artefacts.trajectory import TrajectoryHealth
+from kinectbench.core.artefacts.views import PairRow, PairsFile
+from kinectbench.core.geometry import (
     Camera,
     Grid,
     OrientedBox,
@@ -22,24 +23,26 @@ from kinectbench.geometry import (
     rotation_from_quaternion_xyzw,
     transform_points,
 )
-from kinectbench.pairs import make_pair
-from kinectbench.segmentation.floor import Floor, floor_frame
-from kinectbench.segmentation.render import DepthRenderer
-from kinectbench.sequence import MemoryFrames, Sequence
-from kinectbench.shape.labels import Label
-from kinectbench.shape.object_folder import write_object
-from kinectbench.shape.object_model import ObjectModel
-from kinectbench.shape.solid import SolidShape
-from kinectbench.simulate.truth import SurfaceTruth, Truth, truth_occupancy
-from kinectbench.simulate.visibility import sample_surface
-from kinectbench.tracking.trajectory import Trajectory
-from kinectbench.tracking.trajectory_folder import write_trajectory
-from kinectbench.view_fit import ViewFit
-from kinectbench.views import View, Views
-from kinectbench.views_folder import write_pairs_table, write_views
-from kinectbench.voxels.pair_file import Pair, pair_bytes
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes
+from kinectbench.lab.evaluate.build import Build
+from kinectbench.lab.simulate.render import sample_surface
+from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, truth_occupancy
+from kinectbench.settings.models import PairSettings
+from kinectbench.stages.pairs.pairs import full_shape, make_pair
+from kinectbench.stages.sample_views.alignment import Alignment
+from kinectbench.stages.sample_views.view_fit import ViewFit
+from kinectbench.stages.sample_views.views import View, Views, write_views
+from kinectbench.stages.segment.floor import Floor, floor_frame
+from kinectbench.stages.segment.object_model import ObjectModel, write_object
+from kinectbench.stages.segment.solid import SolidShape
 
-Float64 = NDArray[np.float64]
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from analytic_scenes import MemoryFrames
+
+from kinectbench.core.types import Float64
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 DEPTH_SCALE = 20000.0
@@ -166,12 +169,14 @@ def known_build(
     views = tuple(
         _view(f"{k:03d}", frame, truth, cameras[frame], sequence) for k, frame in enumerate(VIEW_FRAMES)
     )
-    made = {view.name: make_pair(view, sequence, model, PairSettings()).pair for view in views}
+    shape = full_shape(model)
+    made = {view.name: make_pair(view, sequence, shape, PairSettings()).pair for view in views}
     pairs = {name: pair for name, pair in made.items() if pair is not None}
-    health = {"format_version": 1, "source": "tracked", "rejected": [], "per_frame": []}
+    n = len(truth.stamps_ns)
+    health = TrajectoryHealth(source="tracked", verdict="known", grade="5 mm", frames=n, tracked=n)
     build = Build(
         stamps_ns=truth.stamps_ns,
-        trajectory=Trajectory(truth.stamps_ns, cameras, "tracked", health),
+        trajectory=Trajectory(truth.stamps_ns, cameras, "tracked", health=health),
         model=model,
         views=views,
         valid_depth=lambda view: sequence.depth_m(view.frame) > 0,
@@ -220,7 +225,7 @@ def _model(truth: Truth, mesh: TriangleMesh, T: Float64, unknown_above_m: float 
             of_grid[:, :, first:] = Label.UNKNOWN
     fine, coarse = (replace(g, T_world_grid=T @ T_WORLD_OBJECT @ g.T_world_grid) for g in (fine, coarse))
     box = OrientedBox((0.0, 0.0, 0.425), (0.4, 0.36, 0.85))
-    quality = {"box": asdict(box), "surface_sigma_m": 0.0}
+    quality = QualityFile(box=BoxPart.of(box, 4, 5), surface_sigma_m=0.0)
     shape = SolidShape(fine, solid, labels, solid.astype(np.float32), mesh)
     return ObjectModel(Floor(plane, floor_frame(plane), 0.0, 1.0), box, shape, coarse, around, 0.0, quality)
 
@@ -243,4 +248,4 @@ def write_build(known: Known, folder: Path) -> None:
     write_views(Views(list(build.views), [], []), known.sequence, folder / "views")
     for name, pair in known.pairs.items():
         (folder / "pairs" / f"{name}.npz").write_bytes(pair_bytes(pair))
-    write_pairs_table([{"view": name} for name in known.pairs], [], folder / "pairs")
+    PairsFile(pairs=tuple(PairRow(view=name) for name in known.pairs), refused=()).write(folder / "pairs")

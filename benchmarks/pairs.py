@@ -4,6 +4,7 @@ BUILD is a folder `build/<recording>` with views; 50 pairs are made of them, ove
 Everything from reading a frame to the file's bytes counts; compiling does not. The best of three rounds.
 """
 
+import sys
 import time
 from pathlib import Path
 
@@ -11,20 +12,20 @@ import numpy as np
 from figures import Figure, arguments, at_most, equals, run, told
 from numpy.typing import NDArray
 
-from kinectbench.config import PairSettings
-from kinectbench.errors import StorageError
-from kinectbench.geometry import Grid, transform_points
-from kinectbench.geometry.depth_noise import depth_sigma_m
-from kinectbench.pairs import FullShape, full_shape, make_pair
-from kinectbench.sequence import Sequence
-from kinectbench.shape.labels import Label
-from kinectbench.shape.object_folder import read_object
-from kinectbench.shape.object_model import ObjectModel
-from kinectbench.stored import read_tracked
-from kinectbench.views import View
-from kinectbench.views_folder import read_views
-from kinectbench.voxels.morphology import shell_of
-from kinectbench.voxels.pair_file import Pair, pair_bytes, unpack
+from kinectbench.core.artefacts.object import Label
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry import Grid, transform_points
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
+from kinectbench.engine.steps import read_tracked
+from kinectbench.settings.models import PairSettings
+from kinectbench.stages.pairs.pairs import FullShape, full_shape, make_pair
+from kinectbench.stages.sample_views.views import View, read_views
+from kinectbench.stages.segment.object_model import ObjectModel, read_object
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from references import shell_of
 
 PAIRS, ROUNDS, CPU_S = 50, 3, 3.0
 CHECKED, CELLS = 3, 300_000

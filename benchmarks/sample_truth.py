@@ -13,13 +13,12 @@ from builds import build_root, built
 from figures import Figure, arguments, at_least, run, told
 from numpy.typing import NDArray
 
-from kinectbench.benchmark_file import load_benchmark
-from kinectbench.config import BenchmarkSettings
-from kinectbench.simulate.truth import Truth, read_truth, truth_folder, truth_occupancy
-from kinectbench.stages import Job
-from kinectbench.views import View
-from kinectbench.views_folder import read_views
-from kinectbench.voxels.pair_file import read_pair, unpack
+from kinectbench.core.voxels.pair_file import read_pair, unpack
+from kinectbench.engine.stages import Job
+from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder, truth_occupancy
+from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.stages.sample_views.views import View, read_views
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 MIN_IOU = 0.70

@@ -22,7 +22,7 @@ from figures import Figure, arguments, at_least, at_most, equals, run, told
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.errors import PredictionError
 from kinectbench.scoring.prediction_file import load_prediction
 
 VOXEL_M = 0.004

@@ -19,12 +19,11 @@ from builds import build_root
 from figures import Figure, arguments, at_most, equals, run, told
 from memory import peak_mb, watched_workers
 
-from kinectbench.processes import submit_all, worker_pool
+from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.score import score
-from kinectbench.scoring.table import scores_json
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from synthetic_release import publish_synthetic
 
 PAIRS, REPEATS = 50, 20
@@ -86,7 +85,7 @@ def timed(release: Release, root: Path, jobs: int) -> Timed:
         table = score(release, root / "predictions", method="m", surface=False, jobs=jobs)
     seconds = time.monotonic() - started, _cpu_s() - before
     assert table.complete
-    return Timed(*seconds, max(peaks.values(), default=0.0), scores_json(table))
+    return Timed(*seconds, max(peaks.values(), default=0.0), table.text())
 
 
 def _cpu_s() -> float:

@@ -20,8 +20,10 @@ from score_surfaces import surface_of, surface_reference
 
 from kinectbench.release.release import Release, Target, open_release
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from synthetic_release import publish_synthetic
+
+from kinectbench.core.types import Bools
 
 MAX_DIFFERENCE = 1e-6
 METRICS = ("iou", "ce", "precision", "recall", "f1")
@@ -42,7 +44,6 @@ RECORDINGS = (  # as in tests/synthetic_release.py: the shapes differ by recordi
 )
 PROTOCOLS = ("paper", "known", "occluded")
 Reals = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 def _zoomed(values: Reals, side: int) -> Reals:

@@ -1,6 +1,7 @@
 """Scoring against what a user would write: ratios of CPU time, interleaved, each with its accuracy check."""
 
 import io
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,17 +14,21 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from kinectbench.core.voxels.morphology import packed_shell
+from kinectbench.core.voxels.pair_file import pack
+from kinectbench.core.voxels.resample import CORNER_ALIGNED, upsampled_planes
 from kinectbench.scoring.counts import THRESHOLDS, Tally, protocol_counts, tally
 from kinectbench.scoring.metrics import cross_entropy, ious
-from kinectbench.scoring.nearest import cells_of, nearest
 from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.surface_kernels import cells_of, nearest
 from kinectbench.scoring.truth import Truth
-from kinectbench.voxels.packed_shell import packed_shell
-from kinectbench.voxels.pair_file import pack
-from kinectbench.voxels.resample import CORNER_ALIGNED, upsample, upsampled_planes
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from references import upsample
+
+from kinectbench.core.types import Bools
 
 SIDE = 256
-Bools = NDArray[np.bool_]
 
 
 def ball(centre: tuple[int, int, int], radius: float) -> Bools:

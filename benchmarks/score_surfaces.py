@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-Bools = NDArray[np.bool_]
+from kinectbench.core.types import Bools
+
 Reals = NDArray[np.float64]
 NEIGHBOURS = (4, 32)
 RADIUS = 3

@@ -13,19 +13,17 @@ import numpy as np
 from figures import Figure, arguments, at_most, run, told
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, OrientedBox, TriangleMesh, rigid
-from kinectbench.geometry.mesh import box_mesh, join
-from kinectbench.simulate.color import expose
-from kinectbench.simulate.kinect import draw_device, measure
-from kinectbench.simulate.objects.subject import Piece, Subject
-from kinectbench.simulate.path import look_at
-from kinectbench.simulate.render import Renderer
-from kinectbench.simulate.scene import make_scene
-from kinectbench.simulate.simulate import SURFACE_SAMPLES
-from kinectbench.simulate.spec import SceneSettings
-from kinectbench.simulate.texture import make_texture
-from kinectbench.simulate.visibility import Visibility, sample_surface
-from kinectbench.simulate.writers.frame import RecordedFrame, png_bytes
+from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh, rigid
+from kinectbench.core.geometry.mesh import box_mesh, join
+from kinectbench.lab.simulate.color import expose
+from kinectbench.lab.simulate.kinect import draw_device, measure
+from kinectbench.lab.simulate.objects.shapes import Piece, Subject
+from kinectbench.lab.simulate.path import look_at
+from kinectbench.lab.simulate.render import Renderer, Visibility, make_texture, sample_surface
+from kinectbench.lab.simulate.scene import make_scene
+from kinectbench.lab.simulate.simulate import SURFACE_SAMPLES
+from kinectbench.lab.simulate.spec import SceneSettings
+from kinectbench.lab.simulate.writers.frame import RecordedFrame, png_bytes
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 REPEATS = 25

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from kinectbench.errors import KinectBenchError
-from kinectbench.simulate.simulate import simulate
-from kinectbench.simulate.spec import SimulationSpec
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
 
 YAML = """\
 name: small

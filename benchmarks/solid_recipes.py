@@ -3,14 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinectbench.fusion.reconstruction import Observation
-from kinectbench.geometry import TriangleMesh
-from kinectbench.shape.enclosure import ENCLOSED, INSIDE, OUTSIDE, UNSEEN, enclosure
-from kinectbench.simulate.truth import mesh_occupancy
-
-Bools = NDArray[np.bool_]
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.observation import Observation
+from kinectbench.lab.simulate.truth import mesh_occupancy
+from kinectbench.stages.segment.enclosure import ENCLOSED, INSIDE, OUTSIDE, UNSEEN, enclosure
 
 POISSON_DEPTH = 8
 # Frames that saw through, so many times as many as measured a surface there, carve a voxel.

@@ -15,11 +15,12 @@ import trimesh
 from figures import Figure, arguments, at_least, at_most, run, told
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Grid, rigid, rotation_from_quaternion_xyzw, transform_points
-from kinectbench.voxels.framing import object_cube
-from kinectbench.voxels.open_mesh import voxelize_open
-from kinectbench.voxels.pair_file import unpack
-from kinectbench.voxels.solid import voxelize_solid
+from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw, transform_points
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.open_mesh import voxelize_open
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.view_grids import object_cube
 
 SIDE = 256
 TRIMESH_RATIO = 100
@@ -28,8 +29,6 @@ MAX_WRONG = 10
 # Cells whose centre is nearer to a face than this are decided by solid angles whatever the others say.
 DOUBTFUL_CELLS = 1e-3
 BENCHED = ("aws_ChairA_01", "aws_ChairD_01", "aws_KitchenTable_01")
-
-Bools = NDArray[np.bool_]
 
 
 def generated() -> trimesh.Trimesh:

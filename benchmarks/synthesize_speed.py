@@ -14,24 +14,20 @@ import numpy as np
 import trimesh
 from figures import Figure, arguments, at_most, equals, run, told
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "synthesize"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from recgan_reader import block_maximum, centring_shift, load
 
-from kinectbench.geometry import TriangleMesh
-from kinectbench.simulate.objects.furniture import FAMILIES, make_object
-from kinectbench.synthesize.mesh_check import CheckedMesh, check_mesh
-from kinectbench.synthesize.pair import VOXELIZERS, make_pair
-from kinectbench.synthesize.recgan import recgan_bytes, recgan_path
-from kinectbench.synthesize.render import DepthCamera
-from kinectbench.synthesize.settings import SynthesisSettings
-from kinectbench.synthesize.views import ViewAngles, all_views, camera_pose, virtual_camera
-from kinectbench.voxels.framing import object_cube
-from kinectbench.voxels.packed_containment import packed_containment
-from kinectbench.voxels.packed_shell import packed_shell
-from kinectbench.voxels.pair_file import Pair, pair_bytes, unpack
-from kinectbench.voxels.resample import reduce_blocks
-from kinectbench.voxels.seen_cells import seen_cells
-from kinectbench.voxels.view_grids import partial_grids
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.voxels.morphology import packed_containment, packed_shell
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.seen_cells import seen_cells
+from kinectbench.core.voxels.view_grids import object_cube, partial_grids
+from kinectbench.lab.simulate.objects.furniture import FAMILIES, make_object
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh, check_mesh
+from kinectbench.lab.synthesize.models import SynthesisSettings
+from kinectbench.lab.synthesize.pair import VOXELIZERS, make_pair, recgan_bytes, recgan_path
+from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
 
 Result = TypeVar("Result")
 

@@ -25,7 +25,7 @@ from tracking_measure import Task, measure_apart
 from tracking_recordings import OBJECTS, ingested
 from tracking_rows import KeptRows, Row, code_of
 
-from kinectbench.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError
 
 
 def measured(cases: Sequence[Case], kept: KeptRows, *, rivals: bool) -> Iterator[Row]:

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.geometry import Camera, invert_rigid, transform_points
-from kinectbench.sequence import Sequence
-
-Float64 = NDArray[np.float64]
+from kinectbench.core.geometry import Camera, invert_rigid, transform_points
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Float64
 
 STEP_PX, REACH_PX = 6, 5
 # A window counts where most of it lies on one surface: closer to the middle's depth than this share of it.

@@ -9,18 +9,16 @@ from pathlib import Path
 
 import numpy as np
 from memory import peak_mb
-from numpy.typing import NDArray
 from tracking_distant import all_planes, distant_pairs, measure_distant
 from tracking_recordings import part, sequence_in, true_poses
 from tracking_rivals import chained_odometry, dense_slam
 
-from kinectbench.config import TrackingSettings, TrajectoryMode
-from kinectbench.errors import KinectBenchError
-from kinectbench.processes import submit_all, worker_pool
-from kinectbench.sequence import Sequence
-from kinectbench.tracking import track
-
-Float64 = NDArray[np.float64]
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Float64
+from kinectbench.engine.processes import submit_all, worker_pool
+from kinectbench.settings.models import TrackingSettings, TrajectoryMode
+from kinectbench.stages.track import track
 
 # Frames of either end, tracked before the clock starts: libraries and compiled code are loaded by then.
 WARM_UP_FRAMES = 20
@@ -74,7 +72,8 @@ Found = tuple[Float64, str | None, int]
 def _ours(sequence: Sequence, mode: TrajectoryMode = "ignore") -> Found:
     trajectory = track(sequence, mode, TrackingSettings())
     missing = set(np.flatnonzero(np.isnan(trajectory.T_world_camera[:, 0, 0])).tolist())
-    named = {*trajectory.health["lost"], *(row["frame"] for row in trajectory.health["rejected"])}
+    health = trajectory.health
+    named = {*health.lost, *(row.frame for row in health.rejected)} if health else set()
     return trajectory.T_world_camera, None, len(missing - named)
 
 

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.config import TrackingSettings
-from kinectbench.errors import SettingsError
-from kinectbench.ingest.registry import open_recording
-from kinectbench.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.sequence import FrameStore, Sequence
-from kinectbench.simulate.presets import preset_spec
-from kinectbench.simulate.simulate import simulate
-from kinectbench.simulate.spec import SimulationSpec
-from kinectbench.simulate.truth import is_truth, truth_folder
-from kinectbench.tracking.given import poses_at
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.sequence import FrameStore, Sequence
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.lab.simulate.presets import preset_spec
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.lab.simulate.truth import is_truth, truth_folder
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 FAMILIES, SEEDS = ("chair", "table", "couch", "bench"), (1, 2, 3)
 OBJECTS = tuple((family, seed) for seed in SEEDS for family in FAMILIES)

@@ -7,11 +7,9 @@ kept, and only the library's own exception ends the chain.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinectbench.sequence import Sequence
-
-Float64 = NDArray[np.float64]
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Float64
 
 # Open3D's default_config.yml (examples/python/t_reconstruction_system); the farthest depth is 4 m instead of
 # 3 m, because rooms are larger than that, and it loses less often so.

@@ -13,9 +13,9 @@ from tracking_cases import RIVALS, Bar, Case
 from tracking_measure import Outcome
 
 import kinectbench
-from kinectbench.tracking.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
+from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
+from kinectbench.core.types import Float64
 
-Float64 = NDArray[np.float64]
 POSES = ("T_world_camera", "T_true")
 PACKAGE = Path(kinectbench.__file__).parent
 

@@ -59,7 +59,7 @@ def loss_of(logits: Tensor, full: Tensor, known: Tensor) -> Tensor:
 
 def score(network: Network, dataset: kinectbench.Dataset) -> str:
     """One line: the primary protocol's figures on the test split, thresholds from validation."""
-    scorer = kinectbench.Scorer(dataset, method="network")
+    scorer = kinectbench.Scorer(dataset, method="network", surface=False)  # quick
     network.eval()
     with torch.no_grad():
         for split in ("validation", "test"):

@@ -1,13 +1,15 @@
 """kinectbench: real RGB-D recordings in, a benchmark for single-view shape completion out."""
 
-__version__ = "0.1.0"
-
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from kinectbench._version import __version__ as __version__
+
 if TYPE_CHECKING:
-    from kinectbench.api import Dataset as Dataset
-    from kinectbench.api import Scorer as Scorer
-    from kinectbench.api import load as load
+    from kinectbench.scoring.api import Dataset as Dataset
+    from kinectbench.scoring.api import Scorer as Scorer
+    from kinectbench.scoring.api import load as load
 
 __all__ = ["Dataset", "Scorer", "load"]
 
@@ -15,7 +17,19 @@ __all__ = ["Dataset", "Scorer", "load"]
 def __getattr__(name: str) -> Any:
     """`load`, `Dataset` and `Scorer`, imported when they are asked for: the command line stays quick."""
     if name in __all__:
-        from kinectbench import api
+        from kinectbench.scoring import api
 
         return getattr(api, name)
     raise AttributeError(f"module 'kinectbench' has no attribute '{name}'")
+
+
+class _MovedApi(ModuleType):
+    """`kinectbench.api`, where `load`, `Dataset` and `Scorer` were at first: the same names still work."""
+
+    def __getattr__(self, name: str) -> Any:
+        from kinectbench.scoring import api
+
+        return getattr(api, name)
+
+
+api = sys.modules[f"{__name__}.api"] = _MovedApi(f"{__name__}.api")

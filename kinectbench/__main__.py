@@ -1,6 +1,6 @@
 """`python -m kinectbench` is the command line."""
 
-from kinectbench.cli import main
+from kinectbench.cli.main import main
 
 if __name__ == "__main__":
     main()

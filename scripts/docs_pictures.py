@@ -17,10 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.report import images, pictures
-from kinectbench.voxels.pair_file import read_pair
-
-Rgb = NDArray[np.uint8]
+from kinectbench.core import images, pictures
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.types import Rgb
+from kinectbench.core.voxels.pair_file import read_pair
 
 OUT = Path(__file__).parents[1] / "docs" / "pictures"
 NAME = "my_chair"
@@ -108,7 +109,7 @@ def sheet(tiles: Sequence[Rgb], columns: int) -> Rgb:
 
 def recorded(sequence: Path) -> Rgb:
     """Colour above depth of some frames all around."""
-    from kinectbench.ingest.sequence_folder import read_sequence
+    from kinectbench.stages.ingest.sequence_folder import read_sequence
 
     frames = read_sequence(sequence)
     chosen = np.linspace(0, 0.8 * len(frames), 5).astype(int)
@@ -121,27 +122,26 @@ def scene(build: Path) -> Rgb:
     """The fused scene around the object, from two sides."""
     T = np.array(json.loads((build / "object" / "floor.json").read_text())["T_floor_world"])
     whole, thing = (floor_mesh(build / name, T) for name in ("reconstruction/mesh.ply", "object/mesh.ply"))
-    centre = (thing.vertices_m.min(axis=0) + thing.vertices_m.max(axis=0)) / 2
-    near = np.linalg.norm((whole.vertices_m - centre)[:, :2], axis=1) < AROUND_M
-    cut = pictures.Mesh(whole.vertices_m, whole.triangles[near[whole.triangles].all(axis=1)])
-    return around(cut, whole.vertices_m[near], (-50.0, 130.0), 30.0)
+    centre = (thing.vertices.min(axis=0) + thing.vertices.max(axis=0)) / 2
+    near = np.linalg.norm((whole.vertices - centre)[:, :2], axis=1) < AROUND_M
+    cut = TriangleMesh(whole.vertices, whole.faces[near[whole.faces].all(axis=1)])
+    return around(cut, whole.vertices[near], (-50.0, 130.0), 30.0)
 
 
 def solid(build: Path) -> Rgb:
     """The closed mesh, from three sides."""
     T = np.array(json.loads((build / "object" / "floor.json").read_text())["T_floor_world"])
     thing = floor_mesh(build / "object" / "mesh.ply", T)
-    return around(thing, thing.vertices_m, (-50.0, 70.0, 190.0), 24.0)
+    return around(thing, thing.vertices, (-50.0, 70.0, 190.0), 24.0)
 
 
-def floor_mesh(path: Path, T_floor_world: NDArray[np.float64]) -> pictures.Mesh:
+def floor_mesh(path: Path, T_floor_world: NDArray[np.float64]) -> TriangleMesh:
     """A mesh of the world, in the frame `floor`: z up."""
-    mesh = pictures.read_mesh(path)
-    return pictures.Mesh(mesh.vertices_m @ T_floor_world[:3, :3].T + T_floor_world[:3, 3], mesh.triangles)
+    return read_ply(path).transformed(T_floor_world)
 
 
 def around(
-    mesh_floor: pictures.Mesh,
+    mesh_floor: TriangleMesh,
     fitted_m: NDArray[np.float64],
     azimuths_deg: Sequence[float],
     elevation_deg: float,

@@ -5,10 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.trajectory.stamps import (
+    NS_PER_S,
+    StampFaults,
+    find_doubled,
+    find_stamp_faults,
+    usual_period_ns,
+)
 from kinectbench.doctor.finding import Finding, Severity, camera_line
 from kinectbench.doctor.look import Look
-from kinectbench.ingest.clock import StampFaults, find_doubled, find_stamp_faults, usual_period_ns
-from kinectbench.ingest.stamps import NS_PER_S
 
 # Steps this far from whole periods are uneven, not frames that are missing in between.
 OFF_PERIOD = 0.2

@@ -1,27 +1,124 @@
-"""Offsets between clocks: of colour against depth, and of a given trajectory against depth."""
+"""Offsets between clocks, by the motion that both show: of colour and of given poses against depth."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.doctor.edges import color_edges, depth_jumps
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.association import TOLERANCE_NS, poses_at
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.doctor.color import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import Pair, disagreement, frames_of
+from kinectbench.doctor.fit import Pair, Reading, disagreement, frames_of
 from kinectbench.doctor.look import Look, SmallFrame
-from kinectbench.doctor.readings import Reading
-from kinectbench.ingest.association import TOLERANCE_NS
-from kinectbench.ingest.delay import Motion, estimate_delay, image_motion
-from kinectbench.ingest.stamps import NS_PER_S
-from kinectbench.sequence import GivenTrajectory
-from kinectbench.tracking.given import poses_at
+
+LONGEST_NS = 500_000_000
+STEP_NS = 2_000_000
+# Less agreement is no agreement; a lag that is the best of its neighbours only by chance agrees less.
+LEAST_CORRELATION = 0.5
+LEAST_SAMPLES = 20
+SMALL_PX = (80, 60)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the image moves over time.
+
+    Attributes:
+        times_ns: (n,) int64, increasing: the middle between two frames.
+        shift_px_s: (n, 2) float64: the shift of the image in x and y, pixels (of any one size) a second.
+    """
+
+    times_ns: NDArray[np.int64]
+    shift_px_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Delay:
+    """An estimated delay.
+
+    Attributes:
+        delay_ns: the second stream's stamps are late by this.
+        correlation: of both motions once it is taken off, at most 1.
+    """
+
+    delay_ns: int
+    correlation: float
+
+
+def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]) -> Motion:
+    """The shift between images in a row, by phase correlation (Kuglin and Hines 1975).
+
+    Args:
+        stamps_ns: (n,) increasing, nanoseconds.
+        images: n images (height, width), depth or grey; those of depth may have holes.
+    """
+    import cv2
+
+    window = cv2.createHanningWindow(SMALL_PX, cv2.CV_32F)
+    shifts, last = [], None
+    for image in images:
+        small = cv2.resize(np.asarray(image, np.float32), SMALL_PX, interpolation=cv2.INTER_AREA)
+        if last is not None:
+            shifts.append(cv2.phaseCorrelate(last - last.mean(), small - small.mean(), window)[0])
+        last = small
+    stamps = np.asarray(stamps_ns, np.int64)
+    steps_s = np.diff(stamps) / 1e9
+    # A frame that was dropped makes a longer step, which says less about when it moved.
+    usual = steps_s < 2.5 * np.median(steps_s) if len(steps_s) else np.zeros(0, bool)
+    middle = stamps[:-1] + np.diff(stamps) // 2
+    shifts_px = np.array(shifts, np.float64).reshape(-1, 2)
+    return Motion(middle[usual], shifts_px[usual] / steps_s[usual, None])
+
+
+def estimate_delay(first: Motion, second: Motion) -> Delay | None:
+    """The delay of the second stream's stamps at which both motions agree best (own rule).
+
+    Every lag up to half a second is tried on the samples of the first stream, the second interpolated, by the
+    correlation of both components together; the best is refined by a parabola.
+
+    Returns:
+        None if there is too little motion in common to tell.
+    """
+    lags_ns = np.arange(-LONGEST_NS, LONGEST_NS + 1, STEP_NS)
+    scores = np.array([_agreement(first, second, int(lag)) for lag in lags_ns])
+    best = int(np.argmax(scores))
+    if not scores[best] >= LEAST_CORRELATION or best in (0, len(lags_ns) - 1):
+        return None
+    return Delay(round(float(lags_ns[best]) + _beside(scores, best) * STEP_NS), float(scores[best]))
+
+
+def _beside(values: NDArray[np.float64], best: int) -> float:
+    """By how many steps the parabola through the best value and its neighbours is best beside it."""
+    before, here, after = values[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    return float(np.clip(0.5 * (before - after) / bend, -1, 1)) if bend else 0.0
+
+
+def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
+    """Correlation of the first motion with the second at stamps that are later by a lag."""
+    if len(second.times_ns) < 2:
+        return -1.0
+    times = first.times_ns + lag_ns
+    common = (times >= second.times_ns[0]) & (times <= second.times_ns[-1])
+    if common.sum() < LEAST_SAMPLES:
+        return -1.0
+    # Relative times, as nanoseconds since 1970 have more digits than a float.
+    at, known = (times[common] - second.times_ns[0]) / 1e9, (second.times_ns - second.times_ns[0]) / 1e9
+    there = np.stack([np.interp(at, known, second.shift_px_s[:, axis]) for axis in (0, 1)], axis=1)
+    a, b = (values - values.mean(axis=0) for values in (first.shift_px_s[common], there))
+    size = float(np.sqrt((a**2).sum() * (b**2).sum()))
+    return float((a * b).sum()) / size if size > 0 else -1.0
+
 
 # Recordings that count their frames in seconds are taken to have this rate.
 ASSUMED_HZ = 30
 # Less is told apart badly, and hardly matters: 60 ms, and of colour so many frames.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
-LEAST_CORRELATION = 0.6
+SURE_CORRELATION = 0.6
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
 # Poses that are moved in time must fit this much better before it is said.
 BETTER = 0.93
@@ -91,14 +188,11 @@ def trajectory_delay_ns(
     usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
     if len(usable) < 4:
         return None
-    costs = np.array([disagreement(usable, _read(reading, each)) for each in poses])
+    costs = np.array([disagreement(usable, reading.apply(each)) for each in poses])
     best, still = int(np.argmin(costs)), len(LAGS_NS) // 2
     if best in (0, len(LAGS_NS) - 1) or costs[best] > BETTER * costs[still]:
         return 0 if best == still else None
-    before, here, after = costs[best - 1 : best + 2]
-    bend = before - 2 * here + after
-    shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    return round(float(LAGS_NS[best]) + shift * float(LAGS_NS[1] - LAGS_NS[0]))
+    return round(float(LAGS_NS[best]) + _beside(costs, best) * float(LAGS_NS[1] - LAGS_NS[0]))
 
 
 def _poses(look: Look, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
@@ -114,13 +208,6 @@ def longest_gap_s(given: GivenTrajectory) -> float:
     """How far apart two poses may be for one in between: coarse, as this is but a look (own rule)."""
     usual_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * usual_s)
-
-
-def _read(reading: Reading, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    known = np.isfinite(poses[:, 0, 0])
-    read = np.full_like(poses, np.nan)
-    read[known] = reading.apply(poses[known])
-    return read
 
 
 def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
@@ -139,7 +226,7 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
     found: list[int] = []
     for part in (slice(None), slice(middle), slice(middle, None)):
         delay = estimate_delay(Motion(depth.times_ns[part], depth.shift_px_s[part]), color)
-        if delay is None or delay.correlation <= LEAST_CORRELATION:
+        if delay is None or delay.correlation <= SURE_CORRELATION:
             return None
         found.append(delay.delay_ns)
     apart_ns = max(LEAST_NS, float(np.median(np.diff(stamps_ns))))

@@ -1,4 +1,4 @@
-"""Checks of depth as numbers: unit, byte order, codes for nothing, how much is measured."""
+"""Checks of depth (unit, byte order, codes for none, what is measured), of intrinsics, and of the floor."""
 
 import math
 from collections.abc import Iterator
@@ -6,10 +6,21 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import Camera
 from kinectbench.doctor.finding import Finding, Severity
-from kinectbench.doctor.look import Look
-from kinectbench.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
+from kinectbench.doctor.fit import image_normals, small_camera
+from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.stages.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
 
+# Of cameras that people hold: horizontal field of view, degrees.
+NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
+# A principal point farther from the middle, as a share of width or height, is not that of a whole image.
+OFF_CENTRE = 0.15
+SAME_RATIO = 0.08
+USUAL_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
+NEARLY = 0.04
+MAX_ASPECT = 1.1
 # In between lies the depth of most rooms and of most cameras that record them, metres.
 LIKELY_MEDIAN_M = (0.45, 6.0)
 LIKELY_FAR_M = 12.0
@@ -22,6 +33,41 @@ FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
 VALID_SHARE = 0.35
 HARMLESS_DAMAGE = 0.05
+FRAMES, STEP_PX = 6, 4
+FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
+# Of a person's camera above the floor, metres.
+LOWEST_M, HIGHEST_M = 0.25, 2.5
+SEEN_SHARE = 0.3
+MIN_POINTS = 200
+
+
+def check_intrinsics(look: Look) -> Iterator[Finding]:
+    """Judge focal lengths and principal point."""
+    camera = look.recording.camera
+    across, down = camera.width / (2 * camera.cx + 1), camera.height / (2 * camera.cy + 1)
+    shown = f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g}"
+    size = f"{camera.width}x{camera.height}"
+    advice = "give those of the depth images under `camera:`"
+    off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
+    if off > OFF_CENTRE and abs(across / down - 1) < SAME_RATIO:
+        ratio = min(USUAL_RATIOS, key=lambda usual: abs(usual / across - 1))
+        ratio = ratio if abs(ratio / across - 1) < NEARLY else across
+        what = (
+            f"the intrinsics ({shown}) are those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
+            f"images, but depth is {size}"
+        )
+        yield Finding("intrinsics_resolution", "stops", what, look.where, f"multiply them by {ratio:.3g}")
+        return
+    if off > OFF_CENTRE:
+        what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"
+        yield Finding("principal_point", "warning", what, look.where, advice)
+    view_deg = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
+    if not NARROWEST_DEG <= view_deg <= WIDEST_DEG:
+        what = f"the field of view is {view_deg:.0f} degrees ({shown}, {size})"
+        yield Finding("field_of_view", "warning", what, look.where, advice)
+    if not 1 / MAX_ASPECT < camera.fx / camera.fy < MAX_ASPECT:
+        what = f"fx and fy differ by more than 10 % ({shown}): pixels are not square"
+        yield Finding("aspect", "warning", what, look.where, advice)
 
 
 def check_depth(look: Look) -> Iterator[Finding]:
@@ -152,3 +198,55 @@ def _valid(look: Look) -> Iterator[Finding]:
         what = f"only {np.median(shares):.0%} of the pixels have a depth"
         advice = "sun, black or shining surfaces, or a camera too near: record again where it sees more"
         yield Finding("little_depth", "warning", what, look.where, advice)
+
+
+def camera_heights_m(look: Look) -> NDArray[np.float64]:
+    """(k,) height above the floor in each of some frames, metres; NaN where no floor is found.
+
+    A frame's floor is a plane that faces up and has nothing below it, if the camera is held upright.
+    """
+    count = len(look.frames)
+    indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
+    camera = small_camera(look)
+    return np.array([_height_m(look.frames[i], camera) for i in indices])
+
+
+def check_floor(look: Look, heights_m: NDArray[np.float64]) -> Iterator[Finding]:
+    """Judge whether there is a floor, and whether it is where floors are."""
+    seen = np.isfinite(heights_m)
+    if seen.mean() < SEEN_SHARE:
+        what = f"a floor is in view in {seen.sum()} of {len(seen)} frames"
+        advice = "hold the camera upright and let it see the floor around the object; or give a `box`"
+        yield Finding("no_floor", "note", what, look.where, advice)
+        return
+    height_m = float(np.nanmedian(heights_m))
+    if not LOWEST_M <= height_m <= HIGHEST_M:
+        what = f"the camera is {height_m:.2f} m above the floor, if depth has the right unit"
+        yield Finding("camera_height", "warning", what, look.where, "check `depth_scale`")
+
+
+def _height_m(frame: SmallFrame, camera: Camera) -> float:
+    from kinectbench.stages.segment.floor import find_floor
+
+    if frame.depth_m.shape != (camera.height, camera.width):
+        return float("nan")
+    points, normals = _surface(frame.depth_m, camera)
+    if len(points) < MIN_POINTS:
+        return float("nan")
+    # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
+    unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
+    try:
+        floor = find_floor(points * unit, normals, np.eye(4)[None], FOCUS_CAMERA, 0)
+    except SegmentationError:
+        return float("nan")
+    return float(floor.plane_world[3]) / unit
+
+
+def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel."""
+    surface = camera.backproject(depth_m)
+    normals = -image_normals(surface, depth_m, reach_px=2)
+    chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
+    keep = np.zeros_like(chosen)
+    keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
+    return surface[keep], normals[keep]

@@ -1,4 +1,4 @@
-"""Looking a recording over, without building anything."""
+"""Looking a recording over, without building anything; one that cannot be opened as it is, too."""
 
 import math
 from collections.abc import Iterator
@@ -8,23 +8,60 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.config import CameraSettings
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.coverage import covered_arc_rad
+from kinectbench.core.trajectory.stamps import usual_period_ns
 from kinectbench.doctor.clocks import check_clock
+from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
 from kinectbench.doctor.delays import check_color_delay
-from kinectbench.doctor.depth import check_depth, depth_quantiles_m
-from kinectbench.doctor.edges import EdgeFit, check_edges, fit_edges
+from kinectbench.doctor.depth import (
+    camera_heights_m,
+    check_depth,
+    check_floor,
+    check_intrinsics,
+    depth_quantiles_m,
+)
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
-from kinectbench.doctor.ground import camera_heights_m, check_floor
-from kinectbench.doctor.light import check_light
 from kinectbench.doctor.look import Look, take_look
-from kinectbench.doctor.opening import open_anyhow
-from kinectbench.doctor.optics import check_intrinsics
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
-from kinectbench.ingest.clock import usual_period_ns
-from kinectbench.tracking.coverage import covered_arc_rad
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.recording import Recording
+from kinectbench.stages.ingest.registry import open_recording
 
+# Focal length of a Kinect, as a share of the width.
+USUAL_FOCAL = 525 / 640
+UNKNOWN = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
 # Depth that is no depth: nothing that is computed from it says anything.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
+
+
+def open_anyhow(path: Path, settings: CameraSettings | None) -> tuple[Recording | None, list[Finding]]:
+    """Open a recording; where only its intrinsics stand in the way, with those of a Kinect in their place.
+
+    Returns:
+        The recording, or None; and what was found.
+    """
+    try:
+        return open_recording(path, settings), []
+    except RecordingError as error:
+        complaint = str(error)
+    try:
+        size = open_recording(path, _with(settings, UNKNOWN)).camera
+    except RecordingError:
+        return None, [Finding("unreadable", "stops", complaint, str(path))]
+    focal = USUAL_FOCAL * size.width
+    usual = {"fx": focal, "fy": focal, "cx": (size.width - 1) / 2, "cy": (size.height - 1) / 2}
+    found = Finding(
+        "intrinsics", "stops", complaint, str(path), "all else is judged with intrinsics like a Kinect's"
+    )
+    return open_recording(path, _with(settings, usual)), [found]
+
+
+def _with(settings: CameraSettings | None, values: dict[str, float]) -> CameraSettings:
+    said = settings.model_dump(exclude_none=True) if settings else {}
+    for key in ("width", "height"):
+        said.pop(key, None)
+    return CameraSettings(**{**said, **values})
 
 
 def inspect(

@@ -1,16 +1,35 @@
-"""How well poses fit the depth: points of one frame against the surface that another frame saw."""
+"""How a given trajectory can be meant, and how well its poses fit the depth that was recorded."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.geometry import (
+    Camera,
+    invert_rigid,
+    quaternion_xyzw_from_rotation,
+    rigid,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
+from kinectbench.core.types import Float64
 from kinectbench.doctor.look import Look
-from kinectbench.geometry import Camera, invert_rigid, transform_points
 
-Float64 = NDArray[np.float64]
-
+# What the axes of a camera are called, and R_camera_optical for each.
+AXES: dict[str, Float64] = {
+    "optical": np.eye(3),
+    "opengl": np.diag([1.0, -1.0, -1.0]),
+    "robot": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+}
+SAID_AXES = {
+    "optical": "",
+    "opengl": "OpenGL axes (y up, z backward)",
+    "robot": "robot axes (x forward, z up)",
+}
+IMAGES: dict[str, Float64] = {"upright": np.eye(3), "mirrored": np.diag([-1.0, 1.0, 1.0])}
+OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
 # A frame is held against the frames so many places after it, if they are among those looked at.
 AHEAD = (1, 4, 12, 40)
@@ -18,6 +37,82 @@ POINT_STEP = 7
 # Farther off than this share of the distance is as wrong as can be.
 WRONG_SHARE = 0.1
 NEAREST_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read poses.
+
+    Attributes:
+        inverse: they map the world to the camera.
+        axes: a key of AXES.
+        wxyz: what was read as x, y, z, w of the quaternion is w, x, y, z.
+        images: a key of IMAGES.
+        unit_m: their unit of length is so many metres, if depth is in metres.
+    """
+
+    inverse: bool = False
+    axes: str = "optical"
+    wxyz: bool = False
+    images: str = "upright"
+    unit_m: float = 1.0
+
+    @property
+    def changes(self) -> int:
+        """How many things are other than said."""
+        return sum(getattr(self, field.name) != field.default for field in fields(self))
+
+    def text(self) -> str:
+        """What is other than said, in words."""
+        parts = [
+            "world to camera (inverse)" if self.inverse else "",
+            SAID_AXES[self.axes],
+            "quaternions in the order w x y z" if self.wxyz else "",
+            "images mirrored left to right" if self.images == "mirrored" else "",
+            f"lengths {self.unit_m:g} times as long" if self.unit_m != 1 else "",
+        ]
+        return ", ".join(part for part in parts if part) or "as given"
+
+    def apply(self, poses: Float64) -> Float64:
+        """T_world_camera (n, 4, 4) in optical axes and metres from poses as they were read; NaN stays NaN."""
+        known = np.isfinite(poses[:, 0, 0])
+        T = poses[known]
+        if self.wxyz:
+            T[:, :3, :3] = rotation_from_quaternion_xyzw([_rolled(pose) for pose in T])
+        if self.inverse:
+            T = invert_rigid(T)
+        T[:, :3, 3] *= self.unit_m
+        T = T @ rigid(AXES[self.axes], np.zeros(3))
+        mirror = rigid(IMAGES[self.images], np.zeros(3))
+        read = np.full_like(poses, np.nan)
+        read[known] = mirror @ T @ mirror
+        return read
+
+
+def likely_readings() -> Iterator[Reading]:
+    """The readings that are tried first, "as given" before all."""
+    yield from _of_unit(1.0)
+    yield from (Reading(unit_m=unit_m) for unit_m in OTHER_UNITS)
+    yield from (Reading(inverse, images="mirrored") for inverse in (False, True))
+
+
+def further_readings() -> Iterator[Reading]:
+    """The readings that are tried where none of the likely ones fits."""
+    for unit_m in OTHER_UNITS:
+        yield from (reading for reading in _of_unit(unit_m) if reading.changes > 1)
+
+
+def _of_unit(unit_m: float) -> Iterator[Reading]:
+    for inverse in (False, True):
+        for wxyz in (False, True):
+            for axes in AXES:
+                yield Reading(inverse, axes, wxyz, "upright", unit_m)
+
+
+def _rolled(pose: Float64) -> Float64:
+    """The quaternion x y z w of a pose whose w x y z were read as x y z w."""
+    w, x, y, z = quaternion_xyzw_from_rotation(pose[:3, :3])
+    return np.array([x, y, z, w])
 
 
 @dataclass(frozen=True)
@@ -102,7 +197,7 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
     for pair in pairs:
         points, rows, columns, inside = _fall(pair, T_world_camera)
         surface = pair.camera.rays() * pair.depth_m[..., None]
-        normals = _normals(surface, pair.depth_m)
+        normals = image_normals(surface, pair.depth_m)
         p, q, n = points[inside], surface[rows, columns], normals[rows, columns]
         near = (np.abs(p - q)[:, 2] < WRONG_SHARE * p[:, 2]) & np.isfinite(n).all(axis=1)
         found.append(np.abs(((p - q) * n).sum(axis=1))[near])
@@ -126,12 +221,21 @@ def _fall(
     return points, rows, columns, inside
 
 
-def _normals(surface: Float64, depth_m: NDArray[np.float32]) -> Float64:
-    """(height, width, 3) unit normals from neighbours in the image; NaN where one is missing."""
+def image_normals(surface: Float64, depth_m: NDArray[np.float32], reach_px: int = 1) -> Float64:
+    """Unit normals away from the camera, by neighbours in the image; NaN where one is missing.
+
+    Args:
+        surface: (height, width, 3) points, camera axes.
+        depth_m: (height, width), 0 where there is none.
+        reach_px: how far to each side the neighbours are.
+
+    Returns:
+        (height, width, 3).
+    """
     known = np.where((depth_m > 0)[..., None], surface, np.nan)
     across, down = np.full(surface.shape, np.nan), np.full(surface.shape, np.nan)
-    across[:, 1:-1] = known[:, 2:] - known[:, :-2]
-    down[1:-1] = known[2:] - known[:-2]
+    across[:, reach_px:-reach_px] = known[:, 2 * reach_px :] - known[:, : -2 * reach_px]
+    down[reach_px:-reach_px] = known[2 * reach_px :] - known[: -2 * reach_px]
     normals = np.cross(across, down)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.asarray(normals / np.where(length > 0, length, np.nan))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import RecordingError
-from kinectbench.ingest.images import DamagedImageError, image_header
-from kinectbench.ingest.recording import RawFrame, Recording
-from kinectbench.sequence import counts_frames
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import counts_frames, depth_in_metres
+from kinectbench.stages.ingest.images import DamagedImageError, image_header
+from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # A recording with more frames is looked at in runs: a long one in its middle, short ones elsewhere.
 ALL_FRAMES = 250
@@ -120,10 +120,10 @@ class Gathering:
         """
         if index not in self._wanted:
             return
-        step, scale = self._step, np.float32(self._recording.depth_scale)
+        step = self._step
         bgr = _color(raw) if index in self._whole_at else None
         gray = _gray(raw)
-        depth_m = raw.depth[::step, ::step].astype(np.float32) / scale
+        depth_m = depth_in_metres(raw.depth[::step, ::step], self._recording.depth_scale)
         digest = hashlib.blake2b(raw.depth.tobytes(), digest_size=16).digest()
         self._frames.append(SmallFrame(index, raw.stamp_ns, depth_m, gray, digest))
         if index in self._whole_at:

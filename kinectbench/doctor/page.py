@@ -2,20 +2,17 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
 from numpy.typing import NDArray
 
-from kinectbench.doctor.edges import depth_jumps
-from kinectbench.doctor.figures import figures
-from kinectbench.doctor.finding import Diagnosis
+from kinectbench.core.images import data_uri, depth_picture, shrunk
+from kinectbench.core.pages import render_page
+from kinectbench.core.storage import replaced_file
+from kinectbench.doctor.color import depth_jumps
+from kinectbench.doctor.finding import Diagnosis, figures
 from kinectbench.doctor.look import Look, WholeFrame
-from kinectbench.report.images import data_uri, depth_picture, shrunk
-from kinectbench.workspace import replaced_file
 
 FRAMES, WIDTH_PX = 8, 320
 EDGE_RGB = (255, 120, 20)
@@ -37,22 +34,17 @@ def write_page(diagnosis: Diagnosis, look: Look | None, out: Path) -> None:
     Raises:
         StorageError: it cannot be written.
     """
-    # What recordings say of themselves comes from strangers: all text is escaped but our own style sheet.
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
     grave = {found.severity for found in diagnosis.findings}
-    text = environment.from_string(_packaged("kinectbench.doctor", "page.html")).render(
-        title=Path(str(diagnosis.facts["path"])).name or str(diagnosis.facts["path"]),
-        style=Markup(_packaged("kinectbench.report", "page.css")),
-        diagnosis=diagnosis,
-        figures=figures(diagnosis.facts),
-        tones=TONES,
-        tone="bad" if "stops" in grave else "warn" if "warning" in grave else "good",
-        pictures=[] if look is None else list(_pictures(look)),
-    )
+    shown = {
+        "title": Path(str(diagnosis.facts["path"])).name or str(diagnosis.facts["path"]),
+        "diagnosis": diagnosis,
+        "figures": figures(diagnosis.facts),
+        "tones": TONES,
+        "tone": "bad" if "stops" in grave else "warn" if "warning" in grave else "good",
+        "pictures": [] if look is None else list(_pictures(look)),
+    }
     with replaced_file(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(render_page("doctor/page.html", shown), encoding="utf-8")
 
 
 def _pictures(look: Look) -> Iterator[Picture]:
@@ -75,7 +67,3 @@ def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
     picture = np.array(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1], np.uint8)
     picture[depth_jumps(frame.depth, size) > 0] = EDGE_RGB
     return picture
-
-
-def _packaged(package: str, name: str) -> str:
-    return resources.files(package).joinpath(name).read_text(encoding="utf-8")

@@ -7,15 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.coverage import covered_arc_rad
 from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_gap_s, on_clock
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import Pair, choose_pairs, frames_of, pair_disagreement, residual_m
+from kinectbench.doctor.fit import (
+    Pair,
+    Reading,
+    choose_pairs,
+    frames_of,
+    further_readings,
+    likely_readings,
+    pair_disagreement,
+    residual_m,
+)
 from kinectbench.doctor.look import Look
-from kinectbench.doctor.readings import Reading, further_readings, likely_readings
-from kinectbench.sequence import GivenTrajectory
-from kinectbench.tracking.coverage import covered_arc_rad
-from kinectbench.tracking.given import poses_at
 
 # Another reading is said to be right only if poses fit so much better by it.
 BETTER = 0.87
@@ -81,8 +89,7 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     costs = table[:, fitting].mean(axis=1)
     chosen = _simplest(readings, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
-    read = np.full_like(poses, np.nan)
-    read[known] = readings[chosen].apply(poses[known])
+    read = readings[chosen].apply(poses)
     return PoseFit(
         reading=readings[chosen],
         given=float(costs[0]),
@@ -98,12 +105,10 @@ def _disagreements(
     readings: list[Reading], pairs: tuple[Pair, ...], poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(readings, pairs)."""
-    needed, rows = frames_of(pairs), []
-    for reading in readings:
-        read = np.full_like(poses, np.nan)
-        read[needed] = reading.apply(poses[needed])
-        rows.append([pair_disagreement(pair, read) for pair in pairs])
-    return np.array(rows)
+    paired = np.full_like(poses, np.nan)
+    paired[frames_of(pairs)] = poses[frames_of(pairs)]
+    read = (reading.apply(paired) for reading in readings)
+    return np.array([[pair_disagreement(pair, each) for pair in pairs] for each in read])
 
 
 def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:

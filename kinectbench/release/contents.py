@@ -1,16 +1,39 @@
-"""The files of a release, in a folder, a zip or a tar: read in place, nothing is unpacked."""
+"""The files of a release: their names, and how they are read in a folder or an archive, in place."""
 
+import tarfile
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from kinectbench.errors import ReleaseError
-from kinectbench.release.layout import BENCHMARK_JSON, SHA256SUMS, release_files
+from kinectbench.core import storage
+from kinectbench.core.artefacts.targets import SHA256SUMS
+from kinectbench.core.errors import ReleaseError
 
+CARD = "README.md"
+READING = "READING.md"
+CROISSANT = "croissant.json"
+DATASHEET = "datasheet.md"
+PREVIEW = "index.html"
+SCHEMAS = "schemas"
+SPLIT_TARGETS = "targets"
+LICENSE = "LICENSE"
+CITATION = "CITATION.cff"
+CHANGELOG = "CHANGELOG.md"
 LINK = "a link instead of the file that was published"
 MAX_READ_BYTES = 64 << 20
+# What zipfile, tarfile and gzip raise for damaged files; RuntimeError: the entry is encrypted.
+DAMAGED = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError, RuntimeError)
+
+
+def release_files(folder: Path) -> Iterator[Path]:
+    """Every file and link below a release but SHA256SUMS, sorted; links are not followed."""
+    for path in sorted(folder.rglob("*")):
+        if (path.is_symlink() or not path.is_dir()) and path != folder / SHA256SUMS:
+            yield path
 
 
 @dataclass(frozen=True)
@@ -63,8 +86,6 @@ class Contents:
         Raises:
             ReleaseError: its bytes are damaged, or cannot be read.
         """
-        from kinectbench.release.archives import DAMAGED
-
         try:
             with self.opener(name) as file:
                 yield file
@@ -86,63 +107,27 @@ class Contents:
             raise ReleaseError(f"{name}: cannot be read ({error}); make or download it again") from error
 
 
-@contextmanager
-def open_contents(path: Path) -> Iterator[Contents]:
-    """Look into a release.
-
-    Args:
-        path: its folder, or an archive: .zip, .tar, .tar.gz. In an archive it may lie in one folder.
+def read_text(path: Path) -> str:
+    """A UTF-8 text file of a release or a build.
 
     Raises:
-        ReleaseError: there is no release, the archive is cut off, or it claims to hold far more than
-            its size.
+        ReleaseError: it cannot be read.
     """
-    from kinectbench.release.archives import open_archive
-
-    if path.is_dir():
-        contents = _folder(path)
-        if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
-            raise ReleaseError(f"{path}: no release there; run publish or download one")
-        yield contents
-    elif path.is_file():
-        with open_archive(path) as contents:
-            yield rooted(contents, path)
-    else:
-        raise ReleaseError(f"{path}: no release there; run publish or download one")
+    try:
+        return path.read_bytes().decode()
+    except FileNotFoundError:
+        raise ReleaseError(f"{path}: missing; make or download it again") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReleaseError(f"{path}: cannot be read ({error}); make or download it again") from error
 
 
-def _folder(path: Path) -> Contents:
-    """The files of a folder; links are not followed."""
-    entries = {}
-    for file in release_files(path):
-        entries[file.relative_to(path).as_posix()] = _entry(file)
-    if (path / SHA256SUMS).is_symlink() or (path / SHA256SUMS).exists():
-        entries[SHA256SUMS] = _entry(path / SHA256SUMS)
-    return Contents(entries, (), lambda name: (path / name).open("rb"))
-
-
-def _entry(file: Path) -> Entry:
-    if file.is_symlink():
-        return Entry(0, LINK)
-    return Entry(file.stat().st_size) if file.is_file() else Entry(0, "not a plain file")
-
-
-def rooted(contents: Contents, path: Path) -> Contents:
-    """The files of a release that lies at the top of an archive, or in a folder of it.
+def strict_json(text: str, where: str) -> Any:
+    """Parse JSON without NaN and infinities.
 
     Raises:
-        ReleaseError: there is none, or there are several.
+        ReleaseError: it is malformed; the line begins with `where`.
     """
-    known = (BENCHMARK_JSON, SHA256SUMS)
-    if any(name in contents.entries for name in known):
-        return contents
-    tops = {name.partition("/")[0] for name in contents.entries if name.partition("/")[2] in known}
-    if len(tops) != 1:
-        found = "several" if tops else "none"
-        raise ReleaseError(f"{path}: must hold one release, at its top or in one folder; it holds {found}")
-    top = f"{tops.pop()}/"
-    inside = {name.removeprefix(top): e for name, e in contents.entries.items() if name.startswith(top)}
-    outside = [
-        f"{name}: beside the release's folder" for name in contents.entries if not name.startswith(top)
-    ]
-    return Contents(inside, (*contents.problems, *outside), lambda name: contents.opener(top + name))
+    try:
+        return storage.strict_json(text)
+    except (ValueError, RecursionError) as error:
+        raise ReleaseError(f"{where}: not valid JSON ({error}); make or download it again") from error

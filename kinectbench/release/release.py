@@ -1,61 +1,25 @@
 """Open a published benchmark: its targets and what `benchmark.json` says. See layout.py for the files."""
 
-import csv
 import hashlib
-import io
-import re
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from kinectbench.config import NAME
-from kinectbench.errors import ReleaseError
-from kinectbench.release.layout import (
-    BENCHMARK_JSON,
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.targets import (
     SHA256SUMS,
     SPLITS_JSON,
     TARGETS_CSV,
     benchmark_sha256,
-    read_sums,
+    check_splits,
+    parse_sums,
+    parse_targets,
 )
-from kinectbench.release.metadata import ReleaseInfo, read_metadata, read_text
-from kinectbench.workspace import sha256_file
-
-SPLITS = ("train", "validation", "test")
-_VIEW = re.compile(r"[0-9]{3,6}")
-_SHA256 = re.compile(r"[0-9a-f]{64}")
-
-
-@dataclass(frozen=True, order=True)
-class Target:
-    """One line of targets.csv: a pair to be predicted.
-
-    Attributes:
-        recording: id of the recording.
-        object: the thing recorded; it belongs to one split.
-        view: zero-padded index such as "007".
-        category: such as "chair".
-        split: "train", "validation" or "test".
-        file: the pair file, relative to the release, `pairs/<recording>/<view>.npz`.
-        sha256: of the pair file, hex.
-    """
-
-    recording: str
-    object: str
-    view: str
-    category: str
-    split: str
-    file: str
-    sha256: str
-
-    @property
-    def name(self) -> str:
-        """`<recording>/<view>`, what messages call it."""
-        return f"{self.recording}/{self.view}"
-
-
-COLUMNS = tuple(field.name for field in fields(Target))
+from kinectbench.core.artefacts.targets import Target as Target
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.storage import sha256_file
+from kinectbench.release.contents import read_text
 
 
 @dataclass(frozen=True)
@@ -74,7 +38,7 @@ class Release:
 
     @property
     def benchmark_sha256(self) -> str:
-        """Identifies the published bytes (see layout.py)."""
+        """Identifies the published bytes (see core/artefacts/targets.py)."""
         return self.metadata.benchmark_sha256
 
     @property
@@ -112,7 +76,7 @@ class Release:
     def sums(self) -> dict[str, str]:
         """SHA256SUMS: the hash of every file by its path."""
         path = self.folder / SHA256SUMS
-        return read_sums(read_text(path), str(path))
+        return parse_sums(read_text(path), str(path))
 
     def content(self, name: str) -> bytes:
         """The bytes of a file of the release.
@@ -146,81 +110,14 @@ def open_release(path: Path) -> Release:
         raise ReleaseError(
             f"{path}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
         )
-    metadata = read_metadata(path)
+    metadata = ReleaseInfo.read(path)
     sums_text = read_text(path / SHA256SUMS)
     if benchmark_sha256(sums_text) != metadata.benchmark_sha256:
         raise ReleaseError(f"{path / SHA256SUMS}: not the published list; download the release again")
-    sums = read_sums(sums_text, str(path / SHA256SUMS))
+    sums = parse_sums(sums_text, str(path / SHA256SUMS))
     for name in (BENCHMARK_JSON, SPLITS_JSON, TARGETS_CSV):
         if not (path / name).is_file() or sums.get(name) != sha256_file(path / name):
             raise ReleaseError(f"{path / name}: missing or changed since it was published; download it again")
     targets = parse_targets(read_text(path / TARGETS_CSV), str(path / TARGETS_CSV))
     check_splits(targets, str(path / TARGETS_CSV))
     return Release(path, targets, metadata)
-
-
-def parse_targets(text: str, where: str) -> tuple[Target, ...]:
-    """Parse targets.csv; every name and path is safe to join to a folder.
-
-    Raises:
-        ReleaseError: a malformed, repeated or unsafe line; it names the line.
-    """
-    rows = list(csv.reader(io.StringIO(text)))
-    if not rows or tuple(rows[0]) != COLUMNS:
-        raise ReleaseError(f"{where}, line 1: the columns must be {','.join(COLUMNS)}")
-    targets = []
-    seen: set[str] = set()
-    for line, row in enumerate(rows[1:], start=2):
-        problem = _row_problem(row)
-        if problem is None and row[COLUMNS.index("file")] in seen:
-            problem = f"{row[COLUMNS.index('file')]} is listed twice"
-        if problem is not None:
-            raise ReleaseError(f"{where}, line {line}: {problem}; download the release again")
-        targets.append(Target(*row))
-        seen.add(targets[-1].file)
-    return tuple(targets)
-
-
-def _row_problem(row: list[str]) -> str | None:
-    """What is wrong with a line of targets.csv, or None."""
-    if len(row) != len(COLUMNS):
-        return f"{len(row)} columns instead of {len(COLUMNS)}"
-    target = Target(*row)
-    if not all(NAME.fullmatch(name) for name in (target.recording, target.object, target.category)):
-        return "a name with other characters than letters, digits, '.', '_' and '-'"
-    if not _VIEW.fullmatch(target.view):
-        return f"view '{target.view}' is not a zero-padded index"
-    if target.split not in SPLITS:
-        return f"split '{target.split}' is none of {', '.join(SPLITS)}"
-    if target.file != f"pairs/{target.recording}/{target.view}.npz":
-        return f"file '{target.file}' is not pairs/{target.recording}/{target.view}.npz"
-    return None if _SHA256.fullmatch(target.sha256) else "its SHA-256 is not 64 hex digits"
-
-
-def targets_text(targets: tuple[Target, ...]) -> str:
-    """targets.csv as text."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(astuple(target) for target in targets)
-    return buffer.getvalue()
-
-
-def recordings_by_split(targets: tuple[Target, ...]) -> dict[str, list[str]]:
-    """splits.json: the recordings of each split, sorted."""
-    return {split: sorted({t.recording for t in targets if t.split == split}) for split in SPLITS}
-
-
-def check_splits(targets: tuple[Target, ...], where: str) -> None:
-    """Refuse an object that is in two splits.
-
-    Raises:
-        ReleaseError: it names the object.
-    """
-    split_of: dict[str, str] = {}
-    for target in targets:
-        if split_of.setdefault(target.object, target.split) != target.split:
-            raise ReleaseError(
-                f"{where}: object '{target.object}' is in two splits, {split_of[target.object]} and "
-                f"{target.split}; scores would not be honest"
-            )

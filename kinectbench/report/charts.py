@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup, escape
-from numpy.typing import NDArray
 
-from kinectbench.report.score_model import OVERALL, PairScore, ScoreTable
+from kinectbench.core.artefacts.scores import OVERALL, ScoreRow, ScoreTable
+from kinectbench.core.types import Float64
 from kinectbench.report.tables import shown
 from kinectbench.scoring.counts import THRESHOLDS
-
-Float64 = NDArray[np.float64]
 
 WIDTH, HEIGHT = 340.0, 240.0
 LEFT, RIGHT, TOP, BOTTOM = 34.0, 10.0, 20.0, 36.0
@@ -45,10 +43,10 @@ class Bars:
 
 def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> tuple[Bars, ...]:
     """Bars of the mean IoU with its interval, a group for each category and one over all."""
-    scores = {table.method: table.scores(protocol) for table in tables}
+    scores = {table.method: table.averages(protocol) for table in tables}
     names = sorted({c for of in scores.values() for c in of} - {OVERALL})
     values = [s.iou for of in scores.values() for s in of.values() if s.iou is not None]
-    ends = [end for of in scores.values() for s in of.values() for end in s.interval("iou") or ()]
+    ends = [end for of in scores.values() for s in of.values() for end in s.intervals.get("iou") or ()]
     scale = 100 / nice_top(max([*values, *ends], default=1.0))
     groups = []
     for category in [OVERALL, *names] if len(names) > 1 else names:
@@ -56,7 +54,7 @@ def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> tuple[Bars, ...]:
         for method, of in scores.items():
             score = of.get(category)
             if score is not None and score.iou is not None:
-                ends_of = score.interval("iou")
+                ends_of = score.intervals.get("iou")
                 interval = (
                     None if ends_of is None else (ends_of[0] * scale, (ends_of[1] - ends_of[0]) * scale)
                 )
@@ -64,13 +62,6 @@ def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> tuple[Bars, ...]:
                 bars.append(Bar(method, shown(score.iou), score.iou * scale, interval, words))
         groups.append(Bars(category, tuple(bars)))
     return tuple(group for group in groups if group.bars)
-
-
-def _bar(method: str, iou: float, ends: tuple[float, float] | None, scale: float) -> Bar:
-    if ends is None:
-        return Bar(method, shown(iou), iou * scale, None, "")
-    interval = (ends[0] * scale, (ends[1] - ends[0]) * scale)
-    return Bar(method, shown(iou), iou * scale, interval, f"{shown(ends[0])}–{shown(ends[1])}")
 
 
 def nice_top(value: float) -> float:
@@ -140,7 +131,7 @@ class Chart:
 
 def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
     """IoU against the threshold, a chart for each category; a dot marks the threshold that was used."""
-    curves = [table.curves(protocol) for table in tables]
+    curves = [_curves_of(table, protocol) for table in tables]
     categories = sorted({category for of in curves for category in of})
     charts = []
     for category in categories:
@@ -148,10 +139,16 @@ def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart
         axes, body = Axes(THRESHOLDS[0], THRESHOLDS[-1], top), []
         for index, (table, of) in enumerate(zip(tables, curves, strict=True)):
             if category in of:
-                body.append(_curve(axes, index, of[category], (table.thresholds or {}).get(category)))
+                body.append(_curve(axes, index, of[category], table.thresholds.get(category)))
         label = f"IoU against the threshold, {category}: {len(body)} methods"
         charts.append(Chart(category, _frame(axes, "threshold", body, label)))
     return tuple(charts)
+
+
+def _curves_of(table: ScoreTable, protocol: str) -> dict[str, list[float]]:
+    """IoU at each threshold by category; a curve of another length than the thresholds is left out."""
+    curves = (table.iou_by_threshold or {}).get(protocol, {})
+    return {category: curve for category, curve in curves.items() if len(curve) == len(THRESHOLDS)}
 
 
 def _curve(axes: Axes, index: int, curve: Sequence[float], used: float | None) -> str:
@@ -200,7 +197,7 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
     return tuple(charts)
 
 
-def _points(rows: Sequence[PairScore], shares: Mapping[str, float]) -> Float64:
+def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
     """(n, 2) share and IoU of each pair, by share."""
     found = sorted((shares[row.pair], row.iou) for row in rows if row.pair in shares and row.iou is not None)
     return np.array(found, np.float64).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The gallery of a page: partial, truth and predictions of some pairs, as text that a browser unpacks."""
+"""The gallery of a page: some pairs and their predictions at 64^3, as text that a browser unpacks."""
 
 import base64
 import io
@@ -11,22 +11,86 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
-from kinectbench.errors import StorageError
+from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import StorageError
+from kinectbench.core.pictures import block_density
+from kinectbench.core.types import Float64, Progress
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
-from kinectbench.report import stored
-from kinectbench.report.gallery_file import Gallery, reduced
-from kinectbench.report.score_model import ScoreTable
-from kinectbench.scoring.truth import read_grids
-from kinectbench.voxels.npz import UNREADABLE
-from kinectbench.voxels.pair_file import BLOCK, Packed, pack, unpack
-
-Float64 = NDArray[np.float64]
+from kinectbench.scoring.counts import PRIMARY, occupied
+from kinectbench.scoring.mesh_prediction import MESHES
+from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.predictions import find_predictions
+from kinectbench.scoring.truth import read_grids, read_voxel_size
 
 # Of the text; the rest of a page is its pictures.
 MAX_BYTES = 4 << 20
 DEFLATE_LEVEL = 6
+# Pairs of a method: the best, the worst, and some that are the same for every method.
+EXTREME, SHARED = 6, 12
+# A cell of 64 is drawn if this share of its 4 x 4 x 4 voxels is set: parts thinner than a cell stay.
+DRAWN_SHARE = 0.25
+
+
+def choose_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
+    """The pairs of a method that a page shows, sorted.
+
+    Args:
+        rising: its pairs by rising IoU.
+        every: all pairs of the test split, in an order that no method changes.
+    """
+    spread = np.unique(np.linspace(0, len(every) - 1, min(SHARED, len(every))).astype(int))
+    return sorted({*rising[:EXTREME], *rising[::-1][:EXTREME], *(every[i] for i in spread)})
+
+
+def reduced(packed: Packed) -> Packed:
+    """(256, 256, 32) packed to (64, 64, 8) packed: cells of which at least a quarter is set."""
+    return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
+
+
+def gallery_cells(
+    release: Release,
+    predictions: Path,
+    table: ScoreTable,
+    upsampling: str = HALF_PIXEL,
+    progress: Progress | None = None,
+) -> dict[str, Packed]:
+    """{pair: (64, 64, 8) uint8, packed} of the pairs worth showing, above the thresholds they were scored at.
+
+    Args:
+        release: what was predicted.
+        predictions: the method's folder; a prediction that could not be scored is left out.
+        table: its scores.
+        upsampling: see `upsampled_planes`.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        PredictionError: a file that was scored has gone or changed.
+    """
+    protocols = table.settings.protocols
+    rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else protocols[0])}
+    rising = [name for _, name in sorted((row.iou or 0.0, name) for name, row in rows.items())]
+    targets = {target.name: target for target in release.split("test")}
+    chosen = [name for name in choose_pairs(rising, list(targets)) if name in rows]
+    files = find_predictions(predictions, [targets[name] for name in chosen]).files
+    cells = {}
+    for done, name in enumerate(chosen):
+        if progress:
+            progress(done, len(chosen))
+        target, file = targets[name], files.get(targets[name])
+        if file is None:  # missing, and scored as empty
+            cells[name] = np.zeros(CELLS_SHAPE, np.uint8)
+            continue
+        mesh = file.suffix in MESHES
+        size_m = read_voxel_size(release.pair_path(target), target.sha256) if mesh else None
+        grid = load_prediction(file, name + file.suffix, size_m)
+        cells[name] = reduced(occupied(grid, rows[name].threshold, upsampling))
+    return cells
 
 
 @dataclass(frozen=True)
@@ -65,10 +129,9 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
 def _up_grid(floor: Path, pair: Path) -> Float64:
     """Where up is in the grid of a pair; what was up in the view, if the floor is not known."""
     try:
-        T_floor_world = stored.read_floor(floor)
+        up = FloorFile.read_file(floor).T_floor_world[2, :3] @ _R_world_grid(pair)
     except StorageError:  # it only turns a picture
-        T_floor_world = None
-    up = np.zeros(3) if T_floor_world is None else T_floor_world[2, :3] @ _R_world_grid(pair)
+        up = np.zeros(3)
     length = float(np.linalg.norm(up))
     return up / length if length > 0 and np.isfinite(length) else np.array([0.0, -1, 0])
 

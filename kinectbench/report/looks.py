@@ -1,14 +1,21 @@
-"""An object and its pairs as they are looked at: from which side, in which colours."""
+"""How an object, its pairs and its views are looked at: from which side, in which colours."""
+
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.report import images, pictures
-from kinectbench.report.pictures import Mesh
-from kinectbench.voxels.pair_file import BLOCK, unpack
+from kinectbench.core import images, pictures
+from kinectbench.core.artefacts.views import ViewRow, ViewsFile
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.pair_file import BLOCK, unpack
+from kinectbench.report.figures import text_of
 
-Float64 = NDArray[np.float64]
-
+FRAMES_SHOWN = 6
+FRAME_PX = 320
 OBJECT_PX = 280
 TILE_PX = 120
 UP = np.array([0.0, 0.0, 1.0])
@@ -25,23 +32,23 @@ FULL_LEVEL = 0.25
 PARTIAL_LEVEL = 0.15
 
 
-def outlines(mesh_floor: Mesh) -> list[Float64]:
+def outlines(mesh_floor: TriangleMesh) -> list[Float64]:
     """The object from above: closed polygons (n, 2), x and y of the floor frame."""
     # Looking down with the floor's y away from the viewer's feet: right is x, down is -y.
     R_floor_view = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
-    viewpoint = pictures.fit_viewpoint(mesh_floor.vertices_m, R_floor_view)
+    viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
     center = viewpoint.center_m[:2]
     return [center + o * np.array([1, -1]) for o in pictures.silhouette(mesh_floor, viewpoint, 256)]
 
 
-def object_pictures(mesh_floor: Mesh) -> tuple[str, ...]:
+def object_pictures(mesh_floor: TriangleMesh) -> tuple[str, ...]:
     """Draw the object from three sides, as `data:` addresses; the floor's z points up."""
     elevation = np.deg2rad(OBJECT_ELEVATION_DEG)
     drawn = []
     for azimuth in np.deg2rad(OBJECT_AZIMUTHS_DEG):
         across = np.cos(elevation) * np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
         R_floor_view = pictures.look_along(across - np.sin(elevation) * UP, UP)
-        viewpoint = pictures.fit_viewpoint(mesh_floor.vertices_m, R_floor_view)
+        viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
         drawn.append(images.data_uri(pictures.render(mesh_floor, viewpoint, OBJECT_PX)))
     return tuple(drawn)
 
@@ -63,7 +70,7 @@ def pair_picture(
     cell_m = voxel_size_m * BLOCK
     shown = pictures.voxel_mesh(pictures.smoothed(unpack(partial).astype(np.float32)), cell_m, PARTIAL_LEVEL)
     whole = pictures.voxel_mesh(pictures.smoothed(pictures.block_density(full)), cell_m, FULL_LEVEL)
-    points = np.concatenate([shown.vertices_m, whole.vertices_m])
+    points = np.concatenate([shown.vertices, whole.vertices])
     if not len(points):
         points = np.array([[0.0, 0, 0], [1.0, 1, 1]]) * cell_m * partial.shape[0]
     viewpoint = pictures.fit_viewpoint(points, _beside_the_camera(up_grid))
@@ -84,3 +91,42 @@ def _beside_the_camera(up_grid: Float64) -> Float64:
     low, high = np.deg2rad(TILE_ELEVATIONS_DEG)
     elevation = np.clip(np.arcsin(np.clip(sine, -1, 1)) + np.deg2rad(TILE_RAISED_DEG), low, high)
     return pictures.look_along(np.cos(elevation) * turned - np.sin(elevation) * up_grid, up_grid)
+
+
+@dataclass(frozen=True)
+class FramePicture:
+    """One view as recorded: its picture with the mask, and its colour where that is apart."""
+
+    view: str
+    frame: str
+    masked: str
+    color: str | None
+
+
+def frame_pictures(folder: Path, views: ViewsFile) -> tuple[FramePicture, ...]:
+    """Some of the views, evenly chosen; `folder` holds their images."""
+    rows = views.views
+    chosen = np.unique(np.linspace(0, len(rows) - 1, min(FRAMES_SHOWN, len(rows))).astype(int))
+    shown = [_frame(folder, rows[i], views.color_registered is not False) for i in chosen]
+    return tuple(frame for frame in shown if frame)
+
+
+def _frame(folder: Path, row: ViewRow, registered: bool) -> FramePicture | None:
+    """One view; None if its files are not there."""
+    paths = {kind: folder / f"{row.view}.{kind}" for kind in ("color.jpg", "depth.png", "mask.png")}
+    color_path = paths["color.jpg"] if paths["color.jpg"].exists() else None
+    color = images.read_color(color_path) if color_path else None
+    if registered and color is not None:
+        picture = color
+    elif paths["depth.png"].exists():
+        picture = images.depth_picture(images.read_gray(paths["depth.png"]))
+    else:
+        return None
+    if paths["mask.png"].exists():
+        mask = images.read_gray(paths["mask.png"]) > 0
+        if mask.shape != picture.shape[:2]:
+            raise StorageError(f"{paths['mask.png']}: not as large as the view; build the views again")
+        picture = images.overlay_mask(picture, mask)
+    beside = images.data_uri(images.shrunk(color, FRAME_PX)) if color is not None and not registered else None
+    masked = images.data_uri(images.shrunk(picture, FRAME_PX))
+    return FramePicture(row.view, text_of(row.frame), masked, beside)

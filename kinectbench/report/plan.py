@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from kinectbench.core.types import Float64
 
 WIDTH_PX = 460.0
 MAX_HEIGHT_PX = 420.0

@@ -1,32 +1,145 @@
 """Pages of what lies on disk: of a benchmark with its build folders, or of the scores of a release alone."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from kinectbench.config import BenchmarkSettings, PairSettings, RecordingSettings
-from kinectbench.release.current import scoring_folder
+from kinectbench.core.artefacts.gallery import Gallery, read_gallery, write_gallery
+from kinectbench.core.artefacts.scores import BASELINES_FOLDER, SCORES_JSON, ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import replaced_file
+from kinectbench.core.types import NamedProgress
+from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
-from kinectbench.report.gallery import PairTruth, read_pair_truth
-from kinectbench.report.gallery_cells import gallery_cells
-from kinectbench.report.gallery_file import write_gallery
-from kinectbench.report.page import Progress, make_page, write_report
-from kinectbench.report.ranks import rank
-from kinectbench.report.score_files import ScoreFile, baselines_of, files_in, files_named
-from kinectbench.report.scores_part import Beside
+from kinectbench.report.gallery import PairTruth, gallery_cells, read_pair_truth
+from kinectbench.report.page import Beside, Ranking, make_page, write_report
+from kinectbench.scoring.compare import ALL, compare, find_scores
 from kinectbench.scoring.predictions import split_methods
-from kinectbench.scoring.read import SCORES_JSON
-from kinectbench.scoring.table import ScoreTable
-from kinectbench.workspace import replaced_file
+from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
 INDEX = "index.html"
 RANKED = ("known", "paper", "occluded")
+
+
+@dataclass(frozen=True)
+class ScoreFile:
+    """One scores.json and the gallery beside it."""
+
+    path: Path
+    table: ScoreTable
+    gallery: Gallery | None
+
+
+def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile], list[str]]:
+    """The scores.json in a folder and in its subfolders, sorted; those of another truth are left out.
+
+    Args:
+        folder: of the scores; it need not be there.
+        benchmark_sha256: of the truth, if known.
+
+    Returns:
+        The files, and a warning for each that is left out.
+
+    Raises:
+        StorageError: a file is damaged.
+    """
+    files, warnings = [], []
+    for path in [*sorted(folder.glob(SCORES_JSON)), *sorted(folder.glob(f"*/{SCORES_JSON}"))]:
+        file = _read(path)
+        if benchmark_sha256 in (None, file.table.benchmark_sha256):
+            files.append(file)
+        else:
+            warnings.append(f"{path}: scores of another benchmark, left out of the page; score again")
+    return files, warnings
+
+
+def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[ScoreFile]:
+    """The score files that were asked for by name, of one truth.
+
+    Args:
+        paths: files, methods' folders, or folders of methods; a file named twice counts once.
+        benchmark_sha256: of the truth; None if only the files know it, who must then agree.
+
+    Raises:
+        SettingsError: one is missing, or was scored against another truth.
+        StorageError: a file is damaged.
+    """
+    files = []
+    for path in {path.resolve(): path for path in find_scores(paths)}.values():
+        file = _read(path)
+        found = file.table.benchmark_sha256
+        benchmark_sha256 = benchmark_sha256 or found
+        if found != benchmark_sha256:
+            raise SettingsError(
+                f"{path}: scored against benchmark {found[:12]}, the page is of "
+                f"{benchmark_sha256[:12]}; score it against that one or leave it out"
+            )
+        files.append(file)
+    return files
+
+
+def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
+    """The baselines that `score` kept beside score files, of the same truth; one of each name.
+
+    One that was scored as a method is not shown twice.
+
+    Args:
+        files: what the page shows, of one truth.
+
+    Raises:
+        StorageError: a file is damaged.
+    """
+    shown = {file.table.method for file in files}
+    truths = {file.table.benchmark_sha256 for file in files}
+    folders = {folder: None for file in files for folder in (file.path.parent, file.path.parent.parent)}
+    found: dict[str, ScoreFile] = {}
+    for folder in folders:
+        for path in sorted((folder / BASELINES_FOLDER).glob(f"*/{SCORES_JSON}")):
+            file = _read(path)
+            same = file.table.baseline and file.table.benchmark_sha256 in truths
+            if same and file.table.method not in shown:
+                found.setdefault(file.table.method, file)
+    return [*found.values()]
+
+
+def _read(path: Path) -> ScoreFile:
+    return ScoreFile(path, ScoreTable.read_file(path), read_gallery(path))
+
+
+def rank(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Ranking:
+    """Rank methods by a paired test over objects (see `compare`).
+
+    Args:
+        tables: of one truth; a rank is given to those that are complete and have rows. Baselines that were
+            added have none: more comparisons would only make methods harder to tell apart.
+        protocols: under which to rank.
+    """
+    ranked = {
+        index: table
+        for index, table in enumerate(tables)
+        if table.complete and table.rows and not table.baseline
+    }
+    if len(ranked) < 2:
+        return Ranking()
+    found: dict[str, dict[int, int]] = {}
+    notes: list[str] = []
+    for protocol in protocols:
+        try:
+            compared = compare([*ranked.values()], protocol=protocol)
+        except SettingsError as error:
+            notes.append(f"no ranks under {protocol}: {error}")
+            continue
+        of = compared.ranks[ALL if ALL in compared.ranks else next(iter(compared.ranks))]
+        found[protocol] = dict(zip(ranked, (of[name] for name in compared.methods), strict=True))
+        notes += [note for note in compared.notes if note not in notes]
+    return Ranking(found, tuple(notes))
 
 
 def page_of_benchmark(
     settings: BenchmarkSettings,
     root: Path,
     scores: Path | Sequence[Path],
-    progress: Progress | None = None,
+    progress: NamedProgress | None = None,
     out: Path | None = None,
     baselines: bool = True,
 ) -> tuple[Path, list[str]]:
@@ -123,5 +236,5 @@ def _beside(files: Sequence[ScoreFile], release: Release | None) -> Beside:
         targets = {target.name: target for target in release.split("test")}
         wanted = {name for file in files if file.gallery for name in file.gallery.cells}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
-    ranking = rank([file.path for file in files], RANKED)
+    ranking = rank([file.table for file in files], RANKED)
     return Beside(ranking, [file.gallery for file in files], truths)

@@ -3,17 +3,27 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from kinectbench.report.score_model import OVERALL, CategoryScore, ScoreTable
-from kinectbench.report.stored import as_lines, text_of
-from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.core.artefacts.scores import (
+    OVERALL,
+    SHARES,
+    CategoryAverages,
+    Extremes,
+    OverallAverages,
+    ScoreTable,
+    SurfaceMetrics,
+    fields_of,
+)
+from kinectbench.scoring.averages import extremes
+from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED
 
 PROTOCOL_NOTES = {
     "known": "the primary protocol: voxels where the truth is trusted; mean over objects",
     "paper": "the paper's protocol: all voxels; plain mean over pairs",
     "occluded": "known voxels that the input view does not see; mean over objects",
 }
-DECIMALS = 3
-Interval = tuple[float, float] | None
+DECIMALS, LENGTH_DECIMALS = 3, 2
+Averages = CategoryAverages | OverallAverages
+NONE = CategoryAverages()
 
 
 @dataclass(frozen=True)
@@ -66,50 +76,6 @@ class Table:
     ranked: bool
 
 
-DETAIL_NAMES = (
-    "IoU",
-    "ceiling",
-    "precision",
-    "recall",
-    "F1",
-    "CE",
-    "base-rate CE",
-    "Chamfer, mm",
-    "F-score 1 %",
-    "surface Dice",
-    "normals",
-    "voxels counted",
-    "shape counted",
-    "truth's IoU, estimated",
-    "repeatability",
-    "pairs",
-    "objects",
-)
-
-
-@dataclass(frozen=True)
-class Detail:
-    """One line of the table of details: method, protocol, category, and a text for each of `DETAIL_NAMES`."""
-
-    method: str
-    protocol: str
-    category: str
-    figures: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Method:
-    """How one method was scored."""
-
-    name: str
-    thresholds: str
-    source: str
-    failures: tuple[str, ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-    complete: bool
-
-
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
     """The protocols that the tables hold, the primary one first."""
     found = {p for table in tables for p in [*(table.by_category or {}), *(table.overall or {})]}
@@ -121,7 +87,7 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
     """The tables by their overall IoU, falling; those without one last, in the order given."""
 
     def key(table: ScoreTable) -> float:
-        iou = table.scores(protocol).get(OVERALL, CategoryScore()).iou
+        iou = table.averages(protocol).get(OVERALL, NONE).iou
         return 1.0 if iou is None else -iou
 
     return sorted(tables, key=key)
@@ -130,12 +96,11 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
 def score_table(tables: Sequence[ScoreTable], protocol: str, ranks: Mapping[str, int] | None = None) -> Table:
     """The table of one protocol; `ranks` by method, where they are known."""
     ordered = best_first(tables, protocol)
-    scores = {table.method: table.scores(protocol) for table in ordered}
+    scores = {table.method: table.averages(protocol) for table in ordered}
     categories = {c for by_category in scores.values() for c in by_category}
     columns = ((OVERALL,) if OVERALL in categories else ()) + tuple(sorted(categories - {OVERALL}))
-    cells: dict[str, dict[str, CategoryScore]] = {
-        method: {c: by_category.get(c, CategoryScore()) for c in columns}
-        for method, by_category in scores.items()
+    cells: dict[str, dict[str, Averages]] = {
+        method: {c: by_category.get(c, NONE) for c in columns} for method, by_category in scores.items()
     }
     note = PROTOCOL_NOTES.get(protocol, "")
     baselines = frozenset(table.method for table in ordered if table.baseline)
@@ -146,7 +111,7 @@ def published_table() -> Table:
     """The paper's own figures for real recordings."""
     cells = {
         row.method: {
-            category: CategoryScore(iou=iou, ce=ce)
+            category: CategoryAverages(iou=iou, ce=ce)
             for category, iou, ce in zip(CATEGORIES, row.iou, row.ce, strict=True)
         }
         for row in PUBLISHED
@@ -158,7 +123,7 @@ def _table(
     title: str,
     note: str,
     columns: tuple[str, ...],
-    cells: Mapping[str, Mapping[str, CategoryScore]],
+    cells: Mapping[str, Mapping[str, Averages]],
     ranks: Mapping[str, int],
     baselines: Collection[str] = (),
 ) -> Table:
@@ -168,8 +133,8 @@ def _table(
         Row(
             method,
             rank_text(ranks, method),
-            tuple(_cell(row[c].iou, best_iou[c], row[c].interval("iou")) for c in columns),
-            tuple(_cell(row[c].ce, best_ce[c], row[c].interval("ce")) for c in columns),
+            tuple(_cell(row[c].iou, best_iou[c], row[c].intervals.get("iou")) for c in columns),
+            tuple(_cell(row[c].ce, best_ce[c], row[c].intervals.get("ce")) for c in columns),
             method in baselines,
         )
         for method, row in cells.items()
@@ -195,52 +160,71 @@ def _best(choose: Callable[[list[float]], float], values: list[float | None]) ->
     return choose(found) if found else None
 
 
-def shown(value: float | None) -> str:
-    """A share or a cross-entropy as text."""
-    return "–" if value is None else f"{value:.{DECIMALS}f}"
+def shown(value: float | None, decimals: int = DECIMALS) -> str:
+    """A share, a cross-entropy or a length as text."""
+    return "–" if value is None else f"{value:.{decimals}f}"
 
 
-def _cell(value: float | None, best: float | None, interval: Interval) -> Cell:
+def _cell(value: float | None, best: float | None, interval: Sequence[float] | None) -> Cell:
     if value is None:
         return Cell("–", "", False, "")
     between = "" if interval is None else f"{shown(interval[0])}–{shown(interval[1])}"
     return Cell(shown(value), repr(value), round(value, DECIMALS) == best, between)
 
 
+def _count(value: int | None) -> str:
+    return "–" if value is None else str(value)
+
+
+def _per_cent(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
+def _base_rate(averages: Averages) -> str:
+    """The cross-entropy of the base rate, and the split that the rate is from."""
+    source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
+    return " ".join(filter(None, (shown(averages.base_rate_ce), source)))
+
+
+def _surface(name: str) -> Callable[[Averages], str]:
+    decimals = DECIMALS if name in SHARES else LENGTH_DECIMALS
+    return lambda averages: shown(getattr(averages, name), decimals)
+
+
+# The columns of the table of details. Of the surface metrics it has those with a heading.
+DETAILS: Mapping[str, Callable[[Averages], str]] = {
+    "IoU": lambda of: shown(of.iou),
+    "ceiling": lambda of: shown(of.ceiling_iou),
+    "precision": lambda of: shown(of.precision),
+    "recall": lambda of: shown(of.recall),
+    "F1": lambda of: shown(of.f1),
+    "CE": lambda of: shown(of.ce),
+    "base-rate CE": _base_rate,
+    **{field.title: _surface(name) for name, field in fields_of(SurfaceMetrics).items() if field.title},
+    "voxels counted": lambda of: _per_cent(of.coverage_voxels),
+    "shape counted": lambda of: _per_cent(of.coverage_shape),
+    "truth's IoU, estimated": lambda of: shown(of.truth_estimated_iou),
+    "repeatability": lambda of: shown(of.truth_repeatability_iou),
+    "pairs": lambda of: _count(of.pairs),
+    "objects": lambda of: _count(of.objects),
+}
+
+
+# Method, protocol and category; and a text for each of `DETAILS`.
+Detail = tuple[tuple[str, str, str], tuple[str, ...]]
+
+
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
     """Every other figure, a line for each method, protocol and category."""
     return tuple(
-        Detail(table.method, protocol, category, _figures(score))
+        ((table.method, protocol, category), tuple(text(of) for text in DETAILS.values()))
         for protocol in protocols(tables)
         for table in tables
-        for category, score in table.scores(protocol).items()
+        for category, of in table.averages(protocol).items()
     )
 
 
-def _figures(s: CategoryScore) -> tuple[str, ...]:
-    """The texts of one line, in the order of `DETAIL_NAMES`."""
-    return (
-        *(shown(value) for value in (s.iou, s.ceiling_iou, s.precision, s.recall, s.f1, s.ce)),
-        " ".join(filter(None, (shown(s.base_rate_ce), s.base_rate_source))),
-        "–" if s.chamfer_mm is None else f"{s.chamfer_mm:.2f}",
-        *(shown(value) for value in (s.f_score_1pct, s.surface_dice, s.normal_consistency)),
-        *("–" if x is None else f"{100 * x:.1f} %" for x in (s.coverage_voxels, s.coverage_shape)),
-        *(shown(value) for value in (s.truth_estimated_iou, s.truth_repeatability_iou)),
-        *(text_of(count) for count in (s.pairs, s.objects)),
-    )
-
-
-def methods(tables: Sequence[ScoreTable]) -> tuple[Method, ...]:
-    """How each method was scored: thresholds, failures, warnings."""
-    return tuple(
-        Method(
-            name=table.method,
-            thresholds=", ".join(f"{c} {text_of(p)}" for c, p in sorted((table.thresholds or {}).items())),
-            source=text_of(table.threshold_source),
-            failures=as_lines(table.failures),
-            warnings=as_lines(table.warnings),
-            notes=as_lines(table.notes),
-            complete=table.by_category is not None,
-        )
-        for table in tables
-    )
+def best_and_worst(tables: Sequence[ScoreTable], protocol: str) -> dict[str, Extremes]:
+    """The extreme pairs under one protocol of every method that has rows but added baselines."""
+    found = {table.method: extremes(table.rows).get(protocol) for table in tables if not table.baseline}
+    return {method: of for method, of in found.items() if of and of.best}

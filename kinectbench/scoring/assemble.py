@@ -1,28 +1,38 @@
 """Put the table of one method together from what was counted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
 
-from kinectbench import __version__
+from pydantic import JsonValue
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.scores import (
+    BaseRate,
+    Failure,
+    Hashes,
+    ScoreRow,
+    ScoreSettings,
+    ScoreTable,
+    SurfaceMetrics,
+)
+from kinectbench.core.voxels.resample import HALF_PIXEL
+from kinectbench.engine.versions import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.averages import (
-    QUALITY,
+    TRUTH_KEYS,
+    ObjectQuality,
     category_averages,
     extremes,
+    iou_by_threshold,
     object_means,
     overall_averages,
 )
-from kinectbench.scoring.base_rate import BaseRate
 from kinectbench.scoring.counts import CE_CLIP, PRIMARY, THRESHOLDS, protocol_counts
-from kinectbench.scoring.curves import iou_by_threshold
-from kinectbench.scoring.intervals import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 from kinectbench.scoring.metrics import constant_cross_entropy, metrics
 from kinectbench.scoring.pair_result import Counting, PairResult
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
-from kinectbench.scoring.table import ScoreRow, ScoreTable
 from kinectbench.scoring.thresholds import Thresholds
-from kinectbench.voxels.resample import HALF_PIXEL
+from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 
 
 def make_table(
@@ -32,7 +42,7 @@ def make_table(
     thresholds: Thresholds,
     rates: Mapping[str, BaseRate],
     failures: Mapping[Target, str],
-    settings: Mapping[str, Any],
+    settings: ScoreSettings,
 ) -> ScoreTable:
     """The table of a method. An average over a part of the pairs would flatter, so there is none.
 
@@ -45,7 +55,7 @@ def make_table(
         failures: why a prediction could not be scored.
         settings: see `describe`.
     """
-    rows = _rows(results, settings["protocols"], thresholds, rates)
+    rows = _rows(results, settings.protocols, thresholds, rates)
     means = object_means(rows)
     quality = _quality(release, rows)
     by_category = None if failures else category_averages(means, rates, _by_object(rows, quality))
@@ -60,22 +70,22 @@ def make_table(
         package_version=__version__,
         settings=settings,
         complete=not failures,
-        thresholds=thresholds.of,
+        thresholds=dict(thresholds.of),
         threshold_source=thresholds.source,
-        base_rate={category: asdict(rates[category]) for category in thresholds.of},
+        base_rate={category: rates[category] for category in thresholds.of},
         rows=rows,
         by_category=by_category,
         overall=None if by_category is None else overall_averages(by_category, means),
         truth_quality=quality,
         failures=tuple(
-            {"recording": t.recording, "view": t.view, "reason": failures[t]} for t in sorted(failures)
+            Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
         warnings=tuple(warnings),
         notes=tuple(_few_objects(rows)),
         extremes=extremes(rows),
-        iou_by_threshold=None if failures else iou_by_threshold(results, settings["protocols"]),
+        iou_by_threshold=None if failures else iou_by_threshold(results, settings.protocols),
         hashes={
-            target.name: {"truth": target.sha256, "prediction": results[target].digest}
+            target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
             for target in sorted(results)
         },
     )
@@ -99,8 +109,6 @@ def _rows(
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
     """One pair under one protocol."""
     counts, everything = (protocol_counts(result.tally, name) for name in (protocol, "paper"))
-    values = metrics(counts, THRESHOLDS.index(threshold))
-    surface = result.surface.get(protocol)
     return ScoreRow(
         recording=target.recording,
         object=target.object,
@@ -108,39 +116,40 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
         category=target.category,
         protocol=protocol,
         threshold=threshold,
-        **asdict(values),
+        **asdict(metrics(counts, THRESHOLDS.index(threshold))),
         base_rate_ce=constant_cross_entropy(counts.occupied, counts.voxels, rate),
         coverage_voxels=counts.voxels / everything.voxels,
         coverage_shape=counts.occupied / everything.occupied if everything.occupied else 1.0,
         cells=result.cells,
         ceiling_iou=result.ceilings[protocol],
-        **({} if surface is None else asdict(surface)),
+        **asdict(result.surface.get(protocol, SurfaceMetrics())),
     )
 
 
-def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, dict[str, Any]]:
+def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, dict[str, JsonValue]]:
     """{recording: what the release says of its truth}."""
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})
-    return {name: recordings[name].quality for name in names if name in recordings}
+    return {name: recordings[name].quality.json_value() for name in names if name in recordings}
 
 
 def _by_object(
-    rows: Sequence[ScoreRow], quality: Mapping[str, Mapping[str, Any]]
-) -> dict[str, dict[str, Any]]:
+    rows: Sequence[ScoreRow], quality: Mapping[str, Mapping[str, JsonValue]]
+) -> dict[str, ObjectQuality]:
     """{object: the figures of its recordings' truth that averages show}; the mean where it has several."""
     recordings: dict[str, set[str]] = {}
     for row in rows:
         recordings.setdefault(row.object, set()).add(row.recording)
-    found: dict[str, dict[str, Any]] = {}
-    for name, of_object in recordings.items():
-        found[name] = {}
-        for key in QUALITY.values():
-            values = [quality.get(recording, {}).get(key) for recording in sorted(of_object)]
-            known = [float(value) for value in values if isinstance(value, int | float)]
-            if len(known) == len(values):
-                found[name][key] = sum(known) / len(known)
-    return found
+    return {name: {key: _mean_of(key, of, quality) for key in TRUTH_KEYS} for name, of in recordings.items()}
+
+
+def _mean_of(
+    key: str, recordings: Collection[str], quality: Mapping[str, Mapping[str, JsonValue]]
+) -> float | None:
+    """The mean of a figure of recordings' truth; None if one of them lacks it."""
+    values = [quality.get(recording, {}).get(key) for recording in sorted(recordings)]
+    known = [float(value) for value in values if isinstance(value, int | float)]
+    return sum(known) / len(known) if len(known) == len(values) else None
 
 
 def _few_objects(rows: Sequence[ScoreRow]) -> list[str]:
@@ -154,26 +163,27 @@ def _few_objects(rows: Sequence[ScoreRow]) -> list[str]:
     return [f"no intervals with fewer than {MIN_OBJECTS} objects in a category: {', '.join(few)}"]
 
 
-def describe(counting: Counting, missing: str) -> dict[str, Any]:
+def describe(counting: Counting, missing: str) -> ScoreSettings:
     """The choices that the numbers depend on, in words and numbers."""
     way = "cell centres to cell centres" if counting.upsampling == HALF_PIXEL else "outermost centres aligned"
-    return {
-        "protocols": list(counting.protocols),
-        "primary_protocol": PRIMARY,
-        "missing": missing,
-        "threshold_range": [THRESHOLDS[0], THRESHOLDS[-1]],
-        "threshold_step": 0.05,
-        "threshold_rule": "highest mean pair IoU of the category on validation, all voxels; ties: lowest",
-        "occupied": "y > threshold, in float64",
-        "ce_clip": CE_CLIP,
-        "iou_of_empty_union": 1,
-        "precision_and_recall_of_nothing": "1 if prediction and truth are both empty, else 0",
-        "upsampling": f"trilinear, {counting.upsampling} ({way}), edges clamped",
-        "averages": "pair, object, category, macro; protocol paper: plain mean of the pairs of a category",
-        "surface_metrics": counting.surface,
-        "f_score_mm": list(F_SCORE_MM),
-        "surface_dice_sigmas": SIGMAS,
-        "interval_level": LEVEL,
-        "interval_rule": f"category: Student t over objects; overall: bootstrap over objects, by category "
+    return ScoreSettings(
+        score_version=VERSIONS["score"],
+        protocols=counting.protocols,
+        primary_protocol=PRIMARY,
+        missing=missing,
+        threshold_range=(THRESHOLDS[0], THRESHOLDS[-1]),
+        threshold_step=0.05,
+        threshold_rule="highest mean pair IoU of the category on validation, all voxels; ties: lowest",
+        occupied="y > threshold, in float64",
+        ce_clip=CE_CLIP,
+        iou_of_empty_union=1,
+        precision_and_recall_of_nothing="1 if prediction and truth are both empty, else 0",
+        upsampling=f"trilinear, {counting.upsampling} ({way}), edges clamped",
+        averages="pair, object, category, macro; protocol paper: plain mean of the pairs of a category",
+        surface_metrics=counting.surface,
+        f_score_mm=F_SCORE_MM,
+        surface_dice_sigmas=SIGMAS,
+        interval_level=LEVEL,
+        interval_rule=f"category: Student t over objects; overall: bootstrap over objects, by category "
         f"({RESAMPLES} resamples, seed {SEED}); none with fewer than {MIN_OBJECTS} objects in a category",
-    }
+    )

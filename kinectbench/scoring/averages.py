@@ -3,23 +3,32 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinectbench.scoring.base_rate import BaseRate
-from kinectbench.scoring.intervals import bootstrap_interval, student_interval
-from kinectbench.scoring.table import METRICS, SHARES, SURFACES, ScoreRow
+from kinectbench.core.artefacts.scores import (
+    AVERAGED,
+    METRICS,
+    SHARES,
+    BaseRate,
+    CategoryAverages,
+    ExtremePair,
+    Extremes,
+    OverallAverages,
+    ScoreRow,
+)
+from kinectbench.core.types import Float64
+from kinectbench.release.release import Target
+from kinectbench.scoring.counts import THRESHOLDS, protocol_counts
+from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.pair_result import PairResult
+from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
-Float64 = NDArray[np.float64]
-
-AVERAGED = (*METRICS, *SURFACES, "base_rate_ce", "coverage_voxels", "coverage_shape", "ceiling_iou")
-# What quality.json says of an object's truth, and what the averages call it.
-QUALITY = {"truth_estimated_iou": "estimated_iou", "truth_repeatability_iou": "repeatability_iou"}
+# Of quality.json: an object's values of these are averaged as `truth_<key>`.
+TRUTH_KEYS = ("estimated_iou", "repeatability_iou")
 EXTREMES = 3
 
-ByCategory = Mapping[str, Mapping[str, Mapping[str, Any]]]
+ObjectQuality = Mapping[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -61,38 +70,38 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
     """The means of one category's objects under one protocol."""
     names = tuple(sorted(by_object))
-    values = [[_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
+    values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
-    return ObjectMeans(names, np.array(values), counts if plain else np.ones_like(counts), int(counts.sum()))
-
-
-def _mean(values: Sequence[float | None]) -> float:
-    known = [value for value in values if value is not None]
-    return fmean(known) if len(known) == len(values) else np.nan
+    return ObjectMeans(
+        names, np.array(values, np.float64), counts if plain else np.ones_like(counts), int(counts.sum())
+    )
 
 
 def category_averages(
     means: Mapping[str, Mapping[str, ObjectMeans]],
     rates: Mapping[str, BaseRate],
-    quality: Mapping[str, Mapping[str, Any]],
-) -> dict[str, dict[str, dict[str, Any]]]:
+    quality: Mapping[str, ObjectQuality],
+) -> dict[str, dict[str, CategoryAverages]]:
     """{protocol: {category: averages, their intervals, and how many pairs and objects they stand on}}.
 
     Args:
         means: see `object_means`.
         rates: base rate by category.
-        quality: {object: quality.json of its recordings' truth, averaged}.
+        quality: {object: {key of `TRUTH_KEYS`: mean over its recordings' truth}}.
     """
     return {
         protocol: {
-            category: _named(here.weights @ here.values / here.weights.sum())
-            | {"pairs": here.pairs, "objects": len(here.names)}
-            | {"base_rate_source": rates[category].source}
-            | {"intervals": _intervals(student_interval(here.values, here.weights))}
-            | {
-                name: _known_mean([quality.get(thing, {}).get(key) for thing in here.names])
-                for name, key in QUALITY.items()
-            }
+            category: CategoryAverages(
+                **_known(here.weights @ here.values / here.weights.sum()),
+                pairs=here.pairs,
+                objects=len(here.names),
+                base_rate_source=rates[category].source,
+                intervals=_intervals(student_interval(here.values, here.weights)),
+                **{
+                    f"truth_{key}": _known_mean([quality.get(name, {}).get(key) for name in here.names])
+                    for key in TRUTH_KEYS
+                },
+            )
             for category, here in categories.items()
         }
         for protocol, categories in means.items()
@@ -100,48 +109,48 @@ def category_averages(
 
 
 def overall_averages(
-    by_category: ByCategory, means: Mapping[str, Mapping[str, ObjectMeans]]
-) -> dict[str, dict[str, Any]]:
+    by_category: Mapping[str, Mapping[str, CategoryAverages]],
+    means: Mapping[str, Mapping[str, ObjectMeans]],
+) -> dict[str, OverallAverages]:
     """{protocol: macro mean over the categories, its intervals, and sums of pairs and objects}."""
+    averaged = (*AVERAGED, *(f"truth_{key}" for key in TRUTH_KEYS))
     return {
-        protocol: {
-            name: _known_mean([averages[name] for averages in categories.values()])
-            for name in (*AVERAGED, *QUALITY)
-        }
-        | {name: sum(averages[name] for averages in categories.values()) for name in ("pairs", "objects")}
-        | {"categories": len(categories)}
-        | {
-            "intervals": _intervals(
-                bootstrap_interval([(m.values, m.weights) for m in means[protocol].values()])
-            )
-        }
+        protocol: OverallAverages(
+            **{name: _known_mean([getattr(of, name) for of in categories.values()]) for name in averaged},
+            pairs=sum(here.pairs for here in means[protocol].values()),
+            objects=sum(len(here.names) for here in means[protocol].values()),
+            categories=len(categories),
+            intervals=_intervals(
+                bootstrap_interval([(here.values, here.weights) for here in means[protocol].values()])
+            ),
+        )
         for protocol, categories in by_category.items()
     }
 
 
-def extremes(rows: Sequence[ScoreRow]) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """{protocol: {"best": pairs, "worst": pairs}}, three each at most by IoU, the first the most extreme."""
+def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
+    """The pairs of the highest and of the lowest IoU by protocol, three each at most."""
     found = {}
     for protocol in dict.fromkeys(row.protocol for row in rows):
-        ordered = sorted(
-            (row for row in rows if row.protocol == protocol),
-            key=lambda row: (row.iou, row.recording, row.view),
-        )
-        named = [
-            {"recording": row.recording, "view": row.view, "category": row.category, "iou": row.iou}
-            for row in ordered
+        rising = [
+            ExtremePair(recording=recording, view=view, category=category, iou=iou)
+            for iou, recording, view, category in sorted(
+                (row.iou, row.recording, row.view, row.category)
+                for row in rows
+                if row.protocol == protocol and row.iou is not None
+            )
         ]
-        found[protocol] = {"best": named[::-1][:EXTREMES], "worst": named[:EXTREMES]}
+        found[protocol] = Extremes(best=tuple(rising[::-1][:EXTREMES]), worst=tuple(rising[:EXTREMES]))
     return found
 
 
-def _known_mean(values: Sequence[Any]) -> float | None:
+def _known_mean(values: Sequence[float | None]) -> float | None:
     """The mean, or None if a value is not known."""
-    known = [float(value) for value in values if isinstance(value, int | float)]
+    known = [value for value in values if value is not None]
     return fmean(known) if known and len(known) == len(values) else None
 
 
-def _named(values: Float64) -> dict[str, float | None]:
+def _known(values: Float64) -> dict[str, float | None]:
     """Averages by name; None where not computed."""
     return {
         name: None if np.isnan(value) else float(value) for name, value in zip(AVERAGED, values, strict=True)
@@ -150,9 +159,46 @@ def _named(values: Float64) -> dict[str, float | None]:
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
     """Intervals by metric, within what the metric can be; None where there is none."""
-    named: dict[str, list[float] | None] = dict.fromkeys((*METRICS, *SURFACES))
+    named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):
             if name in named and not np.isnan(low):
                 named[name] = [max(low, 0.0), min(high, 1.0) if name in SHARES else high]
     return named
+
+
+def iou_by_threshold(
+    results: Mapping[Target, PairResult], protocols: Sequence[str]
+) -> dict[str, dict[str, list[float]]]:
+    """{protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}} of the test pairs.
+
+    Averaged as the scores are (see `object_means`): pair, object, category; `paper` weighs every pair alike.
+
+    Args:
+        results: of every pair that was counted; those of other splits are left out.
+        protocols: some of "paper", "known", "occluded".
+    """
+    test = sorted(target for target in results if target.split == "test")
+    return {
+        protocol: {
+            category: _mean_curve([t for t in test if t.category == category], results, protocol)
+            for category in sorted({target.category for target in test})
+        }
+        for protocol in protocols
+    }
+
+
+def _mean_curve(
+    targets: Sequence[Target], results: Mapping[Target, PairResult], protocol: str
+) -> list[float]:
+    """The mean of one category."""
+    by_object: dict[str, list[Target]] = {}
+    for target in targets:
+        by_object.setdefault("" if protocol == "paper" else target.object, []).append(target)
+    objects = [
+        np.mean([ious(protocol_counts(results[t].tally, protocol)) for t in group], axis=0)
+        for group in by_object.values()
+    ]
+    curve: list[float] = np.mean(objects, axis=0).tolist()
+    assert len(curve) == len(THRESHOLDS)
+    return curve

@@ -3,14 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
-from kinectbench.errors import SettingsError
-from kinectbench.scoring.averages import AVERAGED, ObjectMeans, object_means
+from kinectbench.core.artefacts.scores import AVERAGED, METRICS, SCORES_JSON, SHARES, ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
-from kinectbench.scoring.sign_flip import MAX_EXACT, holm, sign_flip_ps, smallest_p
-from kinectbench.scoring.table import METRICS, SHARES, SURFACES, ScoreTable
+from kinectbench.scoring.uncertainty import MAX_EXACT, holm, sign_flip_ps, smallest_p
 
 ALPHA = 0.05
 ALL = "all"
@@ -78,9 +79,10 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         SettingsError: fewer than two tables, another truth, an incomplete table, pairs that differ, or the
             metric or protocol was not scored.
     """
-    if metric not in (*METRICS, *SURFACES):
-        raise SettingsError(f"no metric '{metric}': choose among {', '.join((*METRICS, *SURFACES))}")
-    names = _names(tables)
+    if metric not in METRICS:
+        raise SettingsError(f"no metric '{metric}': choose among {', '.join(METRICS)}")
+    names = method_names(tables)
+    _check(tables, names)
     means = [_means(table, metric, protocol) for table in tables]
     _same_pairs(tables, names, protocol)
     scopes = [*means[0], *([ALL] if len(means[0]) > 1 else [])]
@@ -102,14 +104,37 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     return Comparison(metric, protocol, names, averages, ranks, tuple(found), tuple(notes))
 
 
-def _names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
-    """The methods' names, told apart."""
+def find_scores(paths: Sequence[Path]) -> list[Path]:
+    """The scores.json of each path: a file, one method's folder, or a folder of methods.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    found = []
+    for path in paths:
+        if path.is_dir():
+            here = [path / SCORES_JSON] if (path / SCORES_JSON).is_file() else []
+            below = here or sorted(path.glob(f"*/{SCORES_JSON}"))
+            if not below:
+                raise SettingsError(f"{path}: no scores.json there; run `kinectbench score` first")
+            found += below
+        else:
+            found.append(path)
+    return found
+
+
+def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
+    """The methods' names; the second of the same name is told apart as `net #2`."""
+    given = [table.method for table in tables]
+    again = [given[:index].count(name) for index, name in enumerate(given)]
+    return tuple(f"{name} #{n + 1}" if n else name for name, n in zip(given, again, strict=True))
+
+
+def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
+    """Refuse tables that cannot be compared."""
     if len(tables) < 2:
         raise SettingsError("compare: give the scores of at least two methods")
-    names: list[str] = []
     for table in tables:
-        again = sum(name.partition(" #")[0] == table.method for name in names)
-        names.append(f"{table.method} #{again + 1}" if again else table.method)
         if table.benchmark_sha256 != tables[0].benchmark_sha256:
             raise SettingsError(
                 f"{table.method}: scored against benchmark {table.benchmark_sha256[:12]}, {names[0]} against "
@@ -117,7 +142,6 @@ def _names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
             )
         if not table.complete:
             raise SettingsError(f"{table.method}: some of its pairs are not scored; complete it first")
-    return tuple(names)
 
 
 def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMeans]:

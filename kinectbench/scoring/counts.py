@@ -1,4 +1,7 @@
-"""What one pass over a prediction and its truth counts: enough for every metric, threshold and protocol."""
+"""What one pass over a prediction and its truth counts: enough for every metric, threshold and protocol.
+
+Likewise what a prediction says is occupied, and what the truth itself counts at a coarser resolution.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.types import Float32, Float64, Int64
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
+from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
 from kinectbench.scoring.truth import Truth
-from kinectbench.voxels.pair_file import FULL_CELLS, Packed
-from kinectbench.voxels.resample import HALF_PIXEL, upsampled_planes
 
-Int64 = NDArray[np.int64]
-Float64 = NDArray[np.float64]
 Prediction = NDArray[np.bool_] | NDArray[np.float16] | NDArray[np.float32]
 
 STEPS = 20
@@ -118,3 +120,55 @@ def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
         hit=tally.above[:, occupied].sum(axis=1),
         ce_sum=float(tally.ce_sum[codes].sum()),
     )
+
+
+def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:
+    """Where y > threshold, compared in float64: (256, 256, 32) uint8, most significant bit first.
+
+    Args:
+        prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
+        threshold: in [0, 1).
+        upsampling: see `upsampled_planes`.
+    """
+    if len(prediction) != FULL_CELLS:
+        planes = upsampled_planes(prediction, convention=upsampling)
+        return np.stack([np.packbits(plane > threshold, axis=-1) for plane in planes])
+    if prediction.dtype == np.bool_:
+        return np.packbits(prediction.view(np.bool_), axis=-1)
+    # The largest number of this type that is not above the threshold: a comparison without conversion.
+    cut = prediction.dtype.type(threshold)
+    if float(cut) > threshold:
+        cut = np.nextafter(cut, prediction.dtype.type(0))
+    if prediction.dtype == np.float16:  # of numbers in [0, 1] the bit patterns are in the same order
+        return np.packbits(prediction.view(np.int16) > cut.view(np.int16), axis=-1)
+    return np.packbits(prediction > cut, axis=-1)
+
+
+def ceiling(truth: Truth, side: int, upsampling: str) -> Tally:
+    """Count the truth, each cell of `side`^3 the occupied share of its volume, as if it were a prediction.
+
+    The best IoU among the thresholds is what a method of that resolution reaches that knows the truth and
+    reduces it as usual. One that chooses its values with the upsampling in mind may reach a little more.
+
+    Args:
+        truth: the packed truth.
+        side: below 256.
+        upsampling: see `upsampled_planes`.
+    """
+    return tally(reduced(unpack(truth.full), side), truth, upsampling)
+
+
+def reduced(full: NDArray[np.bool_], side: int) -> Float32:
+    """The occupied share of each cell of a coarser grid over the same box: (side, side, side) float32."""
+    weights = _overlaps(len(full), side)
+    shares = np.tensordot(weights, full.astype(np.float32), axes=(1, 0))
+    shares = np.einsum("ab,xbz->xaz", weights, shares, optimize=True)
+    shares = np.einsum("ab,xyb->xya", weights, shares, optimize=True)
+    return np.ascontiguousarray(np.clip(shares, 0, 1), dtype=np.float32)
+
+
+def _overlaps(cells: int, side: int) -> Float32:
+    """(side, cells): which share of each coarse cell each fine cell covers along one axis."""
+    fine, coarse = np.arange(cells), np.arange(side)[:, None] * (cells / side)
+    covered = np.minimum(fine + 1, coarse + cells / side) - np.maximum(fine, coarse)
+    return np.asarray(np.clip(covered, 0, None) * (side / cells), dtype=np.float32)

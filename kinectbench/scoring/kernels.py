@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from kinectbench.core.types import Float64, Int64
+
 Packed = NDArray[np.uint8]
 Words = NDArray[np.uint64]
-Int64 = NDArray[np.int64]
-Float64 = NDArray[np.float64]
 
 CODES = 8
 HALF_PATTERNS = 0x3C01  # bit patterns of the float16 values 0 to 1

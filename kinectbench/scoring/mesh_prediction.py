@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import PredictionError
-from kinectbench.geometry import Grid
-from kinectbench.voxels.pair_file import FULL_CELLS, unpack
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import Grid
+from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 
 MESHES = (".ply", ".obj")
 MAX_MESH_BYTES = 64 << 20
@@ -33,7 +33,7 @@ def voxelised(path: Path, voxel_size_m: float) -> NDArray[np.bool_]:
         PredictionError: not a readable, closed, evenly oriented mesh, or one that would cost too much;
             without the file's name.
     """
-    from kinectbench.voxels.solid import voxelize_solid
+    from kinectbench.core.voxels.solid import voxelize_solid
 
     content = path.read_bytes()
     mesh = _parsed(content, path.suffix[1:])

@@ -4,39 +4,17 @@ Source: the paper's definitions; what it leaves open (nothing predicted, nothing
 stated at each function.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.scores import VoxelMetrics
+from kinectbench.core.types import Float64
 from kinectbench.scoring.counts import CE_CLIP, ProtocolCounts
 
-Float64 = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Metrics:
-    """One pair's metrics at one threshold.
-
-    Attributes:
-        iou: in [0, 1].
-        ce: mean cross-entropy, nats a voxel; does not depend on the threshold.
-        precision: in [0, 1].
-        recall: in [0, 1].
-        f1: in [0, 1].
-    """
-
-    iou: float
-    ce: float
-    precision: float
-    recall: float
-    f1: float
-
-
-def metrics(counts: ProtocolCounts, step: int) -> Metrics:
+def metrics(counts: ProtocolCounts, step: int) -> VoxelMetrics:
     """All metrics at the threshold of index `step` (0 to 16)."""
     predicted, hit = int(counts.predicted[step]), int(counts.hit[step])
-    return Metrics(
+    return VoxelMetrics(
         iou=iou(predicted, counts.occupied, hit),
         ce=cross_entropy(counts),
         precision=_share(hit, predicted, other=counts.occupied),

@@ -12,7 +12,7 @@ from io import BufferedIOBase
 
 import numpy as np
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.errors import PredictionError
 
 MAGIC = b"\x93NUMPY"
 MAX_HEADER_BYTES = 10_000

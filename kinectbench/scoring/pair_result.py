@@ -1,5 +1,6 @@
 """Count one prediction against its truth: all that the table needs to know of a pair."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -7,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.artefacts.scores import SurfaceMetrics
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
+from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.core.voxels.resample import HALF_PIXEL
+from kinectbench.engine.versions import VERSIONS
 from kinectbench.release.release import Target
-from kinectbench.scoring.ceiling import ceiling
-from kinectbench.scoring.counts import Prediction, Tally, protocol_counts, tally
+from kinectbench.scoring.counts import Prediction, Tally, ceiling, occupied, protocol_counts, tally
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
-from kinectbench.scoring.occupancy import occupied
 from kinectbench.scoring.prediction_file import load_prediction
-from kinectbench.scoring.surface import SurfaceMetrics, surface_metrics
+from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
-from kinectbench.voxels.pair_file import FULL_CELLS
-from kinectbench.voxels.resample import HALF_PIXEL
-from kinectbench.workspace import canonical_json, sha256_text
 
 EMPTY_CELLS = 16
 
@@ -101,7 +102,7 @@ class Job:
     def key(self, digest: str | None) -> str:
         """What a result depends on; `digest` is that of the prediction's file."""
         settings = (asdict(self.counting), self.threshold)
-        return sha256_text(canonical_json([self.target.sha256, digest, settings]))
+        return sha256_text(canonical_json([VERSIONS["score"], self.target.sha256, digest, settings]))
 
 
 def count_job(job: Job) -> PairResult | str:
@@ -154,3 +155,55 @@ def _blake3(path: Path) -> str:
         return f"blake3:{digest.hexdigest()}"
     except OSError as error:
         raise PredictionError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+JOURNAL = ".counted.jsonl"
+
+
+class Journal:
+    """Results by pair, on disk as soon as they are known; None as folder keeps nothing."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._path = None if folder is None else folder / JOURNAL
+        self._earlier = {} if self._path is None else _read(self._path)
+
+    def earlier(self, pair: str) -> Mapping[str, Any] | None:
+        """What an earlier run wrote of a pair."""
+        return self._earlier.get(pair)
+
+    def add(self, job: Job, result: PairResult) -> None:
+        """Remember a result.
+
+        Raises:
+            StorageError: the disk is full or read-only.
+        """
+        key = job.key(result.digest)
+        if self._path is None or self._earlier.get(job.target.name, {}).get("key") == key:
+            return
+        line = canonical_json({"pair": job.target.name, "key": key, "result": result.to_json()})
+        with storage_errors(self._path):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a") as file:
+                file.write(line + "\n")
+
+    def remove(self) -> None:
+        """All is done: the table holds it."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """{pair: {"key", "result"}}; lines that were not written whole are left out."""
+    found = {}
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, UnicodeDecodeError):
+        return {}
+    for line in lines:
+        try:
+            content = json.loads(line)
+            PairResult.from_json(content["result"])
+            found[str(content["pair"])] = {"key": content["key"], "result": content["result"]}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            continue
+    return found

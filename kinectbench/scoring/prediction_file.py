@@ -12,11 +12,11 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.voxels.resample import MAX_CELLS
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES, MESHES, voxelised
 from kinectbench.scoring.npy_header import NpyHeader, read_npy_header
-from kinectbench.voxels.resample import MAX_CELLS
 
 MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # the largest array, its header, and what a zip adds
 CHUNK_BYTES = 1 << 20

@@ -1,22 +1,24 @@
-"""Score one method's predictions against a release."""
+"""Score a method's predictions, or those of several methods, against a release."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
-from kinectbench.errors import ReleaseError, SettingsError
-from kinectbench.release.release import Release, Target, check_splits
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.storage import replaced_file
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
+from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.base_rate import base_rates
 from kinectbench.scoring.counts import PROTOCOLS
-from kinectbench.scoring.journal import Journal
-from kinectbench.scoring.pair_result import Counting, Job, PairResult, count_job
-from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line
-from kinectbench.scoring.table import ScoreTable
-from kinectbench.scoring.thresholds import Thresholds, read_thresholds, searched_thresholds
-from kinectbench.scoring.workers import Progress, run_tasks
-from kinectbench.voxels.resample import CONVENTIONS, HALF_PIXEL
+from kinectbench.scoring.pair_result import Counting, Job, Journal, PairResult, count_job
+from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line, split_methods
+from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for, thresholds_text
+from kinectbench.scoring.workers import run_tasks
 
 Missing = Literal["error", "empty"]
 
@@ -44,7 +46,7 @@ def score(
         protocols: some of "paper", "known", "occluded".
         thresholds_file: see `read_thresholds`; it wins over the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
-        upsampling: "half-pixel" or "corner-aligned" (see `upsample`).
+        upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
         jobs: number of processes; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
@@ -61,31 +63,23 @@ def score(
     """
     check_words(protocols, upsampling)
     check_splits(release.targets, str(release.folder))
-    test = release.split("test")
-    if not test:
-        raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
-    release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
-    categories = sorted({target.category for target in test})
-    fixed = None
-    if thresholds_file is not None:
-        fixed = read_thresholds(thresholds_file, categories, frozenset(target.object for target in test))
+    test = pairs_to_score(release, thresholds_file)
+    fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
     found = find_predictions(predictions, (*test, *release.split("validation")))
     files, failures = _plan(found, missing, with_validation=fixed is None)
     counting, journal = Counting(tuple(protocols), upsampling, surface), Journal(resume_in)
     run = _Run(release, counting, journal, jobs, progress, len(files))
 
     validation = run.count({t: file for t, file in files.items() if t.split == "validation"}, None)
+    tallies = {t: result.tally for t, result in validation.items() if isinstance(result, PairResult)}
     thresholds = fixed or searched_thresholds(
-        categories,
-        {target: result.tally for target, result in validation.items() if isinstance(result, PairResult)},
-        has_validation=bool(release.split("validation")),
+        sorted({target.category for target in test}), tallies, bool(release.split("validation"))
     )
     outcomes = validation | run.count({t: file for t, file in files.items() if t.split == "test"}, thresholds)
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
     rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
-    settings = describe(counting, missing)
-    table = make_table(release, method, results, thresholds, rates, failures, settings)
+    table = make_table(release, method, results, thresholds, rates, failures, describe(counting, missing))
     if table.complete:
         journal.remove()
     return table
@@ -129,6 +123,19 @@ class _Run:
             self.progress(self.done, self.pairs)
 
 
+def pairs_to_score(release: Release, thresholds_file: Path | None) -> tuple[Target, ...]:
+    """The test split; its truth must be there, and that of the validation split without a threshold file.
+
+    Raises:
+        ReleaseError: no test pair, or its truth is held back.
+    """
+    test = release.split("test")
+    if not test:
+        raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
+    release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
+    return test
+
+
 def check_words(protocols: Sequence[str], upsampling: str) -> None:
     """Refuse names of protocols and of upsampling that are not known.
 
@@ -163,3 +170,94 @@ def _plan(
         {target: file for target, file in files.items() if target.split in splits},
         {target: reason for target, reason in failures.items() if target.split in splits},
     )
+
+
+def score_methods(
+    release: Release,
+    predictions: Path,
+    out: Path,
+    *,
+    method: str | None = None,
+    protocols: Sequence[str] | None = None,
+    thresholds_file: Path | None = None,
+    save_thresholds: Path | None = None,
+    missing: str = "error",
+    upsampling: str = HALF_PIXEL,
+    surface: bool = True,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[ScoreTable]:
+    """Score every method in a folder and write `out/scores.json`, or `out/<method>/scores.json` of several.
+
+    Args:
+        release: the truth.
+        predictions: one method's folder (its subfolders are recordings), or a folder of methods.
+        out: folder for the results.
+        method: name of a single method; default: its folder's.
+        protocols: default: all.
+        thresholds_file: see `read_thresholds`.
+        save_thresholds: freeze what was found on validation in this file.
+        missing: "error" or "empty".
+        upsampling: "half-pixel" or "corner-aligned".
+        surface: whether surface metrics are computed.
+        jobs: processes.
+        progress: called with (pairs done, pairs in all) for each method in turn.
+
+    Raises:
+        SettingsError: a name or a file for thresholds is given to several methods, `missing` is neither word,
+            or there are no thresholds to be saved.
+        PredictionError: no predictions there.
+    """
+    rule = _missing(missing)
+    check_words(protocols or tuple(PROTOCOLS), upsampling)
+    methods = _methods(release, predictions, method, save_thresholds)
+    tables = []
+    for name, folder in methods.items():
+        target = out if len(methods) == 1 else out / name
+        table = score(
+            release,
+            folder,
+            method=name,
+            protocols=tuple(protocols or PROTOCOLS),
+            thresholds_file=thresholds_file,
+            missing=rule,
+            upsampling=upsampling,
+            surface=surface,
+            jobs=jobs,
+            progress=progress,
+            resume_in=target,
+        )
+        table.write(target)
+        tables.append(table)
+        if save_thresholds is not None:
+            _freeze(release, table, save_thresholds)
+    return tables
+
+
+def _missing(word: str) -> Missing:
+    if word not in get_args(Missing):
+        raise SettingsError(f"--missing {word}: choose error or empty")
+    return "empty" if word == "empty" else "error"
+
+
+def _methods(
+    release: Release, predictions: Path, method: str | None, save_thresholds: Path | None
+) -> dict[str, Path]:
+    """The folder of each method, by name; refuse several where what was asked for is of one."""
+    methods = split_methods(predictions, release.targets)
+    for option, value in (("--method names", method), ("--save-thresholds is of", save_thresholds)):
+        if value is not None and len(methods) > 1:
+            raise SettingsError(f"{option} one method, but {predictions} holds {len(methods)}")
+    return methods if method is None else dict(zip([method], methods.values(), strict=True))
+
+
+def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
+    """Write the thresholds that were found on validation to a file."""
+    if table.threshold_source != "validation":
+        raise SettingsError(
+            f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
+        )
+    objects = {t.object for t in release.split("validation") if t.name in table.hashes}
+    origin = {"method": table.method, "benchmark_sha256": release.benchmark_sha256}
+    with replaced_file(path) as temporary:
+        temporary.write_text(thresholds_text(table.thresholds, sorted(objects), origin))

@@ -7,44 +7,19 @@ between cell centres: from the cells that the protocol counts to the nearest kno
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.scores import SurfaceMetrics
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed
 from kinectbench.scoring.truth import Truth
-from kinectbench.voxels.pair_file import FULL_CELLS, Packed
-
-Float64 = NDArray[np.float64]
 
 F_SCORE_MM = (10.0, 20.0)
 SIGMAS = 2.0
 
 
-@dataclass(frozen=True)
-class SurfaceMetrics:
-    """One pair's surface metrics at one threshold.
-
-    Attributes:
-        chamfer_mm: mean of the mean distance from the prediction's surface to the truth's and of that back.
-        f_score_1pct: F-score at 1 % of the object's size, the diagonal of the full shape's box.
-        f_score_2pct: at 2 %.
-        f_score_10mm: at 10 mm.
-        f_score_20mm: at 20 mm.
-        surface_dice: share of both surfaces within 2 sigma of the truth's surface of each other.
-        normal_consistency: mean |cosine| between the normals of nearest cells, both ways, averaged.
-    """
-
-    chamfer_mm: float
-    f_score_1pct: float
-    f_score_2pct: float
-    f_score_10mm: float
-    f_score_20mm: float
-    surface_dice: float
-    normal_consistency: float
-
-
-SURFACE_METRICS = tuple(field.name for field in fields(SurfaceMetrics))
 SAME = SurfaceMetrics(0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
@@ -88,7 +63,7 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
         By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
         is the grid's diagonal.
     """
-    from kinectbench.voxels.packed_shell import packed_shell
+    from kinectbench.core.voxels.morphology import packed_shell
 
     ours, theirs = packed_shell(predicted), packed_shell(truth.full)
     everywhere = np.full_like(truth.known, 255)
@@ -111,8 +86,7 @@ def _between(
         masks: cells of a surface that are measured from, and that are measured to.
         truth: for its lengths.
     """
-    from kinectbench.scoring.nearest import cells_of, nearest
-    from kinectbench.scoring.normals import agreement, normals
+    from kinectbench.scoring.surface_kernels import agreement, cells_of, nearest, normals
 
     (our_solid, our_surface), (their_solid, their_surface) = ours, theirs
     counted, trusted = masks

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from kinectbench.core.artefacts.scores import OVERALL, SHARES, ScoreTable
 from kinectbench.scoring.compare import Comparison
 from kinectbench.scoring.counts import PRIMARY
-from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
-from kinectbench.scoring.table import SHARES, ScoreTable
+from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,14 +24,14 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
     from rich.table import Table
     from rich.text import Text
 
-    protocols = [p for p in SHOWN_PROTOCOLS if any(p in table.settings["protocols"] for table in tables)]
+    protocols = [p for p in SHOWN_PROTOCOLS if any(p in table.settings.protocols for table in tables)]
     categories = sorted({category for table in tables for category in table.thresholds})
-    columns = [*categories, "all"] if len(categories) > 1 else categories
+    columns = [*categories, OVERALL] if len(categories) > 1 else categories
     result = Table(title="IoU (higher is better) / cross-entropy (lower is better)", title_justify="left")
     result.add_column("method")
     for protocol in protocols:
         for column in columns:
-            result.add_column(f"{column}\n{protocol}", justify="right")
+            result.add_column(f"{'all' if column == OVERALL else column}\n{protocol}", justify="right")
     for group in ([t for t in tables if not t.baseline], [t for t in tables if t.baseline]):
         for table in group:
             name = f"{table.method} (baseline)" if table.baseline else table.method
@@ -56,15 +56,13 @@ def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) 
         return cells[: len(protocols) * len(columns)]
     cells = []
     for protocol in protocols:
-        averages = dict(table.by_category.get(protocol, {}))
-        if protocol in table.overall:
-            averages["all"] = table.overall[protocol]
-        cells += [_cell(averages[c]["iou"], averages[c]["ce"]) if c in averages else "" for c in columns]
+        averages = table.averages(protocol)
+        cells += [_cell(averages[c].iou, averages[c].ce) if c in averages else "" for c in columns]
     return cells
 
 
-def _cell(iou: float, ce: float) -> str:
-    return f"{iou:.3f} / {ce:.3f}"
+def _cell(iou: float | None, ce: float | None) -> str:
+    return "" if iou is None or ce is None else f"{iou:.3f} / {ce:.3f}"
 
 
 def comparison_tables(found: Comparison) -> "list[Table]":

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.errors import ReleaseError, SettingsError
-from kinectbench.release.metadata import strict_json
+from kinectbench.core.artefacts.provenance import ThresholdsFile
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.storage import sha256_file
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, Tally, protocol_counts
 from kinectbench.scoring.metrics import ious
-from kinectbench.workspace import pretty_json, sha256_file
 
 FIXED = 0.5
 
@@ -77,13 +77,14 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
             found on an object of the test split.
     """
     try:
-        content = strict_json(path.read_text(), str(path))
+        file = ThresholdsFile.parse(path.read_text(), str(path))
     except (OSError, UnicodeDecodeError, ReleaseError) as error:
-        raise SettingsError(f"{path}: cannot be read as a threshold file ({error})") from error
-    given = content.get("thresholds") if isinstance(content, dict) else None
-    if not isinstance(given, dict):
-        raise SettingsError(f'{path}: a threshold file is {{"thresholds": {{"chair": 0.5}}}}')
-    shared = sorted(test_objects.intersection(_objects(content, path)))
+        raise SettingsError(
+            f"{path}: cannot be read as a threshold file ({error}); "
+            f'a threshold file is {{"thresholds": {{"chair": 0.5}}}}'
+        ) from error
+    given = file.thresholds
+    shared = sorted(test_objects.intersection(file.objects))
     if shared:
         raise SettingsError(f"{path}: found on objects of the test split ({', '.join(shared)}); use others")
     missing = [category for category in categories if category not in given]
@@ -93,6 +94,12 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
         )
     of = {category: _step(given[category], f"{path}: threshold of {category}") for category in categories}
     return Thresholds(of, f"file:{sha256_file(path)}")
+
+
+def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
+    """`read_thresholds` for the pairs of a test split; the same errors."""
+    categories = sorted({target.category for target in test})
+    return read_thresholds(path, categories, frozenset(target.object for target in test))
 
 
 def thresholds_text(
@@ -105,21 +112,12 @@ def thresholds_text(
         objects: they were found on; a benchmark that tests on one of them will refuse the file.
         origin: what to remember of them, such as the method's name; not read back.
     """
-    return pretty_json({"thresholds": dict(thresholds), "objects": sorted(objects), **origin})
+    return ThresholdsFile(thresholds=dict(thresholds), objects=tuple(sorted(objects)), **origin).text()
 
 
-def _objects(content: Mapping[str, object], path: Path) -> list[str]:
-    """The `objects` of a threshold file."""
-    objects = content.get("objects", [])
-    if not isinstance(objects, list) or not all(isinstance(name, str) for name in objects):
-        raise SettingsError(f"{path}: 'objects' must be a list of names")
-    return objects
-
-
-def _step(value: object, where: str) -> float:
+def _step(value: float, where: str) -> float:
     """The threshold k / 20 that a number stands for."""
-    number = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else -1.0
-    k = round(number * STEPS)
-    if k not in THRESHOLD_STEPS or abs(number - k / STEPS) > 1e-9:
+    k = round(value * STEPS)
+    if k not in THRESHOLD_STEPS or abs(value - k / STEPS) > 1e-9:
         raise SettingsError(f"{where} is {value!r}: it must be one of 0.1, 0.15, ... 0.9")
     return k / STEPS

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.errors import ReleaseError
-from kinectbench.voxels.pair_file import PACKED_SHAPES, Packed
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.voxels.pair_file import PACKED_SHAPES, Packed
 
 GRIDS = ("full", "known", "seen")
 LENGTHS = ("voxel_size_m", "surface_sigma_m")

@@ -4,12 +4,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-from kinectbench.errors import KinectBenchError
-from kinectbench.processes import KILLED, submit_all, worker_pool
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.types import Progress
+from kinectbench.engine.processes import KILLED, submit_all, worker_pool
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-Progress = Callable[[int, int], None]
 
 
 def run_tasks(

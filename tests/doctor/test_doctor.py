@@ -1,27 +1,24 @@
 """The doctor on the sample recordings, which are right, and on copies of them with one thing wrong."""
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from ingest_writers import BagWriter
 from small_benchmark import Run, small_spec
 from wrong_recordings import WRONG, make_wrong, rows_of
 
-from kinectbench.config import CameraSettings
+from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Finding, inspect
+from kinectbench.doctor.during_build import doubted_scale, refuse_hopeless
 from kinectbench.doctor.finding import Diagnosis, gravest_first
-from kinectbench.doctor.hopeless import doubted_scale, refuse_hopeless
 from kinectbench.doctor.look import frames_to_read
-from kinectbench.errors import RecordingError
-from kinectbench.ingest.registry import open_recording
-from kinectbench.simulate.simulate import simulate
-
-sys.path.append(str(Path(__file__).parents[1] / "ingest"))
-from ingest_writers import BagWriter
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.registry import open_recording
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 CHAIR = RECORDINGS / "chair_01"

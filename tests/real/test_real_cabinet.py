@@ -1,18 +1,15 @@
 """A real cabinet on a bare floor, as a folder and as a bag: the bars of benchmarks/, as tests."""
 
 import os
-import sys
 from pathlib import Path
 
-import pytest
-
-from kinectbench.stages import Job
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import bag_equals_folder
 import cabinet
+import pytest
 from builds import built
 from figures import missed
+
+from kinectbench.engine.stages import Job
 
 DATA = os.environ.get("KINECTBENCH_DATA")
 pytestmark = [

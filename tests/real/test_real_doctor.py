@@ -1,16 +1,13 @@
 """The doctor on real recordings: no alarm on right ones, and wrong copies of one are named."""
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
-
-from kinectbench.config import CameraSettings
-from kinectbench.doctor import inspect
-
-sys.path.append(str(Path(__file__).parents[1] / "doctor"))
 from wrong_recordings import WRONG, make_wrong
+
+from kinectbench.doctor import inspect
+from kinectbench.settings.models import CameraSettings
 
 DATA = os.environ.get("KINECTBENCH_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="KINECTBENCH_DATA does not name a folder of real recordings")

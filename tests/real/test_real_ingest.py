@@ -1,24 +1,21 @@
 """Real recordings: the right number of frames, and a bag of the same frames gives the same sequence."""
 
 import os
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-
-from kinectbench.config import CameraSettings
-from kinectbench.errors import RecordingError
-from kinectbench.geometry import Camera
-from kinectbench.ingest.registry import find_recordings, open_recording
-from kinectbench.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.ingest.stamps import parse_stamp_ns
-from kinectbench.ingest.text_rows import text_rows
-from kinectbench.sequence import Sequence
-
-sys.path.append(str(Path(__file__).parents[1] / "ingest"))
 from ingest_writers import BagWriter
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Camera
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.stamps import parse_stamp_ns
+from kinectbench.core.trajectory.text_rows import text_rows
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.registry import find_recordings, open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 DATA = os.environ.get("KINECTBENCH_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="KINECTBENCH_DATA does not name a folder of real recordings")

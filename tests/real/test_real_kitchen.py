@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinectbench.config import BenchmarkSettings
-from kinectbench.errors import SegmentationError
-from kinectbench.geometry import transform_points
-from kinectbench.mesh_file import read_ply
-from kinectbench.pipeline import Outcome, build_recording
-from kinectbench.segmentation.candidates import find_candidates
-from kinectbench.segmentation.segment import segment
-from kinectbench.shape.object_folder import read_object
-from kinectbench.shape.object_model import ObjectModel
-from kinectbench.stages import Job
-from kinectbench.stored import read_tracked
-from kinectbench.views_folder import read_views
-from kinectbench.voxels.pair_file import read_pair
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.voxels.pair_file import read_pair
+from kinectbench.engine.pipeline import Outcome, build_recording
+from kinectbench.engine.stages import Job
+from kinectbench.engine.steps import read_tracked
+from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.stages.sample_views.views import read_views
+from kinectbench.stages.segment.candidates import find_candidates
+from kinectbench.stages.segment.choose import segment
+from kinectbench.stages.segment.object_model import ObjectModel, read_object
 
 # The chair at the table's left, floor frame.
 BOX = {"center_m": [-1.03, 1.64, 0.48], "size_m": [0.56, 0.54, 0.96], "yaw_rad": -0.5}

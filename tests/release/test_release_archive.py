@@ -12,9 +12,9 @@ import pytest
 from small_benchmark import Run, hashes
 from synthetic_release import synthetic_settings, write_build
 
-from kinectbench.errors import ReleaseError
-from kinectbench.release.archive import write_archive
-from kinectbench.release.publish import PublishOptions, publish
+from kinectbench.core.errors import ReleaseError
+from kinectbench.release.publish.archive import write_archive
+from kinectbench.release.publish.publish import PublishOptions, publish
 from kinectbench.release.release import Release
 
 Command = Callable[..., Run]

@@ -19,12 +19,12 @@ from analytic_release import (
     true_mesh,
 )
 
-from kinectbench.errors import ReleaseError
-from kinectbench.ingest.registry import open_recording
-from kinectbench.release.bop_export import export_bop
-from kinectbench.release.bop_masks import object_in_view
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.release.exchange.bop_export import export_bop
+from kinectbench.release.exchange.bop_object import object_in_view
 from kinectbench.release.release import open_release
-from kinectbench.segmentation.render import DepthRenderer
+from kinectbench.stages.ingest.registry import open_recording
 
 HALF_BOX_MM = (np.array(BOX_HIGH) - np.array(BOX_LOW)) * 500
 SCENES = {"chair_01": "test/000001", "chair_02": "test/000002", "chair_03": "val/000003"}
@@ -175,11 +175,11 @@ def test_cameras_are_in_the_scene_s_world(bop: Path) -> None:
 def test_our_own_reader(bop: Path) -> None:
     recording = open_recording(bop / "test/000001", None)
     assert recording.format == "bop" and recording.depth_scale == 1000.0
-    assert recording.camera == CAMERA and len(recording.files) == 2
+    assert recording.camera == CAMERA and len(recording.places) == 2
     given = recording.given_trajectory
     assert given is not None
     np.testing.assert_allclose(given.T_world_camera[1], T_world_floor(0) @ T_floor_camera(1), atol=1e-9)
-    assert recording.files[0].mask is not None
+    assert recording.places[0].mask is not None
 
 
 def test_masks_of_a_whole_view(bop: Path) -> None:

@@ -12,14 +12,14 @@ import pytest
 from synthetic_release import synthetic_settings
 from typer.testing import CliRunner
 
-from kinectbench.cli import app
-from kinectbench.errors import ReleaseError
-from kinectbench.release.bop_export import export_bop
-from kinectbench.release.publish import PublishOptions, publish
-from kinectbench.release.recgan_export import export_recgan
+from kinectbench.cli.main import app
+from kinectbench.core.errors import ReleaseError
+from kinectbench.release.check.verify import verify
+from kinectbench.release.exchange.bop_export import export_bop
+from kinectbench.release.exchange.recgan_export import export_recgan
+from kinectbench.release.exchange.webdataset_export import export_webdataset
+from kinectbench.release.publish.publish import PublishOptions, publish
 from kinectbench.release.release import open_release
-from kinectbench.release.verify import verify
-from kinectbench.release.webdataset_export import export_webdataset
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "damaged_releases.py"
 RECORDINGS = ["chair_02", "table_02"]

@@ -65,9 +65,9 @@ def test_export(analytic: Path, tmp_path: Path, layout: str) -> None:
 @pytest.mark.parametrize("room_kb", [8, 600])
 def test_publish(analytic: Path, tmp_path: Path, room_kb: int) -> None:
     """Over a release that is there already: the disk is full at once, or after some pairs."""
-    here = Path(__file__).parents[1]
+    here = Path(__file__).parents[1] / "support"
     code = (
-        "from synthetic_release import *; from kinectbench.console import lines\n"
+        "from synthetic_release import *; from kinectbench.cli.console import lines\n"
         "try: publish(synthetic_settings(), Path('build'), Path('benchmark'), [r[0] for r in RECORDINGS])\n"
         "except Exception as error: lines(type(error).__name__, [str(error)], ''); raise SystemExit(1)"
     )

@@ -1,31 +1,37 @@
 """What a public part tells of the truth, nothing, and that the private part scores as the whole release."""
 
-import io
 import json
 import shutil
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_benchmark import Run, hashes
-from synthetic_release import FLOOR, RECORDINGS, synthetic_pair, synthetic_settings, write_build
+from synthetic_release import FLOOR, RECORDINGS, resum, synthetic_pair, synthetic_settings, write_build
 
 from kinectbench import Scorer, load
-from kinectbench.baselines.write import possible_baselines, write_baselines
-from kinectbench.errors import ReleaseError, SettingsError
-from kinectbench.geometry import rigid, rotation_from_quaternion_xyzw
-from kinectbench.release.held_back import own_world, without_truth
-from kinectbench.release.held_back_check import held_back_problems
-from kinectbench.release.options import publish_options
-from kinectbench.release.publish import PublishOptions, PublishSummary, publish
-from kinectbench.release.recgan_export import export_recgan
+from kinectbench.cli.publish import publish_options
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.voxels.pair_file import (
+    INPUT_KEYS,
+    TRUTH_KEYS,
+    pair_bytes,
+    read_input,
+    read_pair,
+    unpack,
+)
+from kinectbench.release.check.pair_check import input_problems
+from kinectbench.release.check.verify import verify
+from kinectbench.release.exchange.recgan_export import export_recgan
+from kinectbench.release.publish.held_back import own_world, without_truth
+from kinectbench.release.publish.publish import PublishOptions, PublishSummary, publish
 from kinectbench.release.release import open_release
-from kinectbench.release.verify import verify
+from kinectbench.scoring.baselines.predict import possible_baselines, write_baselines
 from kinectbench.scoring.score import score
-from kinectbench.voxels.pair_file import pair_bytes, read_pair, unpack
-from kinectbench.voxels.pair_input import INPUT_KEYS, TRUTH_KEYS, read_input
 
 Command = Callable[..., Run]
 NAMES = [recording[0] for recording in RECORDINGS]
@@ -67,7 +73,10 @@ def test_no_truth_in_the_public_part(parts: PublishSummary) -> None:
         assert set(values) == {*INPUT_KEYS, "format_version"}
         with zipfile.ZipFile(public.pair_path(target)) as archive:  # nor hidden in the file
             assert {Path(name).stem for name in archive.namelist()} == set(values)
-        assert list(held_back_problems(public.pair_path(target), framing="object", partial_rule="any")) == []
+        assert (
+            list(input_problems(read_input(public.pair_path(target)), framing="object", partial_rule="any"))
+            == []
+        )
         truth = arrays(parts.private / target.file)
         for key in TRUTH_KEYS:
             assert not any(np.array_equal(truth[key], value) for value in values.values())
@@ -186,18 +195,23 @@ def test_everything_held_back(tmp_path: Path) -> None:
 
 
 def test_damaged_inputs(parts: PublishSummary, tmp_path: Path) -> None:
-    path = tmp_path / "000.npz"
-    path.write_bytes(pair_bytes(synthetic_pair(0, "chair")))
-    lines = list(held_back_problems(path, framing="view", partial_rule="any"))
+    public = Path(shutil.copytree(parts.folder, tmp_path / "public"))
+    name = "pairs/chair_01/000.npz"
+    pair = synthetic_pair(0, "chair")
+    wrong = replace(pair, framing="view", voxel_size_m=0.0, seen=0 * pair.seen)
+    (public / name).write_bytes(pair_bytes(wrong))
+    resum(public, name)
+    lines = [line.removeprefix(f"{name}: ") for line in verify(public) if line.startswith(f"{name}: ")]
     assert lines == [
-        "it holds the truth, which is to be held back", "framing is 'object' where the benchmark has 'view'"
-    ]  # fmt: skip
-    values = arrays(parts.folder / "pairs/chair_01/000.npz")
-    buffer = io.BytesIO()
-    np.savez(buffer, **{key: value for key, value in values.items() if key != "seen"})
-    path.write_bytes(buffer.getvalue())
-    (line,) = held_back_problems(path, framing="object", partial_rule="any")
-    assert line == "not a pair's input: the keys seen are missing"
+        "holds full, shell, known, surface_sigma_m, which is held back",
+        "voxel_size_m is 0.0, not positive",
+        "framing is 'view' where the benchmark has 'object'",
+        f"only 0 of the {int(unpack(pair.partial_256).sum())} cells of 'partial_256' are 'seen'",
+    ]
+    values = arrays(parts.folder / name)
+    np.savez(public / name, **{key: value for key, value in values.items() if key != "seen"})
+    resum(public, name)
+    assert f"{name}: not a pair's input: the keys seen are missing" in verify(public)
 
 
 def test_options(tmp_path: Path) -> None:

@@ -10,14 +10,14 @@ import yaml
 from jsonschema import Draft202012Validator
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
-from kinectbench.release.citation import citation_text
-from kinectbench.release.publish import publish
-from kinectbench.release.release import COLUMNS, Release
-from kinectbench.release.schema_models import JSON_FILES
-from kinectbench.release.schemas import schema_problems, schema_texts
+from kinectbench.core.artefacts.targets import COLUMNS
+from kinectbench.release.publish.attribution import citation_text
+from kinectbench.release.publish.publish import publish
+from kinectbench.release.publish.schemas import JSON_FILES, schema_problems, schema_texts
+from kinectbench.release.release import Release
 
 NAMES = [recording[0] for recording in RECORDINGS]
-SCHEMAS = Path(__file__).resolve().parents[2] / "kinectbench" / "release" / "schemas"
+SCHEMAS = Path(__file__).resolve().parents[2] / "kinectbench" / "release" / "publish" / "schemas"
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_head_of_the_card(release: Release) -> None:
     rows = []
     for entry in config["data_files"]:
         lines = (release.folder / entry["path"]).read_text().splitlines()
-        assert tuple(lines[0].split(",")) == COLUMNS
+        assert lines[0].split(",") == list(COLUMNS)
         assert all(f",{entry['split']}," in line for line in lines[1:])
         rows += lines[1:]
     assert sorted(rows) == (release.folder / "targets.csv").read_text().splitlines()[1:]
@@ -126,6 +126,8 @@ def test_answers_and_changes(build: Path, tmp_path: Path) -> None:
 def test_the_packaged_schemas_are_those_of_the_code() -> None:
     packaged = {path.name: path.read_text() for path in SCHEMAS.iterdir()}
     assert packaged == schema_texts()
+    copy = SCHEMAS.parents[3] / "docs" / "scores.schema.json"
+    assert packaged["scores.schema.json"] == copy.read_text()
 
 
 def undescribed(content: Any, schema: Any, root: Any, at: str = "") -> list[str]:
@@ -175,11 +177,11 @@ def test_files_follow_their_schemas(release: Release) -> None:
             kind = {"text": "U", "integer": "i"}.get(row["dtype"])
             assert array.dtype.kind == kind if kind else array.dtype == row["dtype"]
     table = json.loads((release.folder / "schemas" / "targets.csv.json").read_text())
-    assert tuple(row["name"] for row in table["fields"]) == COLUMNS
+    assert [row["name"] for row in table["fields"]] == list(COLUMNS)
 
 
 def test_a_real_build_follows_the_schemas(small: Path, tmp_path: Path) -> None:
-    from kinectbench.benchmark_file import load_benchmark
+    from kinectbench.settings.file import load_benchmark
 
     settings = load_benchmark(small / "benchmark.yaml")
     publish(settings, small / "build", tmp_path / "b", ["chair", "table"])

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
-from kinectbench.errors import ReleaseError
-from kinectbench.release.jpeg import without_metadata
-from kinectbench.release.privacy import Found, scrubbed
-from kinectbench.release.publish import publish
+from kinectbench.core.artefacts.provenance import Removed
+from kinectbench.core.errors import ReleaseError
+from kinectbench.release.publish.privacy import Found, scrubbed, without_metadata
+from kinectbench.release.publish.publish import publish
 
 NAMES = [recording[0] for recording in RECORDINGS]
 
@@ -67,7 +67,7 @@ def test_what_is_no_jpeg(data: bytes) -> None:
 def test_json(value: object, clean: object, removed: list[str]) -> None:
     found = Found()
     assert scrubbed(value, "f.json", found) == clean
-    assert found.rows == [{"file": "f.json", "what": what} for what in removed]
+    assert found.rows == [Removed(file="f.json", what=what) for what in removed]
 
 
 def test_a_release_with_color(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from synthetic_release import RECORDINGS, synthetic_settings, write_build
 
-from kinectbench.errors import ReleaseError
-from kinectbench.release.layout import read_sums
-from kinectbench.release.publish import publish
-from kinectbench.release.release import COLUMNS, Release, check_splits, open_release, parse_targets
-from kinectbench.voxels.pair_file import read_pair, unpack
+from kinectbench.core.artefacts.targets import COLUMNS, check_splits, parse_sums, parse_targets
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.voxels.pair_file import read_pair, unpack
+from kinectbench.release.publish.publish import publish
+from kinectbench.release.release import Release, open_release
 
 NAMES = [recording[0] for recording in RECORDINGS]
 
@@ -46,7 +46,7 @@ def test_benchmark_json(release: Release) -> None:
     assert (info.name, info.license, info.framing, info.partial_rule) == (
         "synthetic", "CC0-1.0", "object", "any"
     )  # fmt: skip
-    assert info.recordings["chair_01"].quality == {"repeatability_iou": 0.93}
+    assert info.recordings["chair_01"].quality.json_value() == {"repeatability_iou": 0.93}
     assert info.distribution is not None and info.distribution.allowed
     assert info.settings.pairs.min_containment == 0.85
     assert {"python", "numpy", "open3d"} <= set(info.packages)
@@ -201,4 +201,4 @@ def test_object_in_two_splits() -> None:
 @pytest.mark.parametrize("line", ["abc  x", "a" * 64 + "  ../x", "a" * 64 + "  /x", "a" * 64 + "  a/.b"])
 def test_bad_sums(line: str) -> None:
     with pytest.raises(ReleaseError, match="line 1: malformed, repeated or unsafe"):
-        read_sums(line + "\n", "SHA256SUMS")
+        parse_sums(line + "\n", "SHA256SUMS")

@@ -11,8 +11,8 @@ import pytest
 from analytic_release import CAMERA, T_world_floor, surface_distance_m, true_depth_m
 from synthetic_release import synthetic_settings
 
-from kinectbench.geometry import invert_rigid, transform_points
-from kinectbench.release.publish import PublishOptions, publish
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.release.publish.publish import PublishOptions, publish
 
 # Runs the page, then says what was imported; and that this environment has nothing else.
 AFTER = """

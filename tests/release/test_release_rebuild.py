@@ -11,14 +11,19 @@ import pytest
 from small_benchmark import Run, copied
 from synthetic_release import RECORDINGS
 
-from kinectbench import __version__
-from kinectbench.commands_verify import find_sources
-from kinectbench.errors import ReleaseError, SettingsError
-from kinectbench.release.contents import open_contents
-from kinectbench.release.metadata import read_metadata
-from kinectbench.release.rebuild import RebuildPlan, Source, differences, rebuild_plan, version_notes
-from kinectbench.voxels.npz import load_arrays
-from kinectbench.voxels.packed_npz import packed_npz_bytes
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.voxels.npz import load_arrays, packed_npz_bytes
+from kinectbench.release.check.rebuild import (
+    RebuildPlan,
+    Source,
+    differences,
+    find_sources,
+    rebuild_plan,
+    version_notes,
+)
+from kinectbench.release.opening import open_contents
 
 
 @pytest.fixture
@@ -126,7 +131,7 @@ def _opener(other: Callable[[str], object], text: str) -> Callable[[str], object
 
 
 def test_versions(analytic: Path) -> None:
-    metadata = read_metadata(analytic / "benchmark")
+    metadata = ReleaseInfo.read(analytic / "benchmark")
     assert version_notes(metadata) == []
     other = metadata.model_copy(
         update={"package_version": "0.0.9", "packages": {"numpy": "1.0", "abacus": "3"}}

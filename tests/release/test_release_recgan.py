@@ -9,15 +9,15 @@ import pytest
 from synthetic_release import publish_synthetic
 from typer.testing import CliRunner
 
-from kinectbench.cli import app
-from kinectbench.errors import PairError, SettingsError
-from kinectbench.release.recgan_export import export_recgan
-from kinectbench.release.recgan_import import import_recgan
+from kinectbench.cli.main import app
+from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.voxels.npz import npz_bytes
+from kinectbench.core.voxels.pair_file import Pair, read_pair, unpack
+from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
+from kinectbench.release.check.verify import verify
+from kinectbench.release.exchange.recgan_export import export_recgan
+from kinectbench.release.exchange.recgan_import import import_recgan
 from kinectbench.release.release import open_release
-from kinectbench.release.verify import verify
-from kinectbench.voxels.npz import npz_bytes
-from kinectbench.voxels.pair_file import Pair, read_pair, unpack
-from kinectbench.voxels.recgan_file import read_recgan_file, recgan_file_bytes
 
 KEPT = {"partial", "partial_256", "full", "shell", "T_world_grid", "T_world_camera", "K", "voxel_size_m"}
 

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_release import synthetic_pair
+from synthetic_release import resum, synthetic_pair
 
-from kinectbench.errors import ReleaseError
-from kinectbench.release.layout import benchmark_sha256
-from kinectbench.release.pair_check import pair_problems
+from kinectbench.core.artefacts.targets import benchmark_sha256
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.voxels.pair_file import Pair, pack
+from kinectbench.release.check.pair_check import pair_problems
+from kinectbench.release.check.verify import verify
 from kinectbench.release.release import Release
-from kinectbench.release.verify import verify
-from kinectbench.voxels.pair_file import Pair, pack
-from kinectbench.workspace import sha256_file
 
 
 @pytest.fixture
@@ -99,17 +98,6 @@ def test_damage(name: str, copy: Path) -> None:
     damage, expected = DAMAGE[name]
     damage(copy)
     assert verify(copy) == expected
-
-
-def resum(folder: Path, *names: str) -> None:
-    """Put the present hashes of some files into SHA256SUMS: damage that checksums do not show."""
-    lines = (folder / "SHA256SUMS").read_text().splitlines(keepends=True)
-    for name in names:
-        lines = [
-            f"{sha256_file(folder / name)}  {name}\n" if line.endswith(f"  {name}\n") else line
-            for line in lines
-        ]
-    (folder / "SHA256SUMS").write_text("".join(lines))
 
 
 def test_a_forged_list_of_sums(copy: Path) -> None:

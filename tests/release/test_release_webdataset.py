@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from kinectbench.cli import app
-from kinectbench.errors import SettingsError
+from kinectbench.cli.main import app
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.voxels.pair_file import read_pair
+from kinectbench.release.exchange.webdataset_export import export_webdataset
 from kinectbench.release.release import Release, open_release
-from kinectbench.release.webdataset_export import export_webdataset
-from kinectbench.voxels.pair_file import read_pair
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from report_fake_build import write_build
 
-from kinectbench.config import BenchmarkSettings
+from kinectbench.settings.models import BenchmarkSettings
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.geometry import invert_rigid, quaternion_xyzw_from_rotation, rigid
-from kinectbench.report.pictures import look_along
-from kinectbench.voxels.pair_file import Pair, pack, pair_bytes
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.geometry import invert_rigid, quaternion_xyzw_from_rotation, rigid
+from kinectbench.core.pictures import look_along
+from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes
 
 N_FRAMES = 40
 # The world is the first camera's; the floor's z is the world's -y.
@@ -80,7 +81,8 @@ def write_object(folder: Path) -> None:
     whole.transform(invert_rigid(T_FLOOR_WORLD))
     folder.mkdir(parents=True)
     assert o3d.io.write_triangle_mesh(str(folder / "mesh.ply"), whole)
-    floor = {"plane_world": [0, -1, 0, 1], "T_floor_world": T_FLOOR_WORLD.tolist()}
+    floor = {"plane_world": [0, -1, 0, 1], "T_floor_world": T_FLOOR_WORLD.tolist(), "noise_m": 0.002,
+             "inlier_share": 0.5}  # fmt: skip
     (folder / "floor.json").write_text(json.dumps(floor))
     quality = {
         "verdict": "good",
@@ -101,12 +103,14 @@ def write_trajectory(folder: Path, left_out: list[int]) -> None:
             lines.append(" ".join(f"{value:.6f}" for value in numbers))
     (folder / "trajectory.txt").write_text("\n".join(lines) + "\n")
     health = {
-        "verdict": "usable",
+        "source": "tracked",
+        "verdict": "usable: the frames agree",
+        "grade": "10 mm",
         "warnings": ["2 frames disagree with the rest"],
         "frames": N_FRAMES,
         "tracked": N_FRAMES - len(left_out),
         "rejected": [{"frame": f, "reason": "residual 41 mm"} for f in left_out],
-        "median_residual_m": 0.0042,
+        "median_residual_mm": 4.2,
     }
     (folder / "health.json").write_text(json.dumps(health))
 
@@ -128,7 +132,9 @@ def write_views(folder: Path, registered: bool, n_views: int) -> None:
         cv2.imwrite(str(folder / f"{view}.color.jpg"), color)
         cv2.imwrite(str(folder / f"{view}.mask.png"), disc.astype(np.uint8) * 255)
         rows.append({"view": view, "frame": 3 * k, "stamp_ns": 10**8 * k, "reason": "random"})
-    (folder / "views.json").write_text(json.dumps({"color_registered": registered, "views": rows}))
+    (folder / "views.json").write_text(
+        json.dumps({"color_registered": registered, "views": rows, "refused": []})
+    )
 
 
 def write_pairs(folder: Path, n_pairs: int) -> None:
@@ -143,6 +149,11 @@ def write_pairs(folder: Path, n_pairs: int) -> None:
         )
     refused = [{"view": "099", "frame": 7, "reason": "residual of 22 mm is above 15 mm <b>"}]
     (folder / "pairs.json").write_text(json.dumps({"pairs": rows, "refused": refused}))
+
+
+def parsed_tables(contents: list[dict]) -> list[ScoreTable]:
+    """Score tables as they are read from files of these contents."""
+    return [ScoreTable.parse(json.dumps(content), "scores.json") for content in contents]
 
 
 def score(method: str, iou: float | None, complete: bool = True) -> dict:

@@ -11,10 +11,10 @@ import pytest
 from headless import Browser, find_chromium
 from synthetic_release import ball
 
+from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.report.run import page_of_release, write_galleries
-from kinectbench.scoring.run import score_methods
-from kinectbench.voxels.pair_file import read_pair, unpack
+from kinectbench.scoring.score import score_methods
 
 pytestmark = pytest.mark.skipif(find_chromium() is None, reason="no chromium here to open the page in")
 

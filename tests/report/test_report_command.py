@@ -10,7 +10,7 @@ from small_benchmark import Run
 
 from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
-from kinectbench.scoring.run import score_methods
+from kinectbench.scoring.score import score_methods
 
 Command = Callable[..., Run]
 

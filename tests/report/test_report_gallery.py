@@ -9,26 +9,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from report_fake_build import parsed_tables
 from synthetic_release import ball
 
-from kinectbench.errors import StorageError
+from kinectbench.core.artefacts.gallery import GALLERY, Gallery, read_gallery, write_gallery
+from kinectbench.core.errors import StorageError
+from kinectbench.core.voxels.npz import npz_bytes
+from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.report import gallery
-from kinectbench.report.gallery import PairTruth, gallery_json, read_pair_truth
-from kinectbench.report.gallery_cells import gallery_cells
-from kinectbench.report.gallery_file import (
-    GALLERY,
-    Gallery,
+from kinectbench.report.gallery import (
+    PairTruth,
     choose_pairs,
-    read_gallery,
+    gallery_cells,
+    gallery_json,
+    read_pair_truth,
     reduced,
-    write_gallery,
 )
 from kinectbench.report.run import page_of_release, write_galleries
-from kinectbench.report.score_model import parse_scores
-from kinectbench.scoring.run import score_methods
-from kinectbench.voxels.npz import npz_bytes
-from kinectbench.voxels.pair_file import pack, read_pair, unpack
+from kinectbench.scoring.score import score_methods
 
 RNG = np.random.default_rng(0)
 
@@ -127,15 +126,15 @@ def truth(seed: int, category: str = "chair") -> PairTruth:
 
 def scored(method: str, names: list[str]) -> dict:
     rows = [
-        {"recording": n.split("/")[0], "view": n.split("/")[1], "category": "chair", "protocol": "known",
-         "iou": 0.5, "threshold": 0.35} for n in names
+        {"recording": n.split("/")[0], "object": "thing", "view": n.split("/")[1], "category": "chair",
+         "protocol": "known", "iou": 0.5, "threshold": 0.35} for n in names
     ]  # fmt: skip
     return {"method": method, "rows": rows}
 
 
 def test_the_data_come_back_and_cannot_end_their_element() -> None:
     bad = "</script><script>alert(1)</script><!--&"
-    tables = parse_scores([scored(bad, ["a/000", "b/000"]), scored("other", ["a/000"])])
+    tables = parsed_tables([scored(bad, ["a/000", "b/000"]), scored("other", ["a/000"])])
     kept = [Gallery({"a/000": cells(1), "b/000": cells(2), "gone/000": cells(3)}), None]
     text, left_out = gallery_json(tables, kept, {"a/000": truth(10, bad), "b/000": truth(20)}, "known")
     assert text is not None and left_out == 0
@@ -151,7 +150,7 @@ def test_the_data_come_back_and_cannot_end_their_element() -> None:
 
 def test_the_page_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
     names = [f"a/{n:03d}" for n in range(6)]
-    tables = parse_scores([scored("x", names), scored("y", names)])
+    tables = parsed_tables([scored("x", names), scored("y", names)])
     kept = [Gallery({name: cells(1) for name in names}), Gallery({names[4]: cells(2)})]
     # Random cells do not compress: 32 kB a grid, 44 as text; three of truth, one or two of predictions.
     monkeypatch.setattr(gallery, "MAX_BYTES", 450_000)

@@ -10,16 +10,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from report_fake_build import score, write_build, write_pairs
+from analytic_scenes import health_of
+from report_fake_build import parsed_tables, score, write_build, write_pairs
 from rich.console import Console
 
-from kinectbench.config import BenchmarkSettings
-from kinectbench.console import summary_table
-from kinectbench.errors import KinectBenchError, StorageError
-from kinectbench.pipeline import summary
+from kinectbench.cli.console import summary_table
+from kinectbench.core.errors import KinectBenchError, StorageError
+from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.stages import Job
+from kinectbench.engine.summary import summary
 from kinectbench.report import write_report
 from kinectbench.report.recording import collect
-from kinectbench.stages import Job
+from kinectbench.settings.models import BenchmarkSettings
 
 
 class Reader(HTMLParser):
@@ -55,7 +57,7 @@ class Reader(HTMLParser):
 def html(settings: BenchmarkSettings, build: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     out = tmp_path_factory.mktemp("scores") / "index.html"
     scores = [score("mirror", 0.41), score("hull", 0.38), score("half", 0.2, complete=False)]
-    assert write_report(settings, build, scores, out) == out
+    assert write_report(settings, build, parsed_tables(scores), out) == out
     return out.read_text(encoding="utf-8")
 
 
@@ -85,7 +87,7 @@ def test_shows_figures_of_every_stage(html: str) -> None:
         "CC-BY-4.0",
         "ab" * 32,
         "2 frames disagree with the rest",
-        "median residual (m)0.0042",
+        "median residual (mm)4.2",
         "residual of 22 mm is above 15 mm <b>",
         "Not built yet: trajectory, floor, object, views, pairs.",
         "incomplete: no averages",
@@ -112,7 +114,7 @@ def test_the_console_gives_the_same_figures_of_pairs(settings: BenchmarkSettings
     (folder / "pairs" / "pairs.json").write_text(json.dumps(listed))
     part = collect(recording, folder)
     assert (part.containment, part.residual) == ("99.1 %", "5.3 mm")
-    row = summary(Job(settings, recording, tmp_path), ("pairs",))
+    row = summary(Job(settings, recording, tmp_path), Outcome("chair_01", (), ("pairs",), None, 0.0))
     console = Console(width=160, record=True, file=io.StringIO())
     console.print(summary_table([row], ("pairs",)))
     told = console.export_text()
@@ -124,7 +126,7 @@ def test_same_input_gives_the_same_bytes(
     html: str, settings: BenchmarkSettings, build: Path, tmp_path: Path
 ) -> None:
     scores = [score("mirror", 0.41), score("hull", 0.38), score("half", 0.2, complete=False)]
-    again = write_report(settings, build, scores, tmp_path / "scores" / "index.html")
+    again = write_report(settings, build, parsed_tables(scores), tmp_path / "scores" / "index.html")
     assert again.read_text(encoding="utf-8") == html
     assert [path.name for path in again.parent.iterdir()] == ["index.html"]
 
@@ -133,17 +135,21 @@ def test_names_from_strangers_are_text(settings: BenchmarkSettings, tmp_path: Pa
     hostile = "\"><script>alert(1)</script><img src=x onerror='x'>{{ 7 * 7 }}"
     folder = tmp_path / "chair_01" / "trajectory"
     folder.mkdir(parents=True)
-    health = {"verdict": hostile, "warnings": [hostile], hostile: hostile}
+    health = health_of(4).json_value() | {"verdict": hostile, "warnings": [hostile], hostile: hostile}
     (folder / "health.json").write_text(json.dumps(health))
     (tmp_path / "chair_01" / "pairs").mkdir()
-    refused = [{"view": 3, "frame": hostile, "reason": hostile}]
+    refused = [{"view": "003", "frame": 7, "reason": hostile}]
     (tmp_path / "chair_01" / "pairs" / "pairs.json").write_text(json.dumps({"pairs": [], "refused": refused}))
     table = score(hostile, 0.4)
-    table |= {"benchmark_sha256": hostile, "warnings": [hostile], "failures": {hostile: hostile}}
+    table |= {
+        "benchmark_sha256": hostile,
+        "warnings": [hostile],
+        "failures": [{"recording": hostile, hostile: hostile}],
+    }
     table |= {"thresholds": {hostile: 0.5}, "threshold_source": hostile}
     table["by_category"] = {hostile: {hostile: {"iou": 0.3, "base_rate_source": hostile}}}
     licensed = settings.model_copy(update={"license": hostile})
-    reader = Reader(write_report(licensed, tmp_path, [table], tmp_path / "x.html").read_text())
+    reader = Reader(write_report(licensed, tmp_path, parsed_tables([table]), tmp_path / "x.html").read_text())
     assert reader.tags.count("script") == 1
     assert "img" not in reader.tags
     assert reader.text.count(hostile) >= 12
@@ -162,25 +168,22 @@ def test_nothing_built_and_no_scores(settings: BenchmarkSettings, tmp_path: Path
 def test_tables_with_nulls(settings: BenchmarkSettings, tmp_path: Path) -> None:
     nothing = {"method": "a", "by_category": None, "overall": None, "thresholds": None, "warnings": None}
     holes = {"method": "b", "by_category": {"known": {"chair": None, "table": {"iou": None}}, "paper": None}}
-    out = write_report(settings, tmp_path, [nothing, holes], tmp_path / "x.html")
+    out = write_report(settings, tmp_path, parsed_tables([nothing, holes]), tmp_path / "x.html")
     assert "Protocol “known”" in Reader(out.read_text()).text
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"method": None}, "score table 1: 'method'"),
-        ({"by_category": 3}, "score table 1: 'by_category'"),
-        ({"overall": {"known": {"iou": "high"}}}, "score table 1: 'overall.known.iou'"),
+        ({"method": None}, "scores.json: 'method'"),
+        ({"by_category": 3}, "scores.json: 'by_category'"),
+        ({"overall": {"known": {"iou": "high"}}}, "scores.json: 'overall.known.iou'"),
     ],
 )
-def test_a_bad_score_table_is_one_line(
-    settings: BenchmarkSettings, tmp_path: Path, change: dict, words: str
-) -> None:
+def test_a_bad_score_table_is_one_line(change: dict, words: str) -> None:
     with pytest.raises(StorageError, match=re.escape(words)) as caught:
-        write_report(settings, tmp_path, [score("a", 0.1) | change], tmp_path / "x.html")
+        parsed_tables([score("a", 0.1) | change])
     assert "\n" not in str(caught.value)
-    assert not (tmp_path / "x.html").exists()
 
 
 @pytest.fixture(scope="module")
@@ -193,20 +196,24 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("trajectory/health.json", b"{", "not readable as JSON"),
-        ("trajectory/health.json", b"[]", "holds no JSON object"),
-        ("trajectory/health.json", b"\xff\xfe{}", "not readable as JSON"),
-        ("trajectory/trajectory.txt", b"0 1 2 3\n", "line 1: not 't tx ty tz"),
-        ("trajectory/trajectory.txt", b"# only this\n", "holds no camera"),
+        ("trajectory/health.json", b"{", "not valid JSON"),
+        ("trajectory/health.json", b"[]", "should be an object"),
+        ("trajectory/health.json", b"\xff\xfe{}", "cannot be read"),
+        ("trajectory/trajectory.txt", b"0 1 2 3\n", "line 1: holds 4 values, not the 8 of 't tx ty tz"),
+        ("trajectory/trajectory.txt", b"# only this\n", "the trajectory is empty"),
         ("trajectory/trajectory.txt", b"0 0 0 0 0 0 0 0\n", "line 1"),
-        ("object/floor.json", b'{"T_floor_world": [[1]]}', "4x4"),
+        (
+            "object/floor.json",
+            b'{"plane_world": [0, 0, 1, 0], "T_floor_world": [[1]]}',
+            "'T_floor_world': must be 4 x 4",
+        ),
         ("object/mesh.ply", b"ply\n", "not a readable triangle mesh"),
-        ("views/views.json", b'{"views": [{"view": "../x"}]}', "which is no index"),
-        ("views/views.json", b'{"views": 3}', "not a list of objects"),
+        ("views/views.json", b'{"views": [{"view": "../x"}]}', "'views.0.view': String should match"),
+        ("views/views.json", b'{"views": 3}', "'views': Input should be a valid array"),
         ("views/000.color.jpg", b"", "not a readable image"),
         ("views/000.mask.png", b"no", "not a readable image"),
         ("pairs/000.npz", b"no", "cannot be read as a pair file"),
-        ("pairs/pairs.json", b'{"pairs": [{"view": "007"}]}', "007.npz"),
+        ("pairs/pairs.json", b'{"pairs": [{"view": "007"}], "refused": []}', "007.npz"),
     ],
 )
 def test_a_damaged_file_is_one_line(
@@ -224,3 +231,13 @@ def test_a_damaged_file_is_one_line(
     assert "\n" not in str(caught.value)
     assert path.parent.name in str(caught.value)
     assert capfd.readouterr().out == ""
+
+
+def test_pairs_failures_and_thresholds_are_shown_as_text(settings: BenchmarkSettings, tmp_path: Path) -> None:
+    row = {"recording": "chair_9", "view": "000", "object": "chair_9", "category": "chair",
+           "protocol": "known", "threshold": 0.5, "iou": 0.9, "coverage_shape": 0.8}  # fmt: skip
+    failure = {"recording": "chair_2", "view": "004", "reason": "not an array of numbers"}
+    table = score("net", 0.4) | {"rows": [row], "failures": [failure], "thresholds": {"chair": 0.35}}
+    page = write_report(settings, tmp_path, parsed_tables([table]), tmp_path / "x.html").read_text()
+    assert re.search(r'data-pair="chair_9/000">chair_9/000</a> 0\.900</span>', page)
+    assert "chair 0.35" in page and "not an array of numbers" in page

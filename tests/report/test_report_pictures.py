@@ -8,20 +8,22 @@ import numpy as np
 import pytest
 from report_fake_build import T_FLOOR_WORLD, cameras_floor, make_pair
 
-from kinectbench.errors import StorageError
-from kinectbench.geometry import invert_rigid
-from kinectbench.report import images, looks, pictures
-from kinectbench.report.pictures import Mesh
-from kinectbench.voxels.pair_file import pack
+from kinectbench.core import images, pictures
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry import TriangleMesh, invert_rigid
+from kinectbench.core.voxels.pair_file import pack
+from kinectbench.report import looks
 
 UP = np.array([0.0, 0, 1])
 
 
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> TriangleMesh:
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    return Mesh(np.array(low) + corners * (np.array(high) - np.array(low)), np.array(triangles, np.int64))
+    return TriangleMesh(
+        np.array(low) + corners * (np.array(high) - np.array(low)), np.array(triangles, np.int32)
+    )
 
 
 def drawn(picture: np.ndarray) -> np.ndarray:
@@ -39,12 +41,12 @@ def test_look_along_is_right_handed_with_down_below() -> None:
 def test_what_is_high_is_drawn_high_and_what_is_right_right() -> None:
     # An L: a long foot along +x at the bottom, a post at its low-x end.
     foot, post = box((0, 0, 0), (1, 0.1, 0.2)), box((0, 0, 0), (0.2, 0.1, 1))
-    whole = Mesh(
-        np.concatenate([foot.vertices_m, post.vertices_m]),
-        np.concatenate([foot.triangles, post.triangles + 8]),
+    whole = TriangleMesh(
+        np.concatenate([foot.vertices, post.vertices]),
+        np.concatenate([foot.faces, post.faces + 8]),
     )
     viewpoint = pictures.fit_viewpoint(
-        whole.vertices_m, pictures.look_along(np.array([0, 1.0, 0]), UP), margin=1.0
+        whole.vertices, pictures.look_along(np.array([0, 1.0, 0]), UP), margin=1.0
     )
     seen = drawn(pictures.render(whole, viewpoint, 100))
     assert seen[90, 50] and seen[10, 10]
@@ -56,7 +58,7 @@ def test_what_is_high_is_drawn_high_and_what_is_right_right() -> None:
 def test_a_near_face_hides_a_far_one_and_the_top_is_lit() -> None:
     cube = box((0, 0, 0), (1, 1, 1))
     forward = np.array([0, np.cos(0.6), -np.sin(0.6)])
-    viewpoint = pictures.fit_viewpoint(cube.vertices_m, pictures.look_along(forward, UP))
+    viewpoint = pictures.fit_viewpoint(cube.vertices, pictures.look_along(forward, UP))
     picture = pictures.render(cube, viewpoint, 80).astype(int)
     column = picture[:, 40].sum(axis=-1)
     top, front = column[22], column[60]
@@ -74,9 +76,9 @@ def test_voxel_mesh_lies_where_the_voxels_are() -> None:
     density = np.zeros((20, 20, 20), np.float32)
     density[2:5, 4:12, 10:20] = 1
     mesh = pictures.voxel_mesh(density, cell_m=0.1)
-    np.testing.assert_allclose(mesh.vertices_m.min(axis=0), [0.2, 0.4, 1.0], atol=1e-6)
-    np.testing.assert_allclose(mesh.vertices_m.max(axis=0), [0.5, 1.2, 2.0], atol=1e-6)
-    assert not len(pictures.voxel_mesh(np.zeros((4, 4, 4), np.float32), 0.1).triangles)
+    np.testing.assert_allclose(mesh.vertices.min(axis=0), [0.2, 0.4, 1.0], atol=1e-6)
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), [0.5, 1.2, 2.0], atol=1e-6)
+    assert not len(pictures.voxel_mesh(np.zeros((4, 4, 4), np.float32), 0.1).faces)
 
 
 def test_block_density_counts_every_cell() -> None:

@@ -1,15 +1,22 @@
 """The plan and the figures, against values computed by hand."""
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from analytic_scenes import health_of
 from report_fake_build import cameras_floor
 
-from kinectbench.report import recording, stored
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.trajectory import RejectedFrame
+from kinectbench.report import figures as words
+from kinectbench.report import recording
 from kinectbench.report.plan import PlanView, draw_plan, time_color
+from kinectbench.stages.track.check.verdict import GRADES
 
 
 def test_plan_is_seen_from_above_to_scale() -> None:
@@ -65,39 +72,36 @@ def test_time_runs_from_blue_to_orange() -> None:
 @pytest.mark.parametrize(
     ("rejected", "rows", "expected"),
     [
-        ([{"frame": 1}], [0, 2, 3], [[1.0, 0, 0]]),  # left out of the trajectory: between its neighbours
-        ([{"frame": 1}], [0, 1, 2, 3], [[1.0, 0, 0]]),  # kept in it: its own place
-        ([2, {"frame": 2}], [0, 1, 3], [[2.0, 0, 0]]),  # plain numbers, named twice
-        ([{"frame": 1}], [0, 3], []),  # rows that cannot be told apart
-        ([{"frame": "one"}, None], [0, 1, 2, 3], []),
-        (7, [0, 1, 2, 3], []),
+        ([1], [0, 2, 3], [[1.0, 0, 0]]),  # left out of the trajectory: between its neighbours
+        ([1], [0, 1, 2, 3], [[1.0, 0, 0]]),  # kept in it: its own place
+        ([2, 2], [0, 1, 3], [[2.0, 0, 0]]),  # named twice
+        ([1], [0, 3], []),  # rows that cannot be told apart
+        ([], [0, 1, 2, 3], []),
     ],
 )
-def test_place_of_frames_left_out(rejected: object, rows: list[int], expected: list) -> None:
+def test_place_of_frames_left_out(rejected: list[int], rows: list[int], expected: list) -> None:
     cameras = np.repeat(np.eye(4)[None], len(rows), axis=0)
     cameras[:, 0, 3] = rows
-    found = recording._left_out(cameras, {"frames": 4, "rejected": rejected})
+    health = health_of(4, rejected=[RejectedFrame(frame=frame) for frame in rejected])
+    found = recording._left_out(cameras, health)
     np.testing.assert_allclose(found, np.array(expected).reshape(-1, 3))
 
 
 def test_frames_lost_have_no_row_and_no_cross() -> None:
     cameras = np.repeat(np.eye(4)[None], 2, axis=0)
     cameras[:, 0, 3] = [0, 3]
-    found = recording._left_out(cameras, {"frames": 4, "rejected": [{"frame": 2}], "lost": [1]})
+    found = recording._left_out(cameras, health_of(4, rejected=[RejectedFrame(frame=2)], lost=[1]))
     np.testing.assert_allclose(found, [[2, 0, 0]])
 
 
 def test_figures_in_words(tmp_path: Path) -> None:
-    path = tmp_path / "health.json"
-    path.write_text(
-        '{"verdict": "Good at 5 mm: all well", "per_frame": [{"frame": 1}],'
+    (tmp_path / "quality.json").write_text(
+        '{"verdict": "The poses will do.", "warnings": [], "per_frame": [{"frame": 1}],'
         ' "drift_mm": 1.23456, "edges": {"loop": 3, "list": [1, 2]}, "a": null, "b": true,'
         ' "long": [1, 2, 3, 4, 5, 6, 7], "rejected": [1, 2]}'
     )
-    figures = stored.read_figures(path)
-    assert figures is not None
-    assert (figures.verdict, figures.brief) == ("Good at 5 mm: all well", "Good at 5 mm")
-    assert (figures.tone, figures.warnings) == ("good", ())
+    figures = words.quality_figures(QualityFile.read(tmp_path))
+    assert (figures.verdict, figures.tone) == ("The poses will do.", "good")
     assert figures.rows == (
         ("drift (mm)", "1.235"),
         ("edges · loop", "3"),
@@ -107,17 +111,36 @@ def test_figures_in_words(tmp_path: Path) -> None:
         ("long", "7 entries"),
         ("rejected", "2"),
     )
-    assert stored.read_figures(tmp_path / "none.json") is None
 
 
-@pytest.mark.parametrize(
-    ("value", "lines"),
-    [
-        (None, ()),
-        ("one", ("one",)),
-        (["a", {"view": "003", "error": "missing"}], ("a", "view 003, error missing")),
-        ({"chair_01/003": "missing"}, ("chair_01/003: missing",)),
-    ],
-)
-def test_messages_as_lines(value: object, lines: tuple[str, ...]) -> None:
-    assert stored.as_lines(value) == lines
+def test_the_health_in_words() -> None:
+    rejected = [RejectedFrame(frame=1), RejectedFrame(frame=2)]
+    health = health_of(
+        4, verdict="They will do.", arc_rad=np.pi, rejected=rejected, keyframes=range(7), median_shift_m=None
+    )
+    figures = words.health_figures(health)
+    assert (figures.verdict, figures.grade, figures.tone) == ("They will do.", "good at 5 mm", "good")
+    assert figures.warnings == ()
+    rows = dict(figures.rows)
+    assert rows["grade"] == "5 mm" and rows["arc (deg)"] == "180" and rows["median shift (mm)"] == "–"
+    assert rows["rejected"] == "2" and rows["keyframes"] == "7 entries" and rows["ties · loop"] == "0"
+
+
+@pytest.mark.parametrize("verdict", ["good for ground truth", "not good for anything", "bad", "42", ""])
+def test_the_colour_does_not_depend_on_words(tmp_path: Path, verdict: str) -> None:
+    def of_health(grade: str, *warnings: str) -> str:
+        return words.health_figures(health_of(4, verdict=verdict, grade=grade, warnings=warnings)).tone
+
+    def of_quality(**values: Any) -> str:
+        (tmp_path / "quality.json").write_text(json.dumps({"verdict": verdict, **values}))
+        figures = words.quality_figures(QualityFile.read(tmp_path))
+        assert figures.verdict == verdict
+        return figures.tone
+
+    assert set(words.TONES) == set(GRADES)
+    for grade, expected in (("5 mm", "good"), ("10 mm", "good"), ("not good", "bad")):
+        assert of_health(grade) == expected
+    assert of_health("5 mm", "2 frames disagree") == "warn"
+    assert of_health("not good", "2 frames disagree") == "bad"
+    assert of_quality() == "plain" and of_quality(warnings=[]) == "good"
+    assert of_quality(warnings=["few frames"]) == "warn"

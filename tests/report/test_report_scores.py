@@ -7,14 +7,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from report_fake_build import score
+from report_fake_build import parsed_tables, score
 
-from kinectbench.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.report import charts, tables
-from kinectbench.report.extremes import extremes
-from kinectbench.report.ranks import rank
-from kinectbench.report.score_files import files_in, files_named
-from kinectbench.report.score_model import parse_scores
+from kinectbench.report.run import files_in, files_named, rank
+from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.counts import THRESHOLDS
 
 
@@ -29,7 +28,7 @@ def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None 
     def row(name: str, protocol: str, iou: float, coverage: float) -> dict:
         recording, view = name.split("/")
         return {"recording": recording, "view": view, "object": recording, "category": "chair",
-                "protocol": protocol, "iou": iou, "coverage_shape": coverage}  # fmt: skip
+                "protocol": protocol, "threshold": 0.5, "iou": iou, "coverage_shape": coverage}  # fmt: skip
 
     listed = [row(name, "known", iou, 0.8) for name, iou in ious.items()]
     listed += [row(name, "occluded", 0.9, coverage) for name, coverage in (occluded or {}).items()]
@@ -37,7 +36,7 @@ def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None 
 
 
 def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
-    parsed = parse_scores([made("a", 0.41001, 12.5), made("c", None, None), made("b", 0.40999, 2.25)])
+    parsed = parsed_tables([made("a", 0.41001, 12.5), made("c", None, None), made("b", 0.40999, 2.25)])
     table = tables.score_table(parsed, "known")
     assert table.categories == ("overall", "chair")
     assert [row.method for row in table.rows] == ["a", "b", "c"]
@@ -55,7 +54,7 @@ def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
 
 
 def test_intervals_and_tied_ranks() -> None:
-    parsed = parse_scores([made("a", 0.5, 1.0, [0.25, 0.7504]), made("b", 0.4, 1.0), made("c", 0.1, 1.0)])
+    parsed = parsed_tables([made("a", 0.5, 1.0, [0.25, 0.7504]), made("b", 0.4, 1.0), made("c", 0.1, 1.0)])
     table = tables.score_table(parsed, "known", {"a": 1, "b": 1, "c": 3})
     assert [row.rank for row in table.rows] == ["1=", "1=", "3"] and table.ranked
     assert [row.iou[0].interval for row in table.rows] == ["0.250–0.750", "", ""]
@@ -72,18 +71,19 @@ def test_published_table_marks_the_papers_best() -> None:
 
 
 def test_methods_of_one_name_are_told_apart() -> None:
-    parsed = parse_scores([made("net", 0.5, 1.0), made("net", 0.4, 1.0), made("hull", 0.1, 1.0)])
-    assert [table.method for table in parsed] == ["net", "net #2", "hull"]
+    parsed = parsed_tables([made("net", 0.5, 1.0), made("net", 0.4, 1.0), made("hull", 0.1, 1.0)])
+    assert method_names(parsed) == ("net", "net #2", "hull")
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_numbers_that_are_none_are_refused(value: float) -> None:
-    with pytest.raises(StorageError, match=r"score table 1: 'by_category.known.chair.iou'"):
-        parse_scores([made("a", value, 1.0)])
+@pytest.mark.parametrize("value", ["NaN", "Infinity", "1e999"])
+def test_numbers_that_are_none_are_refused(value: str) -> None:
+    text = json.dumps(made("a", 0.125, 1.0)).replace("0.125", value)
+    with pytest.raises(StorageError, match=r"scores.json: .*(is not JSON|'by_category.known.chair.iou')"):
+        ScoreTable.parse(text, "scores.json")
 
 
 def test_bars_by_hand() -> None:
-    parsed = parse_scores([made("a", 0.5, 1.0, [0.25, 0.78]), made("b", 0.2, 1.0), made("c", None, 1.0)])
+    parsed = parsed_tables([made("a", 0.5, 1.0, [0.25, 0.78]), made("b", 0.2, 1.0), made("c", None, 1.0)])
     (group,) = charts.iou_bars(parsed, "known")
     assert group.category == "chair"
     assert [(bar.method, bar.text) for bar in group.bars] == [("a", "0.500"), ("b", "0.200")]
@@ -108,7 +108,7 @@ def test_curves_go_through_their_points() -> None:
     curve = np.linspace(0.9, 0.1, 17).tolist()
     table = made("a", 0.5, 1.0) | {"thresholds": {"chair": 0.4}}
     table["iou_by_threshold"] = {"known": {"chair": curve, "odd": [0.1, 0.2]}}
-    (chart,) = charts.threshold_charts(parse_scores([table]), "known")
+    (chart,) = charts.threshold_charts(parsed_tables([table]), "known")
     assert chart.title == "chair"
     drawn = svg(chart)
     line = next(e for e in drawn.iter("path") if e.get("class") == "line")
@@ -125,13 +125,13 @@ def test_curves_go_through_their_points() -> None:
 
 def test_visible_shares_by_hand() -> None:
     table = rows("a", {"chair_1/000": 0.3, "chair_2/000": 0.2}, {"chair_1/000": 0.6, "chair_3/000": 0.1})
-    (parsed,) = parse_scores([table])
+    (parsed,) = parsed_tables([table])
     # 0.2 of the shape's 0.8 that are known are not among the occluded.
     assert charts.visible_shares(parsed) == pytest.approx({"chair_1/000": 0.25})
     (chart,) = charts.visible_charts([parsed], "known")
     dots = next(e for e in svg(chart).iter("path") if e.get("class") == "dots")
     assert (dots.get("d") or "").count("M") == 1
-    without = parse_scores([rows("a", {"chair_1/000": 0.3})])
+    without = parsed_tables([rows("a", {"chair_1/000": 0.3})])
     assert charts.visible_charts(without, "known") == ()
 
 
@@ -142,13 +142,14 @@ def test_many_methods_have_their_own_style() -> None:
 
 def test_best_and_worst_pairs() -> None:
     ious = {f"chair_{n}/000": n / 10 for n in (3, 1, 4, 5, 9, 2, 6)}
-    (found,) = extremes(parse_scores([rows("a", ious), {"method": "b"}]), "known")
-    assert [(pair.name, pair.iou) for pair in found.best] == [
-        ("chair_9/000", "0.900"),
-        ("chair_6/000", "0.600"),
-        ("chair_5/000", "0.500"),
+    found = tables.best_and_worst(parsed_tables([rows("a", ious), {"method": "b"}]), "known")
+    assert list(found) == ["a"]
+    assert [(pair.recording, pair.view, pair.iou) for pair in found["a"].best] == [
+        ("chair_9", "000", 0.9),
+        ("chair_6", "000", 0.6),
+        ("chair_5", "000", 0.5),
     ]
-    assert [pair.name for pair in found.worst] == ["chair_1/000", "chair_2/000", "chair_3/000"]
+    assert [pair.recording for pair in found["a"].worst] == ["chair_1", "chair_2", "chair_3"]
 
 
 def put(folder: Path, name: str, sha256: str = "ab" * 32) -> Path:
@@ -198,16 +199,20 @@ def ranked_file(folder: Path, name: str, gain: float, objects: int = 8) -> Path:
     return path
 
 
+def read(paths: list[Path]) -> list[ScoreTable]:
+    return [ScoreTable.read_file(path) for path in paths]
+
+
 def test_ranks_tie_what_cannot_be_told_apart(tmp_path: Path) -> None:
     paths = [
         ranked_file(tmp_path, name, gain) for name, gain in (("low", 0.0), ("top", 0.2), ("as-top", 0.2))
     ]
     paths.insert(1, put(tmp_path, "older"))  # has no rows to test
-    found = rank(paths, ("known", "occluded"))
+    found = rank(read(paths), ("known", "occluded"))
     assert found.of == {"known": {0: 3, 2: 1, 3: 1}}
     assert any("occluded" in note for note in found.notes)
-    assert rank(paths[:2], ("known",)).of == {}
+    assert rank(read(paths[:2]), ("known",)).of == {}
     many = [ranked_file(tmp_path, name, gain, objects=45) for name, gain in (("many", 0.1), ("more", 0.2))]
-    found = rank(many, ("known",))
+    found = rank(read(many), ("known",))
     assert found.of == {"known": {0: 2, 1: 1}}
     assert any("a million sign flips drawn" in note for note in found.notes)

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -10,13 +9,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kinectbench.errors import SettingsError
-from kinectbench.scoring.averages import AVERAGED, object_means
-from kinectbench.scoring.compare import compare
-from kinectbench.scoring.intervals import bootstrap_interval, student_interval
-from kinectbench.scoring.read import find_scores, read_scores
-from kinectbench.scoring.sign_flip import holm, sign_flip_ps, smallest_p
-from kinectbench.scoring.table import ScoreRow, ScoreTable, write_scores
+from kinectbench.core.artefacts.scores import AVERAGED, ScoreRow, ScoreSettings, ScoreTable
+from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.scoring.averages import object_means
+from kinectbench.scoring.compare import compare, find_scores
+from kinectbench.scoring.uncertainty import (
+    bootstrap_interval,
+    holm,
+    sign_flip_ps,
+    smallest_p,
+    student_interval,
+)
 
 RNG = np.random.default_rng(4)
 
@@ -30,20 +33,16 @@ def row(category: str, thing: int, view: int, iou: float) -> ScoreRow:
 
 def table(method: str, rows: list[ScoreRow], benchmark: str = "a" * 64) -> ScoreTable:
     return ScoreTable(
-        method,
-        benchmark,
-        "0",
-        {"protocols": ["known"]},
-        True,
-        {},
-        "fixed",
-        {},
-        tuple(rows),
-        {},
-        {},
-        {},
-        (),
-        (),
+        method=method,
+        benchmark_sha256=benchmark,
+        package_version="0",
+        settings=ScoreSettings(protocols=("known",)),
+        complete=True,
+        threshold_source="fixed",
+        rows=tuple(rows),
+        by_category={},
+        notes=("made by hand",),
+        overall={},
     )
 
 
@@ -122,7 +121,7 @@ def test_drawn_signs_give_what_all_of_them_give(monkeypatch: pytest.MonkeyPatch)
     tests = RNG.normal(0.2, 1, (4, 24)) * RNG.random(24)
     tests[3] = 0
     exact = sign_flip_ps(tests)
-    monkeypatch.setattr("kinectbench.scoring.sign_flip.MAX_EXACT", 23)
+    monkeypatch.setattr("kinectbench.scoring.uncertainty.MAX_EXACT", 23)
     drawn = sign_flip_ps(tests)
     np.testing.assert_allclose(drawn, exact, atol=0.002)  # four deviations of a million draws
     assert drawn[3] == exact[3] == 1
@@ -169,9 +168,12 @@ def test_all_is_the_mean_over_categories() -> None:
 
 Spoil = Callable[[ScoreTable], ScoreTable]
 REFUSED: dict[str, tuple[Spoil, str]] = {
-    "another truth": (lambda t: replace(t, benchmark_sha256="b" * 64), "score both against one"),
-    "incomplete": (lambda t: replace(t, complete=False), "some of its pairs are not scored"),
-    "other pairs": (lambda t: replace(t, rows=t.rows[1:]), "other pairs than good"),
+    "another truth": (
+        lambda t: t.model_copy(update={"benchmark_sha256": "b" * 64}),
+        "score both against one",
+    ),
+    "incomplete": (lambda t: t.model_copy(update={"complete": False}), "some of its pairs are not scored"),
+    "other pairs": (lambda t: t.model_copy(update={"rows": t.rows[1:]}), "other pairs than good"),
 }
 
 
@@ -196,10 +198,10 @@ def test_unknown_names_are_refused() -> None:
 
 def test_scores_are_read_back(tmp_path: Path) -> None:
     made = method("good", 0.2, 3)
-    write_scores(made, tmp_path / "good")
-    write_scores(replace(made, method="bad"), tmp_path / "bad")
+    made.write(tmp_path / "good")
+    made.model_copy(update={"method": "bad"}).write(tmp_path / "bad")
     assert find_scores([tmp_path]) == [tmp_path / name / "scores.json" for name in ("bad", "good")]
-    assert read_scores(tmp_path / "good" / "scores.json") == made
+    assert ScoreTable.read(tmp_path / "good") == made
     content = json.loads((tmp_path / "good" / "scores.json").read_text())
     for key in ("notes", "extremes", "hashes"):
         del content[key]
@@ -209,11 +211,11 @@ def test_scores_are_read_back(tmp_path: Path) -> None:
         ]:
             del one[key]
     (tmp_path / "old.json").write_text(json.dumps(content))
-    assert read_scores(tmp_path / "old.json").rows == made.rows  # older files stay readable
+    assert ScoreTable.read_file(tmp_path / "old.json").rows == made.rows  # older files stay readable
     for text in ("", "[]", "{}", '{"rows": 3}', json.dumps(content | {"rows": [{"iou": "1"}]})):
         (tmp_path / "wrong.json").write_text(text)
-        with pytest.raises(SettingsError, match=r"wrong\.json"):
-            read_scores(tmp_path / "wrong.json")
+        with pytest.raises(StorageError, match=r"wrong\.json"):
+            ScoreTable.read_file(tmp_path / "wrong.json")
     (tmp_path / "empty").mkdir()
     with pytest.raises(SettingsError, match=r"no scores\.json there"):
         find_scores([tmp_path / "empty"])

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from references import upsample
 
+from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.counts import PROTOCOLS, THRESHOLDS, protocol_counts, tally
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.truth import Truth
-from kinectbench.voxels.pair_file import pack
-from kinectbench.voxels.resample import upsample
 
 Bools = NDArray[np.bool_]
 SIDE = 256

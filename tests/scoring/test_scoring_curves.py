@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.averages import iou_by_threshold
 from kinectbench.scoring.counts import THRESHOLDS, Tally
-from kinectbench.scoring.curves import iou_by_threshold
 from kinectbench.scoring.pair_result import PairResult
 from kinectbench.scoring.score import score
-from kinectbench.voxels.pair_file import read_pair, unpack
 
 
 def result(occupied: int, predicted: int, hit: int) -> PairResult:

@@ -9,16 +9,13 @@ import numpy as np
 import pytest
 from sklearn.metrics import log_loss, precision_score, recall_score
 
+from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
+from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
-from kinectbench.scoring.journal import NAME
-from kinectbench.scoring.pair_result import Job, PairResult, count_job
-from kinectbench.scoring.read import read_scores
-from kinectbench.scoring.run import score_methods
-from kinectbench.scoring.score import score
-from kinectbench.scoring.table import ScoreTable, scores_json
+from kinectbench.scoring.pair_result import JOURNAL, Job, PairResult, count_job
+from kinectbench.scoring.score import score, score_methods
 from kinectbench.scoring.thresholds import read_thresholds
-from kinectbench.voxels.pair_file import read_pair, unpack
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "scores.schema.json").read_text())
 FROZEN = Path(__file__).parent / "frozen_scores.json"
@@ -65,13 +62,14 @@ def test_frozen_scores(table: ScoreTable) -> None:
 
 def test_the_schema_holds(table: ScoreTable, release: Release, tmp_path: Path) -> None:
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
-    content = json.loads(scores_json(table))
+    content = json.loads(table.text())
     jsonschema.validate(content, SCHEMA)
-    assert set(SCHEMA["properties"]) == set(content)
-    assert set(SCHEMA["$defs"]["row"]["properties"]) == set(content["rows"][0])
+    assert scores_schema() == SCHEMA  # else: python -m kinectbench.release.publish.schemas
+    assert list(SCHEMA["properties"]) == list(content)
+    assert list(SCHEMA["$defs"]["ScoreRow"]["properties"]) == list(content["rows"][0])
     (tmp_path / "chair_01").mkdir()
     failed = score(release, tmp_path, method="nothing", surface=False)
-    jsonschema.validate(json.loads(scores_json(failed)), SCHEMA)
+    jsonschema.validate(json.loads(failed.text()), SCHEMA)
     content["rows"][0]["iou"] = 1.5
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(content, SCHEMA)
@@ -87,8 +85,8 @@ def test_ceilings_and_quality(table: ScoreTable) -> None:
     chairs = table.by_category["known"]["chair"]
     assert chairs["truth_repeatability_iou"] == pytest.approx(0.93) and chairs["truth_estimated_iou"] is None
     assert chairs["intervals"]["iou"] is None  # two objects
-    worst = table.extremes["known"]["worst"][0]
-    assert worst["iou"] == min(row.iou for row in table.rows if row.protocol == "known")
+    worst = table.extremes["known"].worst[0]
+    assert worst.iou == min(row.iou for row in table.rows if row.protocol == "known")
     assert table.notes == ("no intervals with fewer than 3 objects in a category: chair (2), table (1)",)
 
 
@@ -117,8 +115,8 @@ def test_a_killed_run_resumes(
     monkeypatch.setattr("kinectbench.scoring.score.count_job", dies_after_five)
     with pytest.raises(KeyboardInterrupt):
         score(release, method, method="shifted", resume_in=tmp_path)
-    assert len((tmp_path / NAME).read_text().splitlines()) == 5
-    with (tmp_path / NAME).open("a") as file:
+    assert len((tmp_path / JOURNAL).read_text().splitlines()) == 5
+    with (tmp_path / JOURNAL).open("a") as file:
         file.write('{"pair": "chair_01/000", "key"')  # cut off in the middle of a line
     monkeypatch.undo()
 
@@ -132,8 +130,8 @@ def test_a_killed_run_resumes(
     monkeypatch.setattr(pair_result, "count", noted)
     resumed = score(release, method, method="shifted", resume_in=tmp_path)
     assert len(again) == len(release.targets) - 5
-    assert scores_json(resumed) == scores_json(table)
-    assert not (tmp_path / NAME).exists()
+    assert resumed.text() == table.text()
+    assert not (tmp_path / JOURNAL).exists()
 
 
 def test_thresholds_are_frozen_and_used_again(release: Release, method: Path, tmp_path: Path) -> None:
@@ -147,14 +145,14 @@ def test_thresholds_are_frozen_and_used_again(release: Release, method: Path, tm
     assert again.rows == first.rows and again.threshold_source.startswith("file:")
     assert json.loads(path.read_text())["objects"] == ["val_chair", "val_table"]
     assert read_thresholds(path, ["chair"], frozenset({"other"})).of["chair"] == first.thresholds["chair"]
-    assert read_scores(tmp_path / "a" / "scores.json").rows == first.rows
+    assert ScoreTable.read(tmp_path / "a").rows == first.rows
 
 
 def test_corner_aligned_by_name(release: Release, method: Path, table: ScoreTable) -> None:
     other = score(
         release, method, method="shifted", protocols=["paper"], upsampling="corner-aligned", surface=False
     )
-    assert "corner-aligned" in other.settings["upsampling"]
+    assert "corner-aligned" in (other.settings.upsampling or "")
     rows = [row for row in table.rows if row.protocol == "paper"]
     for mine, corner in zip(rows, other.rows, strict=True):
         assert (mine.iou == corner.iou) == (mine.cells == 256)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.errors import PredictionError
 from kinectbench.scoring.prediction_file import load_prediction
 
 RNG = np.random.default_rng(2)

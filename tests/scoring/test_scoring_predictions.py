@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
-from kinectbench.scoring.check import check
-from kinectbench.scoring.predictions import find_predictions, split_methods
+from kinectbench.scoring.predictions import check, find_predictions, split_methods
 
 GRID = np.zeros((2, 2, 2), bool)
 

@@ -1,15 +1,12 @@
 """Scores of random predictions of every kind against plain numpy, as in benchmarks/score_reference.py."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from score_reference import KINDS, Case, differences, reference, searched_threshold, write_predictions
 
 from kinectbench.release.release import Release
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-from score_reference import KINDS, Case, differences, reference, searched_threshold, write_predictions
 
 
 def case(y: list[float], full: list[int], known: list[int]) -> Case:

@@ -11,14 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from kinectbench.errors import PredictionError, ReleaseError, SettingsError
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import PredictionError, ReleaseError, SettingsError
+from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target, open_release
-from kinectbench.scoring.base_rate import base_rates
-from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED, base_rates
 from kinectbench.scoring.score import score
-from kinectbench.scoring.table import ScoreTable, scores_json, write_scores
 from kinectbench.scoring.terminal import score_table
-from kinectbench.voxels.pair_file import read_pair, unpack
 
 Predict = Callable[[Target, NDArray[np.bool_]], NDArray[Any]]
 
@@ -68,7 +67,7 @@ def test_rows_against_plain_numpy(release: Release, method: Path, table: ScoreTa
         assert row.ce == pytest.approx(-np.log(np.where(truth, y, 1 - y)).mean(), abs=1e-10)
         assert row.coverage_voxels == pytest.approx(mask.mean())
         assert row.coverage_shape == pytest.approx(truth.sum() / full.sum())
-        rate = table.base_rate[row.category]["value"]
+        rate = table.base_rate[row.category].value
         assert row.base_rate_ce == pytest.approx(
             -truth.mean() * np.log(rate) - (1 - truth.mean()) * np.log(1 - rate)
         )
@@ -93,7 +92,7 @@ def test_averages(table: ScoreTable) -> None:
 
 
 def test_files(release: Release, table: ScoreTable, tmp_path: Path) -> None:
-    write_scores(table, tmp_path / "scores")
+    table.write(tmp_path / "scores")
     content = json.loads((tmp_path / "scores" / "scores.json").read_text())
     assert content["benchmark_sha256"] == release.benchmark_sha256
     assert content["method"] == "soft" and len(content["rows"]) == 12
@@ -106,7 +105,7 @@ def test_files(release: Release, table: ScoreTable, tmp_path: Path) -> None:
 
 
 def test_any_number_of_workers(release: Release, method: Path, table: ScoreTable) -> None:
-    assert scores_json(score(release, method, method="soft", jobs=2)) == scores_json(table)
+    assert score(release, method, method="soft", jobs=2).text() == table.text()
 
 
 def test_without_validation_predictions(release: Release, tmp_path: Path) -> None:
@@ -125,7 +124,7 @@ def test_failures(release: Release, tmp_path: Path) -> None:
     (tmp_path / "chair_02" / "000.npy").unlink()
     table = score(release, tmp_path, method="part", protocols=["known"])
     assert not table.complete and table.by_category is None and table.overall is None
-    assert [dict(failure) for failure in table.failures] == [
+    assert [failure.json_value() for failure in table.failures] == [
         {"recording": "chair_01", "view": "000", "reason": "chair_01/000.npy: the file is empty"},
         {
             "recording": "chair_02",
@@ -135,10 +134,10 @@ def test_failures(release: Release, tmp_path: Path) -> None:
     ]
     assert [(row.recording, row.view) for row in table.rows] == [("chair_01", "001"), ("table_01", "000")]
     assert table.warnings[-1].startswith("incomplete: 2 predictions")
-    json.loads(scores_json(table))
+    json.loads(table.text())
     allowed = score(release, tmp_path, method="part", missing="empty", protocols=["known"])
-    assert [failure["recording"] for failure in allowed.failures] == ["chair_01"]
-    assert allowed.settings["missing"] == "empty"
+    assert [failure.recording for failure in allowed.failures] == ["chair_01"]
+    assert allowed.settings.missing == "empty"
     assert [row.iou for row in allowed.rows if row.recording == "chair_02"] == [0.0]
 
 

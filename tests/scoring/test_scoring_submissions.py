@@ -9,14 +9,14 @@ import trimesh
 from hypothesis import given, settings
 from score_fuzz import FILES, good_files, read_one
 
-from kinectbench.errors import PredictionError
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
-from kinectbench.scoring.check import check
 from kinectbench.scoring.pair_result import Counting, Job, count_job
 from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.predictions import check
 from kinectbench.scoring.score import score
 from kinectbench.scoring.truth import read_voxel_size
-from kinectbench.voxels.pair_file import pack, read_pair, unpack
 
 VOXEL_M = 0.004
 BOX = trimesh.creation.box(bounds=[[0.1, 0.2, 0.3], [0.5, 0.4, 0.9]])

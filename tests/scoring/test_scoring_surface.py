@@ -6,17 +6,16 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from references import upsample
 from score_surfaces import surface_of, surface_reference
 from synthetic_release import ball
 
-from kinectbench.scoring.nearest import cells_of, nearest
-from kinectbench.scoring.normals import agreement, normals
-from kinectbench.scoring.occupancy import occupied
+from kinectbench.core.voxels.morphology import packed_shell
+from kinectbench.core.voxels.pair_file import pack, unpack
+from kinectbench.scoring.counts import occupied
 from kinectbench.scoring.surface import SAME, SurfaceMetrics, size_cells, surface_metrics
+from kinectbench.scoring.surface_kernels import agreement, cells_of, nearest, normals
 from kinectbench.scoring.truth import Truth
-from kinectbench.voxels.packed_shell import packed_shell
-from kinectbench.voxels.pair_file import pack, unpack
-from kinectbench.voxels.resample import upsample
 
 Bools = NDArray[np.bool_]
 CUBE = (256, 256, 256)

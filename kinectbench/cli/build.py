@@ -1,0 +1,149 @@
+"""`kinectbench build`, the stages without options of their own, and what is built for other commands."""
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from functools import partial
+from typing import TYPE_CHECKING
+
+import typer
+
+from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
+from kinectbench.core.errors import SettingsError
+
+if TYPE_CHECKING:
+    from kinectbench.engine.stages import Job
+    from kinectbench.engine.summary import RecordingSummary
+    from kinectbench.release.release import Release
+
+
+def _command(name: str, text: str) -> Command:
+    def stage(common: Common, ids: Ids = None) -> int:
+        return run_stage(common, name, ids)
+
+    stage.__doc__ = text
+    return takes("config", "overrides", "jobs", "force", "wait", "as_json")(stage)
+
+
+BUILD: Mapping[str, Command] = {
+    name: _command(name, text)
+    for name, text in {
+        "build": "Run every stage up to the pairs; what is current is not made again.",
+        "ingest": "Read recordings of any known format.",
+        "fuse": "Fuse the good frames into one surface.",
+        "sample-views": "Draw the views, with the object's mask in each.",
+        "pairs": "Write a pair for each view: partial and full shape.",
+    }.items()
+}
+
+
+def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
+    """Bring recordings up to date as far as a stage (`build`: all), show what became of them; the status."""
+    from kinectbench.engine.pipeline import STAGE_NAMES
+
+    upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
+    rows = build_recordings(common, ids, upto, stages if common.force else ())
+    if common.as_json:
+        common.tell([row.json_value() for row in rows], ())
+    else:
+        show_rows(rows, upto)
+    return exit_status(rows)
+
+
+def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
+    """The table of what `build_recordings` returned for this last stage."""
+    from kinectbench.cli import console
+    from kinectbench.engine.pipeline import STAGE_NAMES
+
+    console.out.print(console.summary_table(rows, STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]))
+
+
+def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
+    """The recordings asked for; an unknown id is refused with the nearest one."""
+    from kinectbench.engine.stages import Job
+
+    settings = common.settings
+    known = [recording.id for recording in settings.recordings]
+    for name in ids or []:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+            raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}")
+    return [Job(settings, r, common.root) for r in settings.recordings if not ids or r.id in ids]
+
+
+def build_recordings(
+    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = ()
+) -> "list[RecordingSummary]":
+    """Build, tell warnings and errors, and return a summary of each recording, with its `error` or None."""
+    return build_jobs(chosen_jobs(common, ids), upto, common.workers, force, wait=common.wait)
+
+
+def build_jobs(
+    chosen: "Sequence[Job]", upto: str, processes: int, force: Sequence[str] = (), *, wait: bool = True
+) -> "list[RecordingSummary]":
+    """`build_recordings` of jobs that are known already, on so many processes."""
+    from kinectbench.cli import console
+    from kinectbench.engine.parallel import build
+    from kinectbench.engine.summary import summary
+
+    with console.recording_bars(len(chosen)) as watcher:
+        outcomes = build(chosen, upto, force, processes, watcher, wait_for_others=wait)
+    rows = []
+    for job, outcome in zip(chosen, outcomes, strict=True):
+        found = summary(job, outcome)
+        # Told although all is up to date: whoever has just drawn a mask expects it to be used.
+        unused = _unused_masks(job) if upto in ("sample-views", "pairs") else ()
+        row = found.model_copy(update={"warnings": (*found.warnings, *unused)})
+        rows.append(row)
+        console.recording_lines(row.recording, "warning", row.warnings if row.made else unused, "yellow")
+        console.recording_lines(row.recording, "error", [row.error] if row.error else [], "red")
+    return rows
+
+
+def _unused_masks(job: "Job") -> tuple[str, ...]:
+    """A warning if masks lie where benchmark.yaml does not name them."""
+    if job.unused_masks is None:
+        return ()
+    name = job.recording.id
+    return (f"{job.unused_masks}: not used; add `masks: masks/{name}` to {name} in benchmark.yaml to use it",)
+
+
+def built(rows: "list[RecordingSummary]") -> list[str]:
+    """Ids of the recordings that went well."""
+    return [row.recording for row in rows if row.error is None]
+
+
+def exit_status(rows: "list[RecordingSummary]") -> int:
+    """1 if no recording could be used, 3 if some could not, else 0; says again which of several failed."""
+    from kinectbench.cli import console
+
+    failed = len(rows) - len(built(rows))
+    if not failed:
+        return 0
+    console.failures(rows)
+    return CANNOT_BE_USED if failed == len(rows) else SOME_FAILED
+
+
+def need_some(rows: "list[RecordingSummary]") -> list[str]:
+    """Ids of the recordings that went well; without any the command ends here."""
+    if not built(rows):
+        raise typer.Exit(exit_status(rows))
+    return built(rows)
+
+
+def find_release(common: Common) -> "tuple[Release, list[RecordingSummary]]":
+    """The release named, or the one of the benchmark here, built and published first if need be.
+
+    Returns:
+        The release, and what `build_recordings` returned for it.
+    """
+    from kinectbench.cli import console
+    from kinectbench.release.publish.current import publish_if_stale
+    from kinectbench.release.release import open_release
+
+    if common.benchmark is not None:
+        return open_release(common.benchmark), []
+    rows = build_recordings(common, None, "pairs")
+    waiting = partial(console.waiting, "publish")
+    published = publish_if_stale(common.settings, common.root, need_some(rows), waiting=waiting)
+    return open_release(published.scoring), rows

@@ -1,0 +1,150 @@
+"""What the commands share: their common options as one value, and how they tell what was done."""
+
+import inspect
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from functools import cached_property, wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Concatenate
+
+import typer
+
+from kinectbench.core.errors import KinectBenchError
+
+if TYPE_CHECKING:
+    from kinectbench.settings.models import BenchmarkSettings
+
+CANNOT_BE_USED = 1
+SOME_FAILED = 3
+DEFAULT_CONFIG = Path("benchmark.yaml")
+
+
+@dataclass(frozen=True)
+class Common:
+    """The options that many commands share; one that a command does not offer keeps its default.
+
+    Attributes:
+        benchmark: a release to work on; None: the one of the benchmark that `config` describes.
+        config: the benchmark's settings; what is built lies beside this file.
+        overrides: settings in place of those of the file, `SECTION.KEY=VALUE` each.
+        jobs: the number of processes; None: one per core.
+        force: whether to make anew what is current.
+        wait: whether to wait for another run in the same folder, or to stop.
+        as_json: whether standard output is JSON.
+    """
+
+    benchmark: Annotated[
+        Path | None, typer.Option("--benchmark", help="a release; default: made from --config")
+    ] = None
+    config: Annotated[Path, typer.Option("--config", "-c", help="the benchmark's settings")] = DEFAULT_CONFIG
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override a setting")
+    ] = None
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, help="processes; default: one per core")
+    ] = None
+    force: Annotated[
+        bool, typer.Option("--force", help="make it anew even if it is current; build: every stage")
+    ] = False
+    wait: Annotated[
+        bool, typer.Option("--wait/--no-wait", help="wait for another run here, or stop and say whose it is")
+    ] = True
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON for machines")] = False
+
+    @property
+    def root(self) -> Path:
+        """The folder that relative paths in benchmark.yaml start from."""
+        return self.config.parent
+
+    def beside(self, name: str) -> Path:
+        """A folder of results: beside benchmark.yaml, or here where a release is named."""
+        return Path(name) if self.benchmark else self.root / name
+
+    @property
+    def workers(self) -> int:
+        """The number of processes: as asked for, or one per core."""
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        return self.jobs or cores or 1
+
+    @cached_property
+    def settings(self) -> "BenchmarkSettings":
+        """The settings of the benchmark, read once: what is edited meanwhile counts for the next command.
+
+        Raises:
+            SettingsError: the file or an override is wrong.
+        """
+        from kinectbench.settings.file import load_benchmark
+
+        return load_benchmark(self.config, self.overrides or ())
+
+    def tell(self, value: Any, lines: Iterable[str]) -> None:
+        """Print a result: as JSON for machines if they ask for it, or else these lines for people."""
+        for line in [json.dumps(value)] if self.as_json else lines:
+            typer.echo(line)
+
+    def tell_written(self, *paths: Path) -> None:
+        """Print the files or folders that were written."""
+        self.tell([str(path) for path in paths], (f"wrote {path}" for path in paths))
+
+    def tell_problems(self, problems: list[str], well: str) -> None:
+        """Print one line per problem, on standard error, or one line that all is well."""
+        from kinectbench.cli import console
+
+        self.tell(problems, () if problems else [well])
+        console.lines("error", problems, "red")
+
+
+Command = Callable[..., None]
+
+
+def takes(*names: str) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
+    """Let a command offer these options of `Common`; it gets them as one value, its first argument.
+
+    Typer reads options from a function's signature: here that is made of the command's own parameters and of
+    the named fields of `Common`. The exit status that the command returns, if any, ends the process.
+    """
+    shared = [field for field in fields(Common) if field.name in names]
+    assert len(shared) == len(names), f"not all of {names} are fields of Common"
+
+    def decorate(command: Callable[Concatenate[Common, ...], int | None]) -> Command:
+        """The command as typer sees it, with its own options and the shared ones."""
+
+        @wraps(command)
+        def run(**options: Any) -> None:
+            common = Common(**{field.name: options.pop(field.name, field.default) for field in shared})
+            status = command(common, **options)
+            if status:
+                raise typer.Exit(status)
+
+        _, *own = inspect.signature(command).parameters.values()
+        parameters = own + [
+            inspect.Parameter(
+                field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
+            )
+            for field in shared
+        ]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return run
+
+    return decorate
+
+
+def _known_ids(context: typer.Context, incomplete: str) -> list[str]:
+    """Ids of the benchmark here, for the shell to complete; none if benchmark.yaml cannot be read."""
+    common = Common(config=context.params.get("config") or DEFAULT_CONFIG)
+    try:
+        known = [recording.id for recording in common.settings.recordings]
+    except (KinectBenchError, OSError):
+        return []
+    return [name for name in known if name.startswith(incomplete)]
+
+
+Ids = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[RECORDING]...", help="ids; default: all", autocompletion=_known_ids),
+]
+Baselines = Annotated[bool, typer.Option(help="show the baselines beside the methods")]
+Predictions = Annotated[Path, typer.Argument(help="one method's folder, or a folder of methods")]

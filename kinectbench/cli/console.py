@@ -1,0 +1,221 @@
+"""What people see in the terminal: progress and messages on standard error, tables on standard output."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from kinectbench.engine.interrupts import check_interrupt
+
+if TYPE_CHECKING:
+    from kinectbench.engine.pipeline import Outcome
+    from kinectbench.engine.summary import RecordingSummary
+
+PLAIN_WIDTH = 160
+# Where no bar can be drawn, one is a line as often as this; what is done sooner says nothing.
+LOG_EVERY_S = 10.0
+# What each stage can say of a recording, by the field of its summary.
+COLUMNS: Mapping[str, Mapping[str, str]] = {
+    "ingest": {"frames": "frames"},
+    "track": {"left_out": "left out", "lost": "lost"},
+    "segment": {"repeatability_iou": "odd/even IoU", "estimated_iou": "est. IoU"},
+    "sample-views": {"views": "views"},
+    "pairs": {
+        "pairs": "pairs",
+        "refused": "refused",
+        "containment": "contained",
+        "residual_mm": "residual mm",
+    },
+}
+# How the page shows them; other figures have three decimals.
+FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
+
+err = Console(stderr=True)
+out = Console()
+if not out.is_terminal:
+    # Piped into a file or a log: room for whole cells.
+    out = Console(width=PLAIN_WIDTH)
+
+
+def lines(kind: str, messages: Sequence[str], style: str) -> None:
+    """One line per message on standard error, without wrapping."""
+    for message in messages:
+        for line in message.splitlines():
+            # Names and messages hold what strangers wrote: never markup.
+            err.print(Text.assemble((f"{kind}:", style), " ", line), highlight=False, soft_wrap=True)
+
+
+def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
+    """`lines` about a recording. Where its path is its id, messages begin with it: it is said once."""
+    lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
+
+
+def waiting(what: str, holder: str) -> None:
+    """One line before a wait for another run."""
+    lines("waiting", [f"{what}: for {holder}; Ctrl-C to stop"], "yellow")
+
+
+def failures(rows: "Sequence[RecordingSummary]") -> None:
+    """The last line of a run over several recordings of which some failed: which, and how to go on."""
+    failed = [row.recording for row in rows if row.error is not None]
+    if failed and len(rows) > 1:
+        rest = "; the rest is done" if len(failed) < len(rows) else ""
+        text = (
+            f"{len(failed)} of {len(rows)} recordings: {', '.join(failed)}, for the reasons above{rest}. "
+            "Correct them and run the same command again: what is done is kept."
+        )
+        lines("failed", [text], "red")
+
+
+def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> Table:
+    """The table at the end of a build: one line per recording, with what these stages can fill."""
+    columns = {"recording": "recording"}
+    for stage in stages:
+        columns |= COLUMNS.get(stage, {})
+    columns["status"] = "status"
+    medians = "contained and residual: medians over the pairs" if "residual_mm" in columns else None
+    return table([row.json_value() for row in rows], columns, FORMATS, caption=medians)
+
+
+def table(
+    rows: Sequence[Mapping[str, Any]],
+    columns: Mapping[str, str],
+    formats: Mapping[str, str],
+    *,
+    title: str | None = None,
+    caption: str | None = None,
+) -> Table:
+    """A table of rows.
+
+    Args:
+        rows: values by key.
+        columns: key and title of each column.
+        formats: how the numbers of some keys are shown; others have three decimals.
+        title: above it.
+        caption: below it.
+    """
+    # A title may hold a file's name: never markup.
+    made = Table(title=title and Text(title), title_justify="left", caption=caption, caption_justify="left")
+    for key, name in columns.items():
+        made.add_column(name, justify="left" if key in ("recording", "status") else "right")
+    for row in rows:
+        made.add_row(*(Text(_cell(row.get(key), formats.get(key, ".3f"))) for key in columns))
+    return made
+
+
+def _cell(value: Any, spec: str) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        # Frames by their index.
+        shown = ", ".join(map(str, value[:6])) + (" …" if len(value) > 6 else "")
+        return f"{len(value)} (frame{'s' * (len(value) > 1)} {shown})" if value else "0"
+    return format(value, spec) if isinstance(value, float) else str(value)
+
+
+class PlainLines:
+    """Lines such as `[  12 s] chair_01: track`, for where no bar can be drawn."""
+
+    def __init__(self) -> None:
+        """Begin to count the seconds."""
+        self._started = time.monotonic()
+        self._last = self._started
+
+    def say(self, text: str) -> None:
+        """A line, with the time since the beginning."""
+        self._last = time.monotonic()
+        seconds = self._last - self._started
+        err.print(f"[{seconds:4.0f} s] {text}", markup=False, highlight=False, soft_wrap=True)
+
+    def say_sometimes(self, text: str) -> None:
+        """A line, unless there was one a short while ago."""
+        if time.monotonic() - self._last >= LOG_EVERY_S:
+            self.say(text)
+
+
+@contextmanager
+def bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar; yields a function of (done, total)."""
+    plain = None if err.is_terminal else PlainLines()
+    with _bars() as bars:
+        task = bars.add_task(title, total=None)
+
+        def update(done: int, total: int) -> None:
+            check_interrupt()
+            bars.update(task, completed=done, total=total)
+            if plain:
+                plain.say_sometimes(f"{title}: {done} of {total}")
+
+        yield update
+
+
+class RecordingBars:
+    """A bar for each recording that is being worked on, and one over all where there are several.
+
+    It is called with (recording, stage, done, total), and told of outcomes; see
+    `kinectbench.engine.parallel.Watcher`.
+    """
+
+    def __init__(self, bars: Progress, recordings: int | None) -> None:
+        """Nothing is shown yet; `recordings` is how many there will be, if that is known."""
+        self._bars = bars
+        self._plain = None if err.is_terminal else PlainLines()
+        self._tasks: dict[str, TaskID] = {}
+        self._stages: dict[str, str] = {}
+        self._ended = 0
+        self._of = f" of {recordings}" if recordings else ""
+        several = recordings is not None and recordings > 1
+        self._all = bars.add_task("recordings", total=recordings) if several else None
+
+    def __call__(self, recording: str, stage: str, done: int, total: int) -> None:
+        """A recording is so far in a stage."""
+        check_interrupt()
+        if self._stages.get(recording) != stage:
+            self._stages[recording] = stage
+            if self._plain and stage:
+                self._plain.say(f"{recording}: {stage}")
+        if recording not in self._tasks:
+            self._tasks[recording] = self._bars.add_task(recording, total=None)
+        self._bars.update(
+            self._tasks[recording], description=f"{recording}: {stage}", completed=done, total=max(total, 1)
+        )
+
+    def ended(self, outcome: "Outcome") -> None:
+        """A recording is up to date or has failed: a line in a log, if anything was to be done."""
+        self._ended += 1
+        if outcome.recording in self._tasks:
+            self._bars.remove_task(self._tasks.pop(outcome.recording))
+        if self._all is not None:
+            self._bars.update(self._all, completed=self._ended)
+        if self._plain and (outcome.made or outcome.error):
+            what = "failed" if outcome.error else "done"
+            count = f", {self._ended}{self._of}" if self._all is not None else ""
+            self._plain.say(f"{outcome.recording}: {what}{count}")
+
+    def warn(self, message: str) -> None:
+        """Something that concerns all of them."""
+        err.print(f"warning: {message}", markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def recording_bars(recordings: int | None = None) -> Iterator[RecordingBars]:
+    """A bar for each of so many recordings; yields a function of (recording, stage, done, total)."""
+    with _bars() as bars:
+        yield RecordingBars(bars, recordings)
+
+
+def _bars() -> Progress:
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=err,
+        transient=True,
+        disable=not err.is_terminal,
+    )

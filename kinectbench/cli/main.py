@@ -1,0 +1,144 @@
+"""The command line: all commands in one app, and what becomes of their errors."""
+
+import gc
+import os
+import sys
+from collections.abc import Mapping
+from typing import Annotated, Any, cast
+
+import typer
+
+from kinectbench._version import __version__
+from kinectbench.cli.build import BUILD
+from kinectbench.cli.common import Command
+from kinectbench.cli.exchange import export, import_
+from kinectbench.cli.lab import evaluate, simulate, synthesize
+from kinectbench.cli.methods import baseline, check, compare
+from kinectbench.cli.publish import publish
+from kinectbench.cli.recordings import formats, init, inspect
+from kinectbench.cli.report import report
+from kinectbench.cli.score import score
+from kinectbench.cli.segment import segment
+from kinectbench.cli.track import track
+from kinectbench.cli.verify import verify
+from kinectbench.core.errors import KinectBenchError, internal_error
+from kinectbench.engine.interrupts import (
+    check_interrupt,
+    ignore_interrupts,
+    interrupted_status,
+    interrupts_remembered,
+)
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Turn RGB-D recordings of real objects into a benchmark for single-view shape completion, and score "
+    "predictions against it.",
+)
+
+# What typer makes of KeyboardInterrupt.
+INTERRUPTED = 130
+
+# The commands as `kinectbench --help` shows them, in the order of their use.
+PANELS: Mapping[str, Mapping[str, Command]] = {
+    "Make a benchmark": {
+        "init": init,
+        "inspect": inspect,
+        "build": BUILD["build"],
+        "ingest": BUILD["ingest"],
+        "track": track,
+        "fuse": BUILD["fuse"],
+        "segment": segment,
+        "sample-views": BUILD["sample-views"],
+        "pairs": BUILD["pairs"],
+        "formats": formats,
+    },
+    "Look at what was made": {"report": report},
+    "Publish it": {"publish": publish, "verify": verify, "export": export, "import": import_},
+    "Score predictions": {"baseline": baseline, "check": check, "score": score, "compare": compare},
+    "Work with known truth": {"simulate": simulate, "synthesize": synthesize, "evaluate": evaluate},
+}
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"kinectbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version")
+    ] = False,
+) -> None:
+    pass
+
+
+for _panel, _commands in PANELS.items():
+    for _name, _command in _commands.items():
+        app.command(_name, rich_help_panel=_panel)(_command)
+
+# UsageError, wherever typer has it from.
+USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
+
+
+def main() -> None:
+    """Run the command line; every error becomes one line and an exit status."""
+    with interrupts_remembered():
+        status, message = _run()
+    if status == INTERRUPTED:
+        ignore_interrupts()  # a second one would interrupt the end
+    if message:
+        from kinectbench.cli import console
+
+        console.lines("error", [message], "red")
+    if status == INTERRUPTED:
+        # Libraries that were interrupted while they were imported complain at the end of Python, or end it
+        # with a status of their own.
+        gc.collect()
+        if "kinectbench.engine.processes" in sys.modules:
+            from kinectbench.engine.processes import give_back_shared
+
+            give_back_shared()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(interrupted_status())
+    sys.exit(status)
+
+
+def _run() -> tuple[int, str]:
+    """Exit status and error line, if any; what fails after an interrupt has failed by it."""
+    try:
+        status, message = _call()
+        if status:
+            check_interrupt()
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    if status == INTERRUPTED:
+        message = "stopped; run the same command again to go on from here"
+    return status, message
+
+
+def _call() -> tuple[int, str]:
+    """Run the command that was given; exit status and error line, if any."""
+    try:
+        return app(standalone_mode=False) or 0, ""
+    except USAGE_ERRORS as error:
+        return 2, _usage(error)
+    except KinectBenchError as error:
+        return error.exit_status, str(error)
+    except Exception as error:
+        check_interrupt()
+        if os.environ.get("KINECTBENCH_DEBUG"):
+            raise
+        return 1, internal_error(error)
+
+
+def _usage(error: Any) -> str:
+    """One line about wrong usage; nothing but the help where no command was given."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return ""
+    command = error.ctx.command_path if error.ctx else "kinectbench"
+    return f"{error.format_message().rstrip('.')}; see `{command} --help`"

@@ -1,0 +1,119 @@
+"""`kinectbench publish`: what is built as a release, in parts and archives where asked for."""
+
+import json
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kinectbench.cli.build import build_recordings, exit_status, need_some
+from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.core.errors import SettingsError
+
+if TYPE_CHECKING:
+    from kinectbench.release.publish.publish import PublishOptions, PublishSummary
+    from kinectbench.settings.models import BenchmarkSettings
+
+
+@takes("config", "overrides", "jobs", "force", "wait", "as_json")
+def publish(
+    common: Common,
+    ids: Ids = None,
+    hold_back: Annotated[
+        list[str] | None,
+        typer.Option(help="a split: benchmark/ has its inputs only, benchmark-private/ scores"),
+    ] = None,
+    thresholds: Annotated[
+        Path | None, typer.Option(help="a threshold file (of score --save-thresholds) to publish with it")
+    ] = None,
+    archives: Annotated[bool, typer.Option("--archives", help="pack each part as a zip file too")] = False,
+    archives_to: Annotated[
+        Path | None, typer.Option(help="folder of the zip files; default: beside the release")
+    ] = None,
+) -> int:
+    """Write the release to benchmark/, from everything that can be built."""
+    from kinectbench.cli import console
+    from kinectbench.release.publish.archive import refuse_unstated, write_archive
+    from kinectbench.release.publish.current import publish_if_stale
+
+    settings, root = common.settings, common.root
+    options = publish_options(settings, hold_back or (), thresholds)
+    packed = archives or archives_to is not None
+    if packed:
+        refuse_unstated(settings, ids)
+    rows = build_recordings(common, ids, "pairs")
+    tell = partial(console.waiting, "publish")
+    summary = publish_if_stale(
+        settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
+    )
+    parts = [part for part in (summary.folder, summary.private) if part is not None]
+    written = [write_archive(part, archives_to or root) for part in parts] if packed else []
+    _tell(summary, written, common.as_json)
+    return exit_status(rows)
+
+
+def publish_options(
+    settings: "BenchmarkSettings", hold_back: Sequence[str], thresholds: Path | None
+) -> "PublishOptions":
+    """The options as a value.
+
+    Args:
+        settings: the benchmark's.
+        hold_back: splits.
+        thresholds: a threshold file, or None.
+
+    Raises:
+        SettingsError: no such split, or an unusable threshold file.
+    """
+    from kinectbench.core.artefacts.targets import SPLITS
+    from kinectbench.release.publish.publish import PublishOptions
+    from kinectbench.scoring.thresholds import read_thresholds
+
+    for split in hold_back:
+        if split not in SPLITS:
+            raise SettingsError(f"--hold-back {split}: choose among {', '.join(SPLITS)}")
+    hidden = tuple(sorted(split for split in SPLITS if split in hold_back))
+    if thresholds is None:
+        return PublishOptions(hidden)
+    test = [recording for recording in settings.recordings if recording.split == "test"]
+    categories = sorted({recording.category for recording in test})
+    read_thresholds(thresholds, categories, frozenset(recording.object_name for recording in test))
+    return PublishOptions(hidden, thresholds.read_text())
+
+
+def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> None:
+    """What was published, removed, packed, and asked for."""
+    from kinectbench.cli import console
+
+    console.lines("warning", summary.warnings, "yellow")
+    if summary.unanswered:
+        keys = ", ".join(summary.unanswered)
+        line = f"not stated in datasheet.md: {keys}; answer under `publish: datasheet:` in benchmark.yaml"
+        console.lines("note", [line], "cyan")
+    if as_json:
+        result: dict[str, Any] = {
+            "release": str(summary.folder),
+            "recordings": list(summary.recordings),
+            "pairs": summary.pairs,
+            "benchmark_sha256": summary.benchmark_sha256,
+            "private": None if summary.private is None else str(summary.private),
+            "private_benchmark_sha256": summary.private_sha256,
+            "removed": list(summary.removed),
+            "unanswered": list(summary.unanswered),
+            "archives": [str(path) for path in archives],
+        }
+        typer.echo(json.dumps(result))
+        return
+    count = f"{len(summary.recordings)} recording{'s' * (len(summary.recordings) != 1)}"
+    typer.echo(f"published {summary.pairs} pairs of {count}: {summary.folder}")
+    typer.echo(f"benchmark_sha256 {summary.benchmark_sha256}")
+    if summary.private is not None:
+        typer.echo(f"private part, which scores: {summary.private}")
+        typer.echo(f"private_benchmark_sha256 {summary.private_sha256}")
+    for line in (
+        *summary.removed,
+        *(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives),
+    ):
+        typer.echo(line)

@@ -1,0 +1,116 @@
+"""The commands before anything is built: what can be read, whether a recording is sound, a benchmark.yaml."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
+from kinectbench.core.errors import SettingsError
+
+if TYPE_CHECKING:
+    from kinectbench.doctor import Diagnosis
+    from kinectbench.settings.models import RecordingSettings
+
+STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
+
+
+@takes("as_json")
+def init(
+    common: Common,
+    folder: Annotated[Path, typer.Argument(help="recordings are looked for here and below")],
+    force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
+) -> None:
+    """Write a commented benchmark.yaml for the recordings found in a folder."""
+    from kinectbench.core.storage import replaced_file
+    from kinectbench.settings.file import init_benchmark
+    from kinectbench.stages.ingest.registry import find_recordings, name_suffixes
+
+    target = folder / "benchmark.yaml"
+    if not folder.is_dir():
+        raise SettingsError(f"{folder}: no such folder; give the folder that holds the recordings")
+    if target.exists() and not force:
+        raise SettingsError(f"{target}: is there already; edit it, or use --force to replace it")
+    found = [(path.relative_to(folder).as_posix(), name) for path, name in find_recordings(folder)]
+    text = init_benchmark(folder, found, name_suffixes())
+    with replaced_file(target) as temporary:
+        temporary.write_text(text)
+    count = f"{len(found)} recording{'s' * (len(found) != 1)}"
+    advice = f"{count}: fill in categories, license and source, then run `kinectbench build`"
+    common.tell([str(target)], [f"wrote {target}", advice])
+
+
+@takes("as_json")
+def formats(common: Common) -> None:
+    """List the formats of recordings that are read, what tells each, and on what it was verified."""
+    from kinectbench.stages.ingest.registry import FORMATS, reader_of
+
+    rows = [
+        {"format": name, "is": reader_of(name).looks_for, "verified": reader_of(name).verified or None}
+        for name in FORMATS
+    ]
+    lines = []
+    for row in rows:
+        verified = row["verified"] or "nothing real; written from documents only"
+        lines += [f"{row['format']}: {row['is']}", f"    verified on: {verified}"]
+    common.tell(rows, lines)
+
+
+@takes("as_json")
+def inspect(
+    common: Common,
+    recording: Annotated[str, typer.Argument(help="folder or file, or an id of the benchmark.yaml here")],
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="of its camera, such as fx=525; as under `camera:`"),
+    ] = None,
+    page: Annotated[Path | None, typer.Option(help="write a page with a contact sheet to this file")] = None,
+) -> int:
+    """Say in seconds what is wrong with a recording, and what to do about it; nothing is built."""
+    from kinectbench.doctor import inspect as look_over
+    from kinectbench.settings.models import CameraSettings
+    from kinectbench.settings.overrides import settings_from_options
+
+    known = _of_benchmark(recording)
+    said = known.camera.model_dump(exclude_unset=True) if known and known.camera else {}
+    camera = settings_from_options(CameraSettings, said, overrides or [], "camera")
+    path = DEFAULT_CONFIG.parent / known.path if known else Path(recording)
+    ignored = known is not None and known.trajectory == "ignore"
+    diagnosis, look = look_over(path, camera if said or overrides else None, without_trajectory=ignored)
+    if page is not None:
+        from kinectbench.doctor.page import write_page
+
+        write_page(diagnosis, look, page)
+    if common.as_json:
+        findings = [asdict(found) for found in diagnosis.findings]
+        typer.echo(json.dumps({"verdict": diagnosis.verdict, **diagnosis.facts, "findings": findings}))
+    else:
+        _show(diagnosis)
+        if page is not None:
+            typer.echo(f"page: {page.resolve()}")
+    return CANNOT_BE_USED if diagnosis.stops else 0
+
+
+def _of_benchmark(name: str) -> "RecordingSettings | None":
+    """The recording of that id of the benchmark here; None if there is none, or another path of that name."""
+    if not DEFAULT_CONFIG.is_file() or Path(name).exists() or "/" in name:
+        return None
+    return next((known for known in Common().settings.recordings if known.id == name), None)
+
+
+def _show(diagnosis: "Diagnosis") -> None:
+    from rich.text import Text
+
+    from kinectbench.cli import console
+    from kinectbench.doctor.finding import figures
+
+    for name, value in figures(diagnosis.facts):
+        typer.echo(f"{name}: {value}")
+    for found in diagnosis.findings:
+        head = Text(f"{found.severity}: {found.name}: ", style=STYLES[found.severity])
+        advice = f"; {found.advice}" if found.advice else ""
+        # What recordings say of themselves comes from strangers: never markup.
+        console.out.print(Text.assemble(head, found.what, advice), highlight=False, soft_wrap=True)
+    typer.echo(f"verdict: {diagnosis.verdict}")

@@ -1,0 +1,107 @@
+"""`kinectbench score`: predictions against a release, with the baselines beside them."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinectbench.cli.build import exit_status, find_release
+from kinectbench.cli.common import SOME_FAILED, Baselines, Common, Predictions, takes
+from kinectbench.cli.report import write_page
+
+if TYPE_CHECKING:
+    from kinectbench.core.artefacts.scores import ScoreTable
+    from kinectbench.release.release import Release
+
+SHOWN_FAILURES = 20
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def score(
+    common: Common,
+    predictions: Predictions,
+    method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
+    protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
+    thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
+    save_thresholds: Annotated[
+        Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
+    ] = None,
+    missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = "error",
+    upsampling: Annotated[
+        str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
+    ] = "half-pixel",
+    surface: Annotated[bool, typer.Option(help="Chamfer distance, F-score, surface Dice, normals")] = True,
+    baselines: Baselines = True,
+    gallery: Annotated[bool, typer.Option(help="keep some predictions for the page, small")] = True,
+    out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
+) -> int:
+    """Score predictions; thresholds come from the validation split or a file."""
+    from kinectbench.cli import console
+    from kinectbench.report.run import write_galleries
+    from kinectbench.scoring.score import score_methods
+    from kinectbench.scoring.terminal import score_table
+
+    release, rows = find_release(common)
+    folder = out or common.beside("scores")
+    with console.bar("score") as progress:
+        tables = score_methods(
+            release,
+            predictions,
+            folder,
+            method=method,
+            protocols=protocol,
+            thresholds_file=thresholds,
+            save_thresholds=save_thresholds,
+            missing=missing,
+            upsampling=upsampling,
+            surface=surface,
+            jobs=common.workers,
+            progress=progress,
+        )
+    if gallery:
+        with console.bar("gallery") as progress:
+            write_galleries(release, predictions, tables, folder, upsampling, progress)
+    _tell_problems(tables)
+    beside = _beside(release, folder, tables, upsampling, common.workers) if baselines else []
+    page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
+    if common.as_json:
+        typer.echo(json.dumps([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables]))
+    else:
+        console.out.print(score_table([*tables, *beside], published=True))
+        typer.echo(f"page: {page.resolve()}")
+    return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
+
+
+def _beside(
+    release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
+) -> "list[ScoreTable]":
+    """The baselines that are not among the methods already."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.baselines.beside import baselines_beside
+
+    protocols, names = tables[0].settings.protocols, [table.method for table in tables]
+    with console.bar("baselines") as progress:
+        return baselines_beside(
+            release,
+            folder,
+            protocols=protocols,
+            upsampling=upsampling,
+            without=names,
+            jobs=jobs,
+            progress=progress,
+        )
+
+
+def _tell_problems(tables: "Sequence[ScoreTable]") -> None:
+    """Warnings and failures of each method, one line each."""
+    from kinectbench.cli import console
+
+    for table in tables:
+        console.lines(f"{table.method}: warning", table.warnings, "yellow")
+        reasons = [failure.reason for failure in table.failures]
+        if len(reasons) > SHOWN_FAILURES:
+            more = f"and {len(reasons) - SHOWN_FAILURES} more; scores.json and `kinectbench check` list all"
+            reasons = [*reasons[:SHOWN_FAILURES], more]
+        console.lines(f"{table.method}: error", reasons, "red")

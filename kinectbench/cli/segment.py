@@ -1,0 +1,96 @@
+"""`kinectbench segment`: the object, or boxes to choose it from."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, run_stage
+from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.core.errors import SettingsError
+
+
+@takes("config", "overrides", "jobs", "force", "as_json")
+def segment(
+    common: Common,
+    ids: Ids = None,
+    suggest: Annotated[
+        bool, typer.Option("--suggest", help="list boxes to choose the object from, with a picture each")
+    ] = False,
+    pick: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="NUMBER", help="write this box of --suggest to benchmark.yaml; name one recording"
+        ),
+    ] = None,
+) -> int:
+    """Find floor and object, and make the object solid."""
+    if suggest and pick is not None:
+        raise SettingsError("segment: --suggest lists boxes, --pick takes one: give one of them")
+    if suggest:
+        return _suggest(common, ids)
+    if pick is not None:
+        _pick(common, ids, pick)
+        common = replace(common)  # the settings have changed
+    return run_stage(common, "segment", ids)
+
+
+def _suggest(common: Common, ids: list[str] | None) -> int:
+    from kinectbench.engine.stages import SUGGEST
+
+    rows = build_recordings(common, ids, SUGGEST.name, (SUGGEST.name,) if common.force else ())
+    listed = [None if row.error else _candidates(common.root, row.recording) for row in rows]
+    if common.as_json:
+        both = zip(rows, listed, strict=True)
+        typer.echo(json.dumps([{**row.json_value(), "candidates": found} for row, found in both]))
+    else:
+        for row, found in zip(rows, listed, strict=True):
+            if found is not None:
+                _show(row.recording, found)
+    return exit_status(rows)
+
+
+def _candidates(root: Path, recording: str) -> dict[str, Any]:
+    """What candidates.json says, pictures as paths from here."""
+    from kinectbench.core.artefacts.object import CandidatesFile
+    from kinectbench.engine.stages import SUGGEST
+
+    folder = root / "build" / recording / SUGGEST.folder
+    content = CandidatesFile.read(folder).json_value()
+    for each in (content, *content["candidates"]):
+        key = "plan" if each is content else "picture"
+        each[key] = str(folder / each[key])
+    return content
+
+
+def _show(recording: str, content: dict[str, Any]) -> None:
+    from kinectbench.settings.edit import box_line
+
+    typer.echo(f"{recording}: from above {content['plan']}")
+    if not content["floor_found"]:
+        typer.echo(
+            "  no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
+        )
+    for each in content["candidates"]:
+        size = " x ".join(f"{edge:.2f}" for edge in each["box"]["size_m"])
+        chosen = ", chosen without a box" if each["automatic"] else ""
+        typer.echo(f"  {each['number']}: {size} m{chosen}, {each['picture']}")
+        typer.echo(f"     {box_line(each['box'])}")
+    typer.echo(f"`kinectbench segment {recording} --pick NUMBER` writes one to benchmark.yaml")
+
+
+def _pick(common: Common, ids: list[str] | None, number: int) -> None:
+    """Write the box of a candidate that was listed before to benchmark.yaml."""
+    from kinectbench.core.storage import replaced_file
+    from kinectbench.engine.pipeline import listed_box
+    from kinectbench.settings.edit import with_box
+
+    if not ids or len(ids) != 1:
+        raise SettingsError("segment --pick: name the one recording that the box is of")
+    (job,) = chosen_jobs(common, ids)
+    text = common.config.read_text(encoding="utf-8-sig")
+    text = with_box(text, str(common.config), ids[0], listed_box(job, number))
+    with replaced_file(common.config) as temporary:
+        temporary.write_text(text, encoding="utf-8")

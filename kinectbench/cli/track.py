@@ -1,0 +1,152 @@
+"""`kinectbench track`, and the comparison of what it finds with a trajectory in TUM format."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from kinectbench.cli.build import build_recordings, exit_status, show_rows
+from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.core.errors import KinectBenchError
+
+if TYPE_CHECKING:
+    from kinectbench.core.sequence import GivenTrajectory
+    from kinectbench.engine.summary import RecordingSummary
+    from kinectbench.stages.track.comparison import Comparison
+
+# The figures of a comparison that are shown, by their key.
+COMPARED = {
+    "recording": "recording",
+    "matched": "matched",
+    "tracked_percent": "tracked %",
+    "ate_rmse_mm": "ATE rmse mm",
+    "ate_median_mm": "median",
+    "ate_max_mm": "max",
+    "rpe_frame_mm": "RPE mm/frame",
+    "rpe_frame_deg": "°/frame",
+    "rpe_metre_mm": "mm/m",
+    "rpe_metre_deg": "°/m",
+}
+# Poses this close to the reference are the same ones, but for rounding.
+SAME_M = 1e-6
+
+
+@takes("config", "overrides", "jobs", "force", "as_json")
+def track(
+    common: Common,
+    ids: Ids = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="tell ATE and RPE against a trajectory in TUM format, and plot it; "
+            "one file for every recording named, so name the one that it is of",
+        ),
+    ] = None,
+) -> int:
+    """Give every frame a camera pose, and leave out frames that disagree with it."""
+    # A file that cannot be read is told before anything is built.
+    reference = None if compare is None else _reference(compare)
+    rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
+    compared: list[_Compared | None] = [None] * len(rows)
+    if compare is not None and reference is not None:
+        for index, row in enumerate(rows):
+            if row.error is None:
+                rows[index], compared[index] = _compare(row, common.root, reference, compare)
+    if common.as_json:
+        typer.echo(json.dumps([_json_value(*one, compare) for one in zip(rows, compared, strict=True)]))
+    else:
+        show_rows(rows, "track")
+        for line in _verdicts(rows):
+            typer.echo(line)
+        _show([one for one in compared if one is not None], compare)
+    return exit_status(rows)
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """A trajectory beside the reference: figures, whether these are the same poses, and the plot's file."""
+
+    recording: str
+    figures: "Comparison"
+    with_itself: bool
+    picture: Path
+
+    def json_value(self) -> dict[str, Any]:
+        head, tail = {"recording": self.recording}, {"with_itself": self.with_itself}
+        return {**head, **self.figures.row(), **tail, "picture": str(self.picture)}
+
+
+def _json_value(row: "RecordingSummary", compared: _Compared | None, compare: Path | None) -> dict[str, Any]:
+    if compare is None:
+        return row.json_value()
+    return {**row.json_value(), "comparison": None if compared is None else compared.json_value()}
+
+
+def _reference(path: Path) -> "GivenTrajectory":
+    from kinectbench.cli import console
+    from kinectbench.core.trajectory.trajectory_file import read_trajectory
+
+    reference, warnings = read_trajectory(path)
+    console.lines("warning", warnings, "yellow")
+    return reference
+
+
+def _compare(
+    row: "RecordingSummary", root: Path, reference: "GivenTrajectory", name: Path
+) -> "tuple[RecordingSummary, _Compared | None]":
+    """A recording beside the reference, with the plot beside its artefact; or its summary with the error."""
+    from kinectbench.cli import console
+    from kinectbench.core.storage import replaced_file
+    from kinectbench.engine.steps import read_tracked
+    from kinectbench.stages.track.comparison import compare_with
+    from kinectbench.stages.track.pictures import COMPARISON
+
+    build = root / "build" / row.recording
+    picture = build / COMPARISON
+    try:
+        sequence, trajectory = read_tracked(build)
+        figures, png = compare_with(trajectory, reference)
+        with replaced_file(picture) as temporary:
+            temporary.write_bytes(png)
+    except KinectBenchError as error:
+        why = f"{name}: {error}"
+        console.recording_lines(row.recording, "error", [why], "red")
+        return row.model_copy(update={"error": why, "status": "failed"}), None
+    given = sequence.given_trajectory
+    # With stamps between those of the frames the errors are not quite 0, though the poses are the same.
+    same = figures.error.ate_m.max < SAME_M or (given is not None and given.equals(reference, SAME_M))
+    return row, _Compared(row.recording, figures, trajectory.source == "trust" and same, picture)
+
+
+def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
+    """A line per recording whose trajectory is up to date: its verdict, and what would be better."""
+    for row in rows:
+        # A failed run may have left an older trajectory, of other settings.
+        if row.verdict is None or "track" not in (*row.made, *row.current):
+            continue
+        done = "ignore" if row.source == "tracked" else row.source
+        better = row.recommended not in (None, done)
+        advice = f"; recommended is `trajectory: {row.recommended}`" if better else ""
+        yield f"{row.recording}: {row.verdict}{advice}"
+
+
+def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
+    if not compared:
+        return
+    from kinectbench.cli import console
+
+    figures = [one.json_value() for one in compared]
+    shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in figures]
+    formats = {key: ".1f" if key == "tracked_percent" else ".2f" for key in COMPARED}
+    console.out.print(console.table(shown, COMPARED, formats, title=f"against {reference}"))
+    for one in compared:
+        if one.with_itself:
+            typer.echo(
+                f"{one.recording}: these are the given poses themselves, which are trusted: "
+                "the comparison says nothing of how right they are"
+            )
+        typer.echo(f"picture: {one.picture}")

@@ -1,0 +1,1 @@
+"""The ground: arrays, values and files, without any policy."""

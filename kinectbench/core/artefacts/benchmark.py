@@ -1,0 +1,131 @@
+"""benchmark.json: what a release says of itself; and publish.json, what was published last from a build."""
+
+import contextlib
+from typing import Any, ClassVar, Self
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.errors import KinectBenchError, ReleaseError
+from kinectbench.core.storage import strict_json
+from kinectbench.core.types import Framing, PartialRule, Split
+
+FORMAT_VERSION = 1
+BENCHMARK_JSON = "benchmark.json"
+SHA256 = "^[0-9a-f]{64}$"
+UNSPECIFIED = "unspecified"
+DOWNLOAD_AGAIN = "make or download it again"
+
+
+class ReleaseFile(Stored):
+    """A JSON file of a release."""
+
+    ADVICE: ClassVar[str] = DOWNLOAD_AGAIN
+    ERROR: ClassVar[type[KinectBenchError]] = ReleaseError
+
+
+class Distribution(Part):
+    """Whether the release may be given away."""
+
+    allowed: bool = Field(description="licence and source of every recording are stated")
+    reasons: tuple[str, ...] = Field(description="why it may not, one line each")
+
+
+class PairsInfo(Part):
+    """The settings of the pairs."""
+
+    framing: Framing | None = Field(None, description="of every pair")
+    partial_rule: PartialRule | None = Field(None, description="of every pair")
+    min_containment: float = Field(description="least share of a partial inside its shape")
+
+
+class SettingsInfo(Part):
+    """The settings that the release was built with, as in benchmark.yaml."""
+
+    source: str | None = Field(None, description="who recorded the data, or where it is from")
+    recordings: tuple[dict[str, Any], ...] | None = Field(
+        None, description="without their paths; null or missing: not made from recordings"
+    )
+    tracking: dict[str, Any] | None = Field(None, description="of the camera's path")
+    fusion: dict[str, Any] | None = Field(None, description="of the TSDF fusion")
+    segmentation: dict[str, Any] | None = Field(None, description="of floor and object")
+    views: dict[str, Any] | None = Field(None, description="of the sampling of the views")
+    pairs: PairsInfo = Field(description="of the pairs")
+    publish: dict[str, Any] | None = Field(None, description="of the release")
+
+
+class RecordingInfo(Part):
+    """One recording of a release."""
+
+    object: str = Field(description="the thing recorded")
+    category: str = Field(description="such as chair")
+    split: Split = Field(description="train, validation or test")
+    pairs: int = Field(description="number of pairs published")
+    refused: int = Field(description="frames that were refused as views, and views whose pair was refused")
+    quality: QualityFile = Field(description="quality.json of the recording's object; empty if held back")
+    license: str = Field(UNSPECIFIED, description="of the recording's data")
+    source: str = Field(UNSPECIFIED, description="who recorded it, or where it is from")
+
+
+class ReleaseInfo(ReleaseFile):
+    """All of benchmark.json."""
+
+    FILE: ClassVar[str] = BENCHMARK_JSON
+
+    name: str = Field(description="of the benchmark")
+    license: str = Field(description="of the data")
+    format_version: int = Field(description="of the release's layout")
+    package_version: str = Field(description="version of kinectbench that published it")
+    benchmark_sha256: str = Field(
+        pattern=SHA256, description="SHA-256 of SHA256SUMS without the line of benchmark.json"
+    )
+    framing: Framing = Field(description="of every pair")
+    partial_rule: PartialRule = Field(description="of every pair")
+    distribution: Distribution | None = Field(
+        None, description="whether it may be given away; missing: published before there was the key"
+    )
+    settings: SettingsInfo = Field(description="those it was built with")
+    packages: dict[str, str] = Field(description="versions of what the data was computed with")
+    recordings: dict[str, RecordingInfo] = Field(description="by id")
+    version: str | None = Field(None, description="of the data")
+    held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")
+    private_benchmark_sha256: str | None = Field(
+        None, pattern=SHA256, description="of the part that scores, in the part for everybody"
+    )
+    public_benchmark_sha256: str | None = Field(
+        None, pattern=SHA256, description="of the part for everybody, in the part that scores"
+    )
+
+    @classmethod
+    def parse(cls, text: str, where: str) -> Self:
+        """As `Stored.parse`; another format is told before its keys are looked at, for they may be others."""
+        with contextlib.suppress(ValueError, AttributeError, RecursionError):
+            version = strict_json(text).get("format_version")
+            if version != FORMAT_VERSION:
+                raise ReleaseError(f"{where}: format version {version}; this package reads {FORMAT_VERSION}")
+        return super().parse(text, where)
+
+
+class AskedOptions(Part):
+    """The options of `publish`."""
+
+    hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
+    thresholds: str | None = Field(description="content of the threshold file; null: none was given")
+
+
+class PublishStamp(Stored):
+    """build/publish.json: what was published last; it is not published itself."""
+
+    FILE: ClassVar[str] = "publish.json"
+    ERROR: ClassVar[type[KinectBenchError]] = ReleaseError
+
+    fingerprint: str = Field(description="of the settings, the pairs' manifests and the options")
+    options: AskedOptions = Field(description="what was asked for beyond the settings")
+    benchmark_sha256: str = Field(description="of the release")
+    pairs: int = Field(description="number of pairs published")
+    recordings: tuple[str, ...] = Field(description="ids of those published")
+    warnings: tuple[str, ...] = Field(description="one line each")
+    private_sha256: str | None = Field(description="of the part that scores; null: nothing is held back")
+    removed: tuple[str, ...] = Field(description="what was removed for privacy, one line each")
+    unanswered: tuple[str, ...] = Field(description="questions of the datasheet, by key")

@@ -1,0 +1,75 @@
+"""What a build keeps beside its results: what each was made from, how long it took, and why a run failed."""
+
+from typing import ClassVar, NamedTuple
+
+from pydantic import Field, JsonValue
+
+from kinectbench.core.artefacts.stored import Stored
+from kinectbench.core.storage import canonical_json
+
+
+class Manifest(Stored):
+    """manifest.json of an artefact's folder: from what it was made, and which files it must hold."""
+
+    FILE: ClassVar[str] = "manifest.json"
+
+    format_version: int = Field(description="version of this file's format")
+    package_version: str = Field(description="version of KinectBench that made the artefact")
+    stage: str = Field(description="name of the stage")
+    stage_version: int | None = Field(
+        None, description="version of the stage's algorithm; null in artefacts older than the key"
+    )
+    fingerprint: str = Field(description="SHA-256 of the format version, stage, version, settings and inputs")
+    settings: dict[str, JsonValue] = Field(description="the settings that the stage depends on")
+    inputs: dict[str, str] = Field(description="fingerprint of everything that it was made from")
+    files: dict[str, int] = Field(description="size of each file in bytes, by its name below the folder")
+
+
+class Timing(Stored):
+    """timing.json of an artefact's folder; it belongs to no fingerprint."""
+
+    FILE: ClassVar[str] = "timing.json"
+
+    seconds: float = Field(description="how long the stage took, seconds")
+
+
+class Failed(Stored):
+    """failed.json of `build/<recording>/`: why its last run failed; there until that stage succeeds."""
+
+    FILE: ClassVar[str] = "failed.json"
+
+    format_version: int = Field(1, description="version of this file's format")
+    stage: str | None = Field(description="name of the stage that failed; null if its process was killed")
+    error: str = Field(description="the reason in one line, as it was shown")
+
+
+class SourceFile(NamedTuple):
+    """A file of a recording, as it was when it was hashed: size in bytes, time in ns, SHA-256 as hex."""
+
+    size: int
+    mtime_ns: int
+    sha256: str
+
+
+class Sources(Stored):
+    """sources.json of `build/<recording>/`: the hashes of the recording's files by their names.
+
+    The name of a recording that is one file is "".
+    """
+
+    FILE: ClassVar[str] = "sources.json"
+    __pydantic_extra__: dict[str, SourceFile]
+
+    @property
+    def files(self) -> dict[str, SourceFile]:
+        """The files by their names, relative to the recording."""
+        return self.__pydantic_extra__
+
+    @property
+    def sha256(self) -> dict[str, str]:
+        """The files' hashes by their names."""
+        return {name: file.sha256 for name, file in self.files.items()}
+
+    def text(self) -> str:
+        """The file's content, on one line: it has a row for every frame."""
+        return canonical_json(self.json_value())

@@ -1,0 +1,332 @@
+"""What `object/` holds of a recording (floor.json, quality.json, volume.npz, surround.npz), and candidates.
+
+mesh.ply beside them is binary PLY (`core.geometry.mesh`): the closed surface in the world frame, metres.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored, Vector4
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry import Grid, OrientedBox
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.npz import npz_bytes, read_npz
+
+Triple = tuple[float, float, float]
+Curve = tuple[tuple[float, float], ...]
+
+
+class Label(IntEnum):
+    """What is known about a voxel, stored as uint8; all but UNKNOWN count as known."""
+
+    FREE = 0
+    """Seen through: empty."""
+    OTHER = 1
+    """Not the object: observed, but floor, neighbour, outside a given box, or below the floor; or never seen
+    and inferred to be empty (a hollow behind an apron, a shadow under the object)."""
+    SURFACE = 2
+    """Measured on the object: occupied."""
+    INTERIOR = 3
+    """Enclosed by its surface: occupied."""
+    UNKNOWN = 4
+    """Never in a frustum, or never decided: occupied by probability, not trusted."""
+
+
+class BoxPart(Part):
+    """An upright box in the floor frame, as benchmark.yaml writes it."""
+
+    center_m: Triple = Field(description="centre, floor frame, metres")
+    size_m: Triple = Field(description="edge lengths, metres")
+    yaw_rad: float = Field(description="turn about z, radians, counter-clockwise seen from above")
+
+    @classmethod
+    def of(cls, box: OrientedBox, decimals_m: int, decimals_rad: int) -> Self:
+        """A box rounded to so many decimals of metres and of radians."""
+        x, y, z = (round(value, decimals_m) for value in box.center_m)
+        length, width, height = (round(value, decimals_m) for value in box.size_m)
+        return cls(
+            center_m=(x, y, z), size_m=(length, width, height), yaw_rad=round(box.yaw_rad, decimals_rad)
+        )
+
+    def box(self) -> OrientedBox:
+        """The box itself."""
+        return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
+
+
+class FloorFile(Stored):
+    """objects/<recording>/floor.json."""
+
+    FILE = "floor.json"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    plane_world: Vector4 = Field(description="[a, b, c, d]: a x + b y + c z + d = 0, (a, b, c) up; metres")
+    T_floor_world: Matrix4 = Field(description="(4, 4), metres; frame floor: z up, floor at z = 0")
+    noise_m: float = Field(description="of the points on the floor, metres")
+    inlier_share: float = Field(description="of the scene's surface, that lies on the plane")
+    tilt_rad: float | None = Field(
+        None, description="between its normal and up as the cameras were held, radians"
+    )
+    found: bool | None = Field(None, description="false: no floor was found, and a box was given")
+
+
+class LabelCounts(Part):
+    """Voxels of each label (`Label`)."""
+
+    free: int = Field(description="seen through, voxels")
+    other: int = Field(description="not the object, voxels")
+    surface: int = Field(description="measured on the object, voxels")
+    interior: int = Field(description="enclosed by its surface, voxels")
+    unknown: int = Field(description="never seen or never decided, voxels")
+
+
+class UnseenSidePart(ScaledPart):
+    """The widest range of directions from which no camera looked at the object."""
+
+    gap_rad: DegreesInFile = Field(description="its width, degrees, 0 to 360")
+    towards_rad: DegreesInFile = Field(
+        description="its middle, seen from the object, degrees from the floor's x axis, counter-clockwise"
+    )
+    share: float = Field(description="of all upright directions: those that no camera would have seen")
+
+
+class MovingPart(Part):
+    """Frames in which something stands before the scene that the others do not see."""
+
+    judged: int = Field(description="frames looked at")
+    frames: tuple[int, ...] = Field(description="indices of those in which something moves")
+    largest_share: float = Field(description="of a frame's pixels, that lie before the scene")
+
+
+class RuleProbabilities(Part):
+    """Probabilities that a voxel is occupied, where a rule says so."""
+
+    hollow: float = Field(description="in a hollow behind an apron")
+    doubtful: float = Field(description="in what may be a hollow")
+    under: float = Field(description="under the object")
+    under_empty: float = Field(description="under the object, and called empty")
+    beside_empty: float = Field(description="elsewhere, and called empty")
+
+
+class SolidMethod(Part):
+    """The constants by which a solid was made from what the frames saw."""
+
+    name: str = Field(description="its steps, in words")
+    occupied_share: float | None = Field(
+        None, description="of 26 directions that enclose an unseen voxel: it is occupied from so many on"
+    )
+    interior_share: float | None = Field(None, description="the same for the label interior")
+    level_enclosed: int | None = Field(
+        None, description="of the 8 level directions: so many enclose what is not under the object"
+    )
+    empty_under: int | None = Field(
+        None,
+        description="of the 17 directions that do not go up: at most so many enclose what is empty under it",
+    )
+    empty_share: float | None = Field(
+        None, description="of 26 directions that enclose an unseen voxel elsewhere: below it is empty"
+    )
+    hollow_overhang_m: float | None = Field(
+        None, description="least overhang of a top over the apron that it rests on, metres"
+    )
+    hollow_full_overhang: float | None = Field(
+        None,
+        description="least overhang over a hollow's uppermost layer, as a share of that over the next one",
+    )
+    hollow_height_m: tuple[float, float] | None = Field(
+        None, description="least height, and greatest depth under the top, metres"
+    )
+    doubtful_height_m: float | None = Field(
+        None, description="greatest height of what may be a hollow, metres"
+    )
+    hollow_enclosed_height_m: float | None = Field(
+        None, description="least height of a hollow's part that would otherwise be interior, metres"
+    )
+    hollow_beneath_share: tuple[float, float] | None = Field(
+        None, description="of 26 directions, right under a hollow: most if it is open, least behind an apron"
+    )
+    hollow_open_below: int | None = Field(None, description="of 9 ways down, so many at least lead outside")
+    least_weight_share: float | None = Field(
+        None, description="of the surface's median weight: a voxel with less was not observed"
+    )
+    min_free_votes: int | None = Field(None, description="frames that must see through to carve a voxel")
+    min_free_share: float | None = Field(None, description="of the frames that look there, that must do so")
+    free_by_noise: tuple[float, float] | None = Field(
+        None, description="share of frames that noise lets see through a surface, and its growth a voxel"
+    )
+    voxels_per_free_share: float | None = Field(
+        None, description="how far the other frames that see through move the surface inward, voxels"
+    )
+    trust_in_votes: tuple[tuple[float, ...], tuple[float, ...]] | None = Field(
+        None, description="widths of the frames' rays in voxels, and what part of the votes is believed"
+    )
+    smoothing_voxels: float | None = Field(None, description="sigma of the Gaussian, voxels")
+    probability_by_enclosure: Curve | None = Field(
+        None, description="[share of 26 enclosing directions, probability] of unseen voxels"
+    )
+    probability_by_signed_voxels: Curve | None = Field(
+        None, description="[signed distance in voxels, probability] of observed voxels"
+    )
+    probability_by_rule: RuleProbabilities | None = Field(None, description="where a rule says so")
+    chosen_on: str | None = Field(None, description="the data that the constants were chosen on")
+
+
+class QualityFile(Stored):
+    """objects/<recording>/quality.json: how good the truth is."""
+
+    FILE = "quality.json"
+
+    format_version: Literal[1] | None = Field(None, description="of this file's format")
+    verdict: str | None = Field(None, description="in words")
+    warnings: tuple[str, ...] = Field((), description="one line each")
+    repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
+    estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
+    surface_sigma_m: float | None = Field(None, description="standard deviation of the surface, metres")
+    unknown_share: float | None = Field(None, description="of the solid: never seen")
+    doubtful_share: float | None = Field(None, description="of the solid: perhaps a hollow")
+    volume_m3: float | None = Field(None, description="of the solid, cubic metres")
+    labels: LabelCounts | None = Field(None, description="voxels of each label")
+    box: BoxPart | None = Field(None, description="around the object, floor frame")
+    box_odd: BoxPart | None = Field(None, description="of the odd frames alone")
+    box_even: BoxPart | None = Field(None, description="of the even frames alone")
+    selection: str | None = Field(None, description="automatic or box")
+    good_frames: int | None = Field(None, description="frames that were fused")
+    unseen_side: UnseenSidePart | None = Field(None, description="side that no camera looked at")
+    moving: MovingPart | None = Field(None, description="frames in which something moves")
+    method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
+    source: str | None = Field(None, description="synthesised: the mesh")
+    faces: int | None = Field(None, description="synthesised: triangles of the mesh")
+
+
+class SynthesisedQualityFile(Stored):
+    """quality.json of an object that was made from a mesh; `QualityFile` reads it, too."""
+
+    FILE = QualityFile.FILE
+
+    verdict: str = Field(description="in words")
+    method: str = Field(description="rule by which the mesh was filled")
+    source: str = Field(description="the mesh, or the seed it was made from")
+    faces: int = Field(description="triangles of the mesh")
+    warnings: tuple[str, ...] = Field(description="one line each")
+
+
+class CandidateRow(Part):
+    """A box that the object may be chosen by."""
+
+    number: int = Field(description="from 1 on, as in the pictures")
+    automatic: bool = Field(description="it is what is chosen without a box")
+    box: BoxPart = Field(description="around it, floor frame")
+    distance_m: float = Field(description="from where the cameras look to its nearest point, metres")
+    picture: str = Field(description="file beside this one")
+
+
+class CandidatesFile(Stored):
+    """candidates/candidates.json."""
+
+    FILE = "candidates.json"
+    ADVICE = "`kinectbench segment --suggest --force` makes it again"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    floor_found: bool = Field(
+        description="false: no floor was found, and the boxes stand on the lowest surface"
+    )
+    plan: str = Field(description="file beside this one: the scene from above")
+    candidates: tuple[CandidateRow, ...] = Field(description="the automatic choice first, then by distance")
+
+
+def _grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:
+    return {"voxel_size_m": np.asarray(grid.voxel_size_m), "T_world_grid": grid.T_world_grid}
+
+
+def _read_arrays(path: Path, names: tuple[str, ...]) -> tuple[Grid, list[NDArray[Any]]]:
+    """A grid, and the named arrays on it.
+
+    Raises:
+        StorageError: the file is missing or damaged, or an array is not of the first one's shape.
+    """
+    arrays = read_npz(path)
+    try:
+        values = [arrays[name] for name in names]
+        nx, ny, nz = values[0].shape
+        grid = Grid((nx, ny, nz), float(arrays["voxel_size_m"]), arrays["T_world_grid"].reshape(4, 4))
+    except (ValueError, KeyError, TypeError) as error:
+        raise StorageError(f"{path}: damaged ({error}); {Stored.ADVICE}") from error
+    if any(array.shape != grid.shape for array in values):
+        raise StorageError(f"{path}: damaged (its arrays have different shapes); {Stored.ADVICE}")
+    return grid, values
+
+
+@dataclass(frozen=True)
+class ObjectVolume:
+    """volume.npz: the object on a fine grid around it; all arrays have the grid's shape.
+
+    Attributes:
+        grid: upright, cells aligned with the floor; its voxel size in metres.
+        solid: bool, occupied.
+        labels: uint8, see `Label`.
+        probability: float16 in the file, in [0, 1], that the voxel is occupied.
+    """
+
+    FILE: ClassVar[str] = "volume.npz"
+
+    grid: Grid
+    solid: Bools
+    labels: NDArray[np.uint8]
+    probability: NDArray[np.floating]
+
+    def write(self, folder: Path) -> None:
+        """Write the file into a folder that is there."""
+        arrays = {
+            "format_version": np.asarray(1),
+            "solid": self.solid,
+            "labels": self.labels,
+            "probability": self.probability.astype(np.float16),
+            **_grid_arrays(self.grid),
+        }
+        (folder / self.FILE).write_bytes(npz_bytes(arrays, level=1))
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read the file in a folder.
+
+        Raises:
+            StorageError: it is missing or damaged.
+        """
+        grid, arrays = _read_arrays(folder / cls.FILE, ("solid", "labels", "probability"))
+        return cls(grid, *arrays)
+
+
+@dataclass(frozen=True)
+class Surround:
+    """surround.npz: what is known of the space around the object, on a coarse grid.
+
+    Attributes:
+        grid: as far as any pair's cube can reach; its voxel size in metres.
+        labels: uint8 of the grid's shape: FREE, OTHER or UNKNOWN.
+    """
+
+    FILE: ClassVar[str] = "surround.npz"
+
+    grid: Grid
+    labels: NDArray[np.uint8]
+
+    def write(self, folder: Path) -> None:
+        """Write the file into a folder that is there."""
+        (folder / self.FILE).write_bytes(
+            npz_bytes({"labels": self.labels, **_grid_arrays(self.grid)}, level=1)
+        )
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read the file in a folder.
+
+        Raises:
+            StorageError: it is missing or damaged.
+        """
+        grid, (labels,) = _read_arrays(folder / cls.FILE, ("labels",))
+        return cls(grid, labels)

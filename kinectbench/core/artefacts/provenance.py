@@ -1,0 +1,87 @@
+"""What a release says of its own making: lineage.json, privacy.json and thresholds.json."""
+
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.benchmark import ReleaseFile
+from kinectbench.core.artefacts.stored import Part
+
+LINEAGE_JSON = "lineage.json"
+PRIVACY_JSON = "privacy.json"
+THRESHOLDS_JSON = "thresholds.json"
+
+# What became of the colour images of the views; none: there were none.
+ColorPublished = Literal["left out", "published", "none"]
+
+
+class LineageStage(Part):
+    """What made one artefact of a recording."""
+
+    package_version: str = Field(description="version of kinectbench; a record only")
+    stage_version: int | None = Field(
+        None, description="of what the stage writes; null or missing: the artefact is older than the key"
+    )
+    settings: dict[str, Any] = Field(description="those the stage depends on")
+    fingerprint: str = Field(description="of stage, version, settings and inputs")
+
+
+class LineageView(Part):
+    """The frame of a view."""
+
+    view: str = Field(description="zero-padded index")
+    frame: int = Field(description="index among the recording's depth images, in their order")
+    stamp_ns: int = Field(description="depth stamp, nanoseconds")
+
+
+class LineageRecording(Part):
+    """Where the pairs of one recording come from."""
+
+    source: str = Field(description="who recorded it, or where it is from")
+    license: str = Field(description="of the data")
+    files: dict[str, str] = Field(description="file of the recording, relative to it → SHA-256")
+    stages: dict[str, LineageStage] = Field(description="by name, in the order of the pipeline")
+    views: tuple[LineageView, ...] | None = Field(None, description="those with a pair; held back: missing")
+
+
+class Lineage(ReleaseFile):
+    """All of lineage.json; the versions of other packages are in benchmark.json."""
+
+    FILE: ClassVar[str] = LINEAGE_JSON
+
+    format_version: Literal[1] = Field(description="of this file")
+    package_version: str = Field(description="version of kinectbench that published it")
+    packages: str = Field(description="where the versions of other packages are")
+    recordings: dict[str, LineageRecording] = Field(description="by id")
+
+
+class Removed(Part):
+    """Something that was removed."""
+
+    file: str = Field(description="of the release")
+    what: str = Field(description="in words")
+
+
+class Privacy(ReleaseFile):
+    """All of privacy.json: what was looked for, and removed or kept."""
+
+    FILE: ClassVar[str] = PRIVACY_JSON
+
+    format_version: Literal[1] = Field(description="of this file")
+    color: ColorPublished = Field(description="colour images of the views")
+    looked_in: tuple[str, ...] = Field(description="kinds of files")
+    looked_for: tuple[str, ...] = Field(description="kinds of facts")
+    removed: tuple[Removed, ...] = Field(description="what was found")
+    kept: tuple[str, ...] = Field(description="what is published knowingly")
+
+
+class ThresholdsFile(ReleaseFile):
+    """All of thresholds.json: the frozen thresholds of a method."""
+
+    FILE: ClassVar[str] = THRESHOLDS_JSON
+    ADVICE: ClassVar[str] = "`kinectbench score --save-thresholds` writes one"
+
+    thresholds: dict[str, float] = Field(description="category → threshold, one of 0.1, 0.15, … 0.9")
+    objects: tuple[str, ...] = Field((), description="they were found on")
+    method: str | None = Field(None, description="they were found for")
+    benchmark_sha256: str | None = Field(None, description="of the release they were found on")

@@ -1,0 +1,400 @@
+"""scores.json and scores.csv: everything known of one method's scores.
+
+Each metric is declared once, as a field of `VoxelMetrics` or `SurfaceMetrics`, with its meaning, unit, range,
+and whether more is better. Rows, averages, the JSON schema and the page's tables are made from these fields.
+
+The bases of a class are read from the right: the fields of the last base come first in the file.
+"""
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic.dataclasses import dataclass
+from pydantic.fields import FieldInfo
+
+from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.storage import replaced_file
+
+SCORES_JSON = "scores.json"
+SCORES_CSV = "scores.csv"
+OVERALL = "overall"
+BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to every table
+
+IN_UNIT_RANGE: dict[str, JsonValue] = {"minimum": 0, "maximum": 1}
+SHARE: dict[str, JsonValue] = {**IN_UNIT_RANGE, "better": "higher"}
+
+
+# Rows and averages are dataclasses: of a hundred thousand rows, models would take twice the memory.
+FINITE = ConfigDict(allow_inf_nan=False)
+
+
+def _share(heading: str | None, meaning: str) -> Any:
+    """A metric in [0, 1], the higher the better.
+
+    Args:
+        heading: of its column on the page; None keeps it off the page.
+        meaning: in one sentence.
+    """
+    return Field(None, title=heading, description=meaning, json_schema_extra=SHARE)
+
+
+def _loss(heading: str | None, meaning: str, unit: str) -> Any:
+    """A metric from 0 on, the lower the better; arguments as those of `_share`."""
+    extra: dict[str, JsonValue] = {"minimum": 0, "unit": unit, "better": "lower"}
+    return Field(None, title=heading, description=meaning, json_schema_extra=extra)
+
+
+@dataclass(frozen=True, config=FINITE)
+class VoxelMetrics:
+    """Metrics of voxels; precision, recall, F1 and IoU are at the row's threshold."""
+
+    iou: float | None = _share("IoU", "intersection over union")
+    ce: float | None = _loss("CE", "mean cross-entropy", "nats a voxel")
+    precision: float | None = _share("precision", "share of the predicted voxels that are occupied")
+    recall: float | None = _share("recall", "share of the occupied voxels that are predicted")
+    f1: float | None = _share("F1", "harmonic mean of precision and recall")
+
+
+@dataclass(frozen=True, config=FINITE)
+class SurfaceMetrics:
+    """Metrics of surfaces at the row's threshold; None if they were not asked for."""
+
+    chamfer_mm: float | None = _loss(
+        "Chamfer, mm", "mean of the mean distances from each surface to the other", "mm"
+    )
+    f_score_1pct: float | None = _share("F-score 1 %", "F-score at 1 % of the diagonal of the shape's box")
+    f_score_2pct: float | None = _share(None, "F-score at 2 % of the diagonal of the shape's box")
+    f_score_10mm: float | None = _share(None, "F-score at 10 mm")
+    f_score_20mm: float | None = _share(None, "F-score at 20 mm")
+    surface_dice: float | None = _share(
+        "surface Dice", "share of both surfaces within 2 sigma of the truth's surface of each other"
+    )
+    normal_consistency: float | None = _share(
+        "normals", "mean |cosine| between the normals of nearest cells, both ways"
+    )
+
+
+def fields_of(kind: type) -> dict[str, FieldInfo]:
+    """The fields of a class of figures, in file order."""
+    found: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
+    return found
+
+
+VOXEL_METRICS = tuple(fields_of(VoxelMetrics))
+SURFACE_METRICS = tuple(fields_of(SurfaceMetrics))
+METRICS = (*VOXEL_METRICS, *SURFACE_METRICS)
+# Metrics in [0, 1], of which more is better; of the others less is.
+SHARES = frozenset(
+    name
+    for kind in (VoxelMetrics, SurfaceMetrics)
+    for name, field in fields_of(kind).items()
+    if field.json_schema_extra == SHARE
+)
+
+
+@dataclass(frozen=True, config=FINITE)
+class Context:
+    """What the metrics of a pair, or their averages, are to be read beside."""
+
+    base_rate_ce: float | None = Field(
+        default=None,
+        description="cross-entropy of the category's base-rate constant, nats a voxel",
+        json_schema_extra={"minimum": 0},
+    )
+    coverage_voxels: float | None = Field(
+        default=None,
+        description="share of the 256^3 voxels that the protocol counts",
+        json_schema_extra=IN_UNIT_RANGE,
+    )
+    coverage_shape: float | None = Field(
+        default=None,
+        description="share of the shape's voxels that it counts",
+        json_schema_extra=IN_UNIT_RANGE,
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
+class Pair:
+    """The pair of a row, and how it was scored."""
+
+    recording: str = Field(description="id of the recording")
+    object: str = Field(description="the thing recorded")
+    view: str = Field(description="zero-padded index", json_schema_extra={"pattern": "^[0-9]{3,6}$"})
+    category: str = Field(description='such as "chair"')
+    protocol: str = Field(
+        description="which voxels are counted", json_schema_extra={"enum": ["paper", "known", "occluded"]}
+    )
+    threshold: float = Field(
+        description="a voxel is predicted occupied if y > threshold", json_schema_extra=IN_UNIT_RANGE
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
+class Resolution:
+    """The resolution of a prediction, and what it allows."""
+
+    cells: int = Field(
+        default=256,
+        description="side of the prediction as it was submitted; 0 if it is missing and scored as empty",
+        json_schema_extra={"minimum": 0, "maximum": 512},
+    )
+    ceiling_iou: float = Field(
+        default=1.0,
+        description="IoU of the truth itself, reduced to that side and brought back",
+        json_schema_extra=IN_UNIT_RANGE,
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
+class ScoreRow(SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
+    """One pair under one protocol."""
+
+    @property
+    def pair(self) -> str:
+        """`<recording>/<view>`."""
+        return f"{self.recording}/{self.view}"
+
+
+@dataclass(frozen=True, config=FINITE)
+class Averages(Context, SurfaceMetrics, VoxelMetrics):
+    """Means of the rows' figures; one that is not known of every row is None."""
+
+    ceiling_iou: float | None = Field(
+        default=None, description="mean of the rows' ceilings", json_schema_extra=IN_UNIT_RANGE
+    )
+
+    def __getitem__(self, key: str) -> Any:
+        """A figure by its key in the file, such as "iou"."""
+        return getattr(self, key)
+
+
+AVERAGED = tuple(fields_of(Averages))
+
+Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
+Intervals = Annotated[
+    dict[str, Interval | None], Field(description="metric -> ends of the 95 % interval over objects, or null")
+]
+Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
+TruthIou = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
+ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
+REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not known"
+
+
+@dataclass(frozen=True, config=FINITE)
+class CategoryAverages(Averages):
+    """The averages of one category under one protocol, over objects; under `paper` over pairs."""
+
+    pairs: Count = Field(default=None, description="how many pairs they stand on")
+    objects: Count = Field(default=None, description="how many objects they stand on")
+    base_rate_source: str | None = Field(
+        default=None, description="the split that the base rate was taken from"
+    )
+    intervals: Intervals = Field(default_factory=dict)
+    truth_estimated_iou: TruthIou = Field(default=None, description=ESTIMATED)
+    truth_repeatability_iou: TruthIou = Field(default=None, description=REPEATABILITY)
+
+
+@dataclass(frozen=True, config=FINITE)
+class OverallAverages(Averages):
+    """Means over the categories under one protocol."""
+
+    truth_estimated_iou: TruthIou = Field(default=None, description=ESTIMATED)
+    truth_repeatability_iou: TruthIou = Field(default=None, description=REPEATABILITY)
+    pairs: Count = Field(default=None, description="sum over the categories")
+    objects: Count = Field(default=None, description="sum over the categories")
+    categories: Count = Field(default=None, description="how many categories there are")
+    intervals: Intervals = Field(default_factory=dict)
+
+
+class ScoreSettings(Part):
+    """Every choice that the numbers depend on, in words and numbers."""
+
+    score_version: int | None = Field(None, description="counts the changes of what `score` computes")
+    protocols: tuple[str, ...] = Field((), description="those that were scored")
+    primary_protocol: str | None = Field(None, description="the one that methods are ranked by")
+    missing: str | None = Field(None, description='of a prediction: "error", or "empty" for an empty grid')
+    threshold_range: tuple[float, float] | None = Field(None, description="lowest and highest threshold")
+    threshold_step: float | None = Field(None, description="between neighbouring thresholds")
+    threshold_rule: str | None = Field(None, description="how thresholds are chosen")
+    occupied: str | None = Field(None, description="when a voxel is predicted occupied")
+    ce_clip: float | None = Field(None, description="predictions are clipped to [ce_clip, 1 - ce_clip]")
+    iou_of_empty_union: int | None = Field(None, description="IoU where nothing is occupied or predicted")
+    precision_and_recall_of_nothing: str | None = Field(None, description="where one of them has no voxel")
+    upsampling: str | None = Field(None, description="how a grid of less than 256 a side is brought to 256")
+    averages: str | None = Field(None, description="the order of the means")
+    surface_metrics: bool | None = Field(None, description="whether they were computed")
+    f_score_mm: tuple[float, ...] = Field((), description="tolerances of the F-scores in millimetres")
+    surface_dice_sigmas: float | None = Field(None, description="tolerance of the surface Dice")
+    interval_level: float | None = Field(None, description="of the confidence intervals")
+    interval_rule: str | None = Field(None, description="how intervals are computed")
+    baseline_version: int | None = Field(
+        None, description="counts the changes of what baselines predict; only in their tables"
+    )
+
+
+class BaseRate(Part):
+    """The base rate of one category."""
+
+    value: float = Field(description="mean share of occupied voxels", json_schema_extra=IN_UNIT_RANGE)
+    source: str = Field(
+        description="the split whose truth it was taken from",
+        json_schema_extra={"enum": ["validation", "train", "test (oracle)"]},
+    )
+
+
+class Failure(Part):
+    """A prediction that could not be scored."""
+
+    recording: str = Field("", description="id of the recording")
+    view: str = Field("", description="zero-padded index")
+    reason: str = Field("", description="in one line")
+
+
+class ExtremePair(Part):
+    """One of the best or worst pairs."""
+
+    recording: str = Field(description="id of the recording")
+    view: str = Field(description="zero-padded index")
+    category: str = Field(description='such as "chair"')
+    iou: float = Field(description="of this pair", json_schema_extra=IN_UNIT_RANGE)
+
+
+class Extremes(Part):
+    """Three pairs each at most, the most extreme first."""
+
+    best: tuple[ExtremePair, ...] = Field(description="of the highest IoU")
+    worst: tuple[ExtremePair, ...] = Field(description="of the lowest IoU")
+
+
+class Hashes(Part):
+    """What a pair was scored from."""
+
+    truth: str = Field(
+        description="SHA-256 of the pair file", json_schema_extra={"pattern": "^[0-9a-f]{64}$"}
+    )
+    prediction: str | None = Field(
+        description="blake3:<hex> of the prediction's file (in older tables its SHA-256), or null",
+        json_schema_extra={"pattern": "^(blake3:)?[0-9a-f]{64}$"},
+    )
+
+
+def _without_nulls(content: Any) -> Any:
+    """Of a stranger's object, the keys that have a value; null stands for no keys."""
+    if not isinstance(content, Mapping):
+        return {} if content is None else content
+    return {key: value for key, value in content.items() if value is not None}
+
+
+def _lines(content: Any) -> Any:
+    """A list of JSON as the tuple that it was; a stranger's null stands for none."""
+    return tuple(content) if isinstance(content, list) else () if content is None else content
+
+
+Lines = Annotated[tuple[str, ...], BeforeValidator(_lines)]
+ByCategory = Annotated[dict[str, CategoryAverages], BeforeValidator(_without_nulls)]
+Curve = Annotated[
+    list[float],
+    Field(json_schema_extra={"minItems": 17, "maxItems": 17, "items": {"type": "number", **IN_UNIT_RANGE}}),
+]
+
+
+class ScoreTable(Stored):
+    """Everything known of one method's scores; a key that an older file lacks has its default."""
+
+    FILE: ClassVar[str] = SCORES_JSON
+    ADVICE: ClassVar[str] = "score the predictions again"
+
+    method: str = Field(description="its name")
+    benchmark_sha256: str = Field(
+        "",
+        description="SHA-256 of the release it was scored against",
+        json_schema_extra={"pattern": "^[0-9a-f]{64}$"},
+    )
+    package_version: str = Field("", description="of kinectbench")
+    settings: ScoreSettings = Field(ScoreSettings(), description="every choice that the numbers depend on")
+    complete: bool = Field(
+        False, description="whether every test pair was scored; if not, there are no averages"
+    )
+    thresholds: Annotated[dict[str, float], BeforeValidator(_without_nulls)] = Field(
+        {}, description="category -> threshold, k / 20 with k from 2 to 18"
+    )
+    threshold_source: str = Field(
+        "",
+        description="validation, fixed or file:<sha256>",
+        json_schema_extra={"pattern": "^(validation|fixed|file:[0-9a-f]{64})$"},
+    )
+    base_rate: dict[str, BaseRate] = Field(
+        {}, description="category -> the constant that CE is compared with, and where it is from"
+    )
+    rows: tuple[ScoreRow, ...] = Field((), description="one for each protocol and test pair")
+    by_category: Annotated[dict[str, ByCategory], BeforeValidator(_without_nulls)] | None = Field(
+        None, description="protocol -> category -> averages; null if not complete"
+    )
+    overall: Annotated[dict[str, OverallAverages], BeforeValidator(_without_nulls)] | None = Field(
+        None, description="protocol -> mean over the categories; null if not complete"
+    )
+    truth_quality: dict[str, dict[str, JsonValue]] = Field(
+        {}, description="recording -> what the release says of its truth"
+    )
+    failures: tuple[Failure, ...] = Field((), description="predictions that could not be scored")
+    warnings: Lines = Field((), description="one line each")
+    notes: Lines = Field((), description="what to know of the numbers, one line each")
+    extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
+    iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
+        None,
+        description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete",
+    )
+    hashes: dict[str, Hashes] = Field({}, description="pair -> hashes of its truth and of its prediction")
+    baseline: bool = Field(
+        False, description="whether kinectbench made the predictions itself, to stand beside a method's"
+    )
+
+    def averages(self, protocol: str) -> dict[str, CategoryAverages | OverallAverages]:
+        """The averages under a protocol by category, and over all categories under `OVERALL`."""
+        found: dict[str, CategoryAverages | OverallAverages] = {**(self.by_category or {}).get(protocol, {})}
+        over_all = (self.overall or {}).get(protocol)
+        return found if over_all is None else {**found, OVERALL: over_all}
+
+    def pairs(self, protocol: str) -> list[ScoreRow]:
+        """The rows of a protocol."""
+        return [row for row in self.rows if row.protocol == protocol]
+
+    def csv(self) -> str:
+        """scores.csv as text: the rows, each behind the method's name."""
+        columns = tuple(fields_of(ScoreRow))
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(["method", *columns])
+        writer.writerows([self.method, *(getattr(row, name) for name in columns)] for row in self.rows)
+        return buffer.getvalue()
+
+    def write(self, folder: Path) -> None:
+        """Write scores.json and scores.csv into a folder, each whole or not at all.
+
+        Raises:
+            StorageError: the disk is full or read-only.
+        """
+        for name, text in ((SCORES_CSV, self.csv()), (SCORES_JSON, self.text())):
+            with replaced_file(folder / name) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+
+
+# Keys that tables of the first versions lack.
+LATER_KEYS = ("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories")
+LATER_AVERAGES = ("base_rate_source", "truth_estimated_iou", "truth_repeatability_iou")
+LATER = {*LATER_KEYS, *LATER_AVERAGES, *SURFACE_METRICS, *fields_of(Resolution)}
+
+
+def scores_schema() -> dict[str, Any]:
+    """The JSON schema of scores.json, of every version."""
+    schema = ScoreTable.model_json_schema()
+    for part in (
+        schema,
+        *(schema["$defs"][name] for name in ("ScoreRow", "CategoryAverages", "OverallAverages")),
+    ):
+        part["required"] = [key for key in part["properties"] if key not in LATER]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -1,0 +1,79 @@
+"""camera.json and frames.json of `build/<recording>/sequence/`: one camera, and where each frame lies."""
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from kinectbench.core.artefacts.stored import Bare, Part, Stored
+from kinectbench.core.geometry import Camera
+from kinectbench.core.types import Int64
+
+AGAIN = "delete the folder and run `kinectbench ingest` again"
+
+
+class CameraFile(Stored):
+    """camera.json: the depth camera, and what is to be known of the recording as a whole."""
+
+    FILE: ClassVar[str] = "camera.json"
+    ADVICE: ClassVar[str] = AGAIN
+    FORMAT_VERSION: ClassVar[int] = 2
+    READABLE_VERSIONS: ClassVar[tuple[int, ...]] = (1, 2)
+
+    format_version: int = Field(
+        description="Version of the sequence folder: 1 (depth as PNG) or 2 (depth as .kbd)."
+    )
+    width: int = Field(description="Width of the depth images, pixels.")
+    height: int = Field(description="Height of the depth images, pixels.")
+    fx: float = Field(description="Focal length of the depth images along x, pixels.")
+    fy: float = Field(description="Focal length of the depth images along y, pixels.")
+    cx: float = Field(description="Principal point of the depth images along x, pixels.")
+    cy: float = Field(description="Principal point of the depth images along y, pixels.")
+    depth_scale: float = Field(gt=0, description="Native depth units per metre.")
+    color_registered: bool = Field(description="Whether colour pixels lie on depth pixels.")
+    registered_by: Literal["recording", "calibration"] | None = Field(
+        default=None,
+        description="What put colour onto depth: the recording itself, or ingest by a given calibration.",
+    )
+    source_format: str = Field(default="", description="Name of the format that the recording is in.")
+    frames: int | None = Field(default=None, description="Number of frames.")
+    warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
+    trajectory_error: str = Field(
+        default="", description='Why the trajectory that came with the recording is not used, or "".'
+    )
+
+    @field_validator("format_version")
+    @classmethod
+    def _readable(cls, version: int) -> int:
+        if version not in cls.READABLE_VERSIONS:
+            raise ValueError(f"written in format version {version}")
+        return version
+
+    @property
+    def camera(self) -> Camera:
+        """The pinhole camera of the depth images."""
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+
+
+class FrameRow(Part):
+    """One frame of frames.json; paths are relative to the sequence folder."""
+
+    index: int = Field(description="Index of the frame, from 0.")
+    stamp_ns: int = Field(description="Stamp of the depth image, nanoseconds.")
+    depth: str = Field(description="Path of the depth image, native units, 0 = no measurement.")
+    color: str | None = Field(description="Path of the colour image as it was encoded, or null.")
+    mask: str | None = Field(default=None, description="Path of the given mask (not 0 = object), or null.")
+
+
+class FramesFile(Bare):
+    """frames.json: a list of frames in the order of their stamps."""
+
+    FILE: ClassVar[str] = "frames.json"
+    ADVICE: ClassVar[str] = AGAIN
+
+    rows: tuple[FrameRow, ...] = Field(description="The frames in the order of their stamps.")
+
+    @property
+    def stamps_ns(self) -> Int64:
+        """Stamp of each frame: (n,) int64, nanoseconds."""
+        return np.array([row.stamp_ns for row in self.rows], np.int64)

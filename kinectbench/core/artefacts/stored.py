@@ -1,0 +1,227 @@
+"""What the models of all stored JSON files share: how a typed value becomes a file, and comes back.
+
+Inside the package every length is in metres and every angle in radians, and what is not known is None. Some
+keys of the files are in millimetres or degrees, for people who open them. Such a field is named for what it
+holds in memory; its model is a `ScaledPart`, which makes the key: `shift_m: MillimetresInFile` is `shift_mm`.
+"""
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    PlainSerializer,
+    SerializerFunctionWrapHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+    model_serializer,
+)
+
+from kinectbench.core.errors import KinectBenchError, StorageError
+from kinectbench.core.storage import pretty_json, strict_json
+from kinectbench.core.types import Float64
+
+FROM_FILE = "from a file"
+
+
+class Part(BaseModel):
+    """A part of a stored file: frozen, without NaN or infinity; keys that it does not know are kept.
+
+    Newer versions may write more keys, and what reads a file and writes it again must not lose them. Nor does
+    it add any: a key whose default is None or () is written only if it was given, as null for example.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="allow",
+        allow_inf_nan=False,
+        validate_by_name=True,
+        validate_by_alias=True,
+        serialize_by_alias=True,
+        arbitrary_types_allowed=True,
+    )
+
+    # A return type would take the place of the model's JSON schema in mode "serialization".
+    @model_serializer(mode="wrap")
+    def _without_absent_keys(self, to_dict: SerializerFunctionWrapHandler):  # type: ignore[no-untyped-def]
+        values = to_dict(self)
+        for name, field in type(self).model_fields.items():
+            if name not in self.model_fields_set and field.default in (None, ()):
+                values.pop(field.alias or name, None)
+        return values
+
+    def json_value(self) -> dict[str, Any]:
+        """The plain JSON object, with the keys and units of the file; keys in the order of the fields."""
+        return self.model_dump(mode="json")
+
+
+class Stored(Part):
+    """A whole file.
+
+    Attributes:
+        FILE: its name, relative to the folder it lies in.
+        ADVICE: what a person can do if it is damaged.
+        ERROR: what is raised if it is.
+        MAX_BYTES: a larger file is not read: it may be a stranger's.
+    """
+
+    FILE: ClassVar[str]
+    ADVICE: ClassVar[str] = "`kinectbench build --force` makes it again"
+    ERROR: ClassVar[type[KinectBenchError]] = StorageError
+    MAX_BYTES: ClassVar[int] = 1 << 30
+
+    def text(self) -> str:
+        """The file's content."""
+        return pretty_json(self.json_value())
+
+    def write(self, folder: Path) -> None:
+        """Write the file into a folder that is there."""
+        (folder / self.FILE).write_text(self.text(), encoding="utf-8")
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read the file in a folder; errors as those of `read_file`."""
+        return cls.read_file(folder / cls.FILE)
+
+    @classmethod
+    def read_file(cls, path: Path) -> Self:
+        """Read a file of this kind, whatever its name is.
+
+        Raises:
+            KinectBenchError: `cls.ERROR`, if it is missing, too large, damaged or of another kind.
+        """
+        try:
+            if path.stat().st_size > cls.MAX_BYTES:
+                raise cls.ERROR(f"{path}: larger than such a file can be; {cls.ADVICE}")
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            told = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({reason})"
+            raise cls.ERROR(f"{path}: {told}; {cls.ADVICE}") from error
+        return cls.parse(text, str(path))
+
+    @classmethod
+    def read_if_there(cls, folder: Path) -> Self | None:
+        """`read`; None if there is no such file."""
+        return cls.read(folder) if (folder / cls.FILE).is_file() else None
+
+    @classmethod
+    def parse(cls, text: str, where: str) -> Self:
+        """The value that a file's text holds; a number written as text, for example, is not taken for one.
+
+        Args:
+            text: JSON.
+            where: what an error's line begins with, such as the path.
+
+        Raises:
+            KinectBenchError: `cls.ERROR`, in one line that names the first key that is wrong.
+        """
+        try:
+            strict_json(text)
+            return cls._validated(text)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"])
+            why = first["msg"].removeprefix("Value error, ")
+            told = f"'{key}': {why}" if key else why
+            raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
+        except (ValueError, RecursionError) as error:
+            raise cls.ERROR(f"{where}: not valid JSON ({error}); {cls.ADVICE}") from error
+
+    @classmethod
+    def _validated(cls, text: str) -> Self:
+        return cls.model_validate_json(text, strict=True, context=FROM_FILE)
+
+
+class Bare(Stored):
+    """A whole file that is the value of the model's one field, such as a list of rows without a key."""
+
+    @classmethod
+    def _validated(cls, text: str) -> Self:
+        ((name, field),) = cls.model_fields.items()
+        kind: TypeAdapter[Any] = TypeAdapter(field.rebuild_annotation())
+        value = kind.validate_json(text, strict=True, context=FROM_FILE)
+        return cls(**{name: value})
+
+    @model_serializer(mode="wrap")
+    def _without_absent_keys(self, to_dict: SerializerFunctionWrapHandler) -> Any:
+        (value,) = to_dict(self).values()
+        return value
+
+
+def known(value: float | np.floating[Any], decimals: int | None = None) -> float | None:
+    """A number as the models hold it: None for NaN, else a float, rounded if asked for."""
+    if not np.isfinite(value):
+        return None
+    return float(value) if decimals is None else round(float(value), decimals)
+
+
+def _scaled_in_file(factor: float, decimals: int) -> tuple[Any, ...]:
+    """Annotations of a number that the file holds `factor` times larger, rounded to `decimals`.
+
+    The value in memory is rounded alike, so that it is the same before it is written and after it is read.
+    """
+
+    def from_file(value: Any, info: ValidationInfo) -> Any:
+        return value / factor if info.context == FROM_FILE and isinstance(value, int | float) else value
+
+    def as_in_file(value: float) -> float:
+        return round(value * factor, decimals)
+
+    return (
+        BeforeValidator(from_file),
+        AfterValidator(lambda value: as_in_file(value) / factor),
+        PlainSerializer(as_in_file, return_type=float),
+    )
+
+
+# Metres in memory, millimetres to a hundredth in the file.
+MillimetresInFile = Annotated[float, *_scaled_in_file(1000.0, 2)]
+# Radians in memory, degrees to a hundredth in the file.
+DegreesInFile = Annotated[float, *_scaled_in_file(180.0 / np.pi, 2)]
+
+
+class ScaledPart(Part):
+    """A part whose lengths in metres and angles in radians are in millimetres and degrees in the file.
+
+    A field `x_m` has the key `x_mm`, and `x_rad` the key `x_deg`, unless it has an alias of its own.
+    """
+
+    model_config = ConfigDict(
+        validate_by_name=True,
+        alias_generator=lambda name: re.sub("_rad$", "_deg", re.sub("_m$", "_mm", name)),
+    )
+
+
+def _array(shape: tuple[int, ...]) -> Any:
+    """Annotations of a numpy array of this shape, float64 and finite; nested lists in the file."""
+
+    def checked(value: Any) -> Float64:
+        array = np.array(value, dtype=np.float64)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
+        array.flags.writeable = False
+        return array
+
+    schema: dict[str, Any] = {"type": "number"}
+    for side in reversed(shape):
+        schema = {"type": "array", "items": schema, "minItems": side, "maxItems": side}
+    return Annotated[
+        Float64,
+        BeforeValidator(checked),
+        PlainSerializer(lambda array: array.tolist(), return_type=list),
+        WithJsonSchema(schema),
+    ]
+
+
+Matrix3 = _array((3, 3))
+Matrix4 = _array((4, 4))
+Vector3 = _array((3,))
+Vector4 = _array((4,))

@@ -1,0 +1,161 @@
+"""targets.csv, the pairs of a release that are to be predicted; splits.json; and SHA256SUMS.
+
+SHA256SUMS has a line for every file but itself, in the format of `sha256sum -c`, sorted by path.
+`benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, which can therefore hold
+it: it names the published bytes whatever the version of the package that published them. In a shell:
+`grep -v '  benchmark.json$' SHA256SUMS | sha256sum`.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, field, fields
+from typing import Any, ClassVar, get_args
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, SHA256, ReleaseFile
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.storage import NAME, sha256_text
+from kinectbench.core.types import Split
+
+TARGETS_CSV = "targets.csv"
+SPLITS_JSON = "splits.json"
+SHA256SUMS = "SHA256SUMS"
+SPLITS: tuple[Split, ...] = get_args(Split)
+
+_VIEW = re.compile("[0-9]{3,6}")
+_SUM_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
+_SAFE_PATH = re.compile(r"(?!\.)[A-Za-z0-9._-]+(/(?!\.)[A-Za-z0-9._-]+)*")
+
+
+def _column(description: str) -> Any:
+    """A column of targets.csv with its description."""
+    return field(metadata={"description": description})
+
+
+@dataclass(frozen=True, order=True)
+class Target:
+    """One line of targets.csv: a pair to be predicted; the columns are described with the fields."""
+
+    recording: str = _column("id of the recording")
+    object: str = _column("the thing recorded; it belongs to one split")
+    view: str = _column("zero-padded index of the view")
+    category: str = _column("such as chair")
+    split: str = _column("train, validation or test")
+    file: str = _column("the pair file, relative to the release")
+    sha256: str = _column("of the pair file")
+
+    @property
+    def name(self) -> str:
+        """`<recording>/<view>`, what messages call it."""
+        return f"{self.recording}/{self.view}"
+
+
+# Column of targets.csv → what it holds.
+COLUMNS: dict[str, str] = {column.name: column.metadata["description"] for column in fields(Target)}
+
+
+def parse_targets(text: str, where: str) -> tuple[Target, ...]:
+    """Parse targets.csv; every name and path is safe to join to a folder.
+
+    Raises:
+        ReleaseError: a malformed, repeated or unsafe line; it names the line.
+    """
+    rows = list(csv.reader(io.StringIO(text)))
+    if not rows or rows[0] != list(COLUMNS):
+        raise ReleaseError(f"{where}, line 1: the columns must be {','.join(COLUMNS)}")
+    targets: dict[str, Target] = {}
+    for line, row in enumerate(rows[1:], start=2):
+        problem = _row_problem(row)
+        target = None if problem else Target(*row)
+        if target and target.file in targets:
+            problem = f"{target.file} is listed twice"
+        if problem or target is None:
+            raise ReleaseError(f"{where}, line {line}: {problem}; download the release again")
+        targets[target.file] = target
+    return tuple(targets.values())
+
+
+def _row_problem(row: list[str]) -> str | None:
+    """What is wrong with a line of targets.csv, or None."""
+    if len(row) != len(COLUMNS):
+        return f"{len(row)} columns instead of {len(COLUMNS)}"
+    target = Target(*row)
+    if not all(NAME.fullmatch(name) for name in (target.recording, target.object, target.category)):
+        return "a name with other characters than letters, digits, '.', '_' and '-'"
+    if not _VIEW.fullmatch(target.view):
+        return f"view '{target.view}' is not a zero-padded index"
+    if target.split not in SPLITS:
+        return f"split '{target.split}' is none of {', '.join(SPLITS)}"
+    if target.file != f"pairs/{target.recording}/{target.view}.npz":
+        return f"file '{target.file}' is not pairs/{target.recording}/{target.view}.npz"
+    return None if re.fullmatch(SHA256, target.sha256) else "its SHA-256 is not 64 hex digits"
+
+
+def targets_text(targets: Sequence[Target]) -> str:
+    """targets.csv, or the table of one split in targets/, as text."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(astuple(target) for target in targets)
+    return buffer.getvalue()
+
+
+def check_splits(targets: Sequence[Target], where: str) -> None:
+    """Refuse an object that is in two splits.
+
+    Raises:
+        ReleaseError: it names the object.
+    """
+    split_of: dict[str, str] = {}
+    for target in targets:
+        if split_of.setdefault(target.object, target.split) != target.split:
+            raise ReleaseError(
+                f"{where}: object '{target.object}' is in two splits, {split_of[target.object]} and "
+                f"{target.split}; scores would not be honest"
+            )
+
+
+class Splits(ReleaseFile):
+    """splits.json: the recordings of each split, sorted."""
+
+    FILE: ClassVar[str] = SPLITS_JSON
+
+    train: tuple[str, ...] = Field((), description="ids of recordings to learn from")
+    validation: tuple[str, ...] = Field((), description="ids of recordings to choose thresholds on")
+    test: tuple[str, ...] = Field((), description="ids of recordings to be scored on")
+
+    @classmethod
+    def of(cls, targets: Sequence[Target]) -> "Splits":
+        """The recordings of some targets by their splits."""
+        return cls(
+            **{split: tuple(sorted({t.recording for t in targets if t.split == split})) for split in SPLITS}
+        )
+
+
+def sums_text(sums: Mapping[str, str]) -> str:
+    """SHA256SUMS of {relative path: SHA-256}."""
+    return "".join(f"{sha256}  {name}\n" for name, sha256 in sorted(sums.items()))
+
+
+def parse_sums(text: str, where: str) -> dict[str, str]:
+    """Parse SHA256SUMS: {relative path: SHA-256}; every path is safe to join to the release's folder.
+
+    Raises:
+        ReleaseError: a malformed, repeated or unsafe line; it names the line.
+    """
+    sums: dict[str, str] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        match = _SUM_LINE.fullmatch(line)
+        if not match or not _SAFE_PATH.fullmatch(match[2]) or match[2] in sums:
+            raise ReleaseError(f"{where}, line {number}: malformed, repeated or unsafe; download it again")
+        sums[match[2]] = match[1]
+    return sums
+
+
+def benchmark_sha256(text: str) -> str:
+    """What identifies a release, from the text of its SHA256SUMS."""
+    lines = text.splitlines(keepends=True)
+    return sha256_text("".join(line for line in lines if not line.endswith(f"  {BENCHMARK_JSON}\n")))

@@ -1,0 +1,191 @@
+"""What is stored beside the poses of a trajectory: health.json and depth_calibration.json."""
+
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from kinectbench.core.artefacts.stored import DegreesInFile, MillimetresInFile, Part, ScaledPart, Stored
+from kinectbench.core.geometry.depth import TERMS, DepthCalibration
+from kinectbench.core.types import Float64
+
+Grade = Literal["5 mm", "10 mm", "not good"]
+Source = Literal["trust", "refine", "tracked"]
+Recommendation = Literal["trust", "refine", "ignore"]
+FrameState = Literal["tracked", "relocalised", "lost", "rejected"]
+
+Millimetres = MillimetresInFile | None
+
+
+class LostStretch(Part):
+    """A run of frames in which the camera was lost."""
+
+    first_frame: int = Field(description="its first frame")
+    last_frame: int = Field(description="its last frame")
+    from_s: float = Field(0.0, description="when it begins, seconds from the recording's first frame on")
+    to_s: float = Field(0.0, description="when it ends, seconds")
+    reason: str = Field("", description="the most frequent reason")
+
+
+class RejectedFrame(ScaledPart):
+    """A frame that was left out because its depth disagrees with its given pose."""
+
+    frame: int = Field(description="its index")
+    stamp_ns: int | None = Field(None, description="its depth stamp, nanoseconds")
+    residual_m: Millimetres = Field(None, description="median absolute residual as given, mm")
+    shift_m: Millimetres = Field(
+        None, description="how far its points would move to agree with other frames, mm"
+    )
+    turn_rad: DegreesInFile | None = Field(None, description="by how much its camera would turn, degrees")
+    reason: str = Field("", description="why it is left out, in words")
+
+
+class ConstraintCounts(Part):
+    """How many registrations between keyframes the pose graph holds, by their kind."""
+
+    odometry: int = Field(0, description="between consecutive keyframes")
+    covisible: int = Field(0, description="between keyframes near in time")
+    loop: int = Field(0, description="loop closures: a place seen again")
+    refused: int = Field(0, description="tried and not believed, not in the graph")
+
+
+class LoopClosure(ScaledPart):
+    """Two keyframes that saw the same place, registered to each other."""
+
+    a: int = Field(description="the one keyframe, index of its frame")
+    b: int = Field(description="the other one")
+    residual_m: Millimetres = Field(None, description="root mean square point-to-plane residual, mm")
+    overlap: float | None = Field(None, description="share of b's points that can be compared with a")
+    inlier_share: float | None = Field(None, description="share of these that agree")
+    correction_m: Millimetres = Field(None, description="by how much the final poses disagree with it, mm")
+    correction_rad: DegreesInFile | None = Field(None, description="by what angle they do, degrees")
+    weight: float | None = Field(None, description="0 to 1, what the robust kernel left of it")
+    believed: bool = Field(description="whether that is at least a half")
+
+
+class GivenFigures(ScaledPart):
+    """How a given trajectory agrees with the depth."""
+
+    disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with their given pose")
+    median_shift_m: Millimetres = Field(
+        None, description="by how much frames disagree with those near them, mm"
+    )
+    distant_shift_m: Millimetres = Field(
+        None, description="by how much frames far apart in time do, median, mm"
+    )
+    distant_unmatched: float | None = Field(
+        None, description="share of such frames that ought to see the same place and fit nowhere near"
+    )
+    largest_jump_m: Millimetres = Field(None, description="largest jump, mm; 0 if there is none")
+    refined_apart_m: Millimetres = Field(
+        None, description="how far refined poses are from the given ones, rms, mm"
+    )
+    distant_residual_m: Millimetres = Field(None, description="residual between distant frames as given, mm")
+    refined_distant_residual_m: Millimetres = Field(None, description="the same with refined poses, mm")
+
+
+class Covisibility(Part):
+    """What keyframes see of each other."""
+
+    keyframes: tuple[int, ...] = Field((), description="up to 60 keyframes with a pose")
+    share: list[list[float]] = Field(
+        [], description="[i][j]: the share of the points of keyframe i that keyframe j sees"
+    )
+
+
+class FrameHealth(ScaledPart):
+    """One frame. What is not known is null."""
+
+    frame: int = Field(description="its index")
+    state: FrameState = Field("tracked", description="whether it has a pose; if not, why")
+    residual_m: Millimetres = Field(None, description="residual to other frames, mm")
+    shift_m: Millimetres = Field(
+        None, description="by how much its pose may be off, as its depth would move it, mm"
+    )
+    inlier_share: float | None = Field(None, description="share of its points that agree with other frames")
+    speed_m_per_s: float | None = Field(None, description="of the camera since the frame before, m/s")
+    turn_rad_per_s: float | None = Field(None, description="its rate of turn, rad/s")
+    blur: float | None = Field(None, description="of the colour: median sharpness over the frame's own")
+
+
+class TrajectoryHealth(ScaledPart, Stored):
+    """health.json: what can be said of a trajectory without a ground truth; docs/tracking.md explains it."""
+
+    FILE: ClassVar[str] = "health.json"
+
+    format_version: int = Field(1, description="of this file")
+    source: Source = Field(description="trust: the given poses; refine: these, corrected; tracked: found")
+    verdict: str = Field(description="what ground truth the poses are good for, and why, in one sentence")
+    grade: Grade = Field(description="the same in one word")
+    recommended: Recommendation | None = Field(
+        None, description="what to do with a given trajectory; null without one"
+    )
+    warnings: tuple[str, ...] = Field((), description="what people should know, one line each")
+    frames: int = Field(description="frames of the recording")
+    tracked: int = Field(description="of these, frames with a pose")
+    lost: tuple[int, ...] = Field((), description="frames without one, but for the rejected")
+    lost_stretches: tuple[LostStretch, ...] = Field((), description="runs of lost frames")
+    relocalised: tuple[int, ...] = Field((), description="frames whose pose was found again after a gap")
+    rejected: tuple[RejectedFrame, ...] = Field(
+        (), description="frames left out because their depth disagrees with their given pose"
+    )
+    degenerate: tuple[int, ...] = Field((), description="frames whose depth alone leaves a motion open")
+    unchecked: int = Field(0, description="frames with a pose that overlap too little with others to tell")
+    keyframes: tuple[int, ...] = Field((), description="frames that the others are compared with")
+    median_shift_m: Millimetres = Field(None, description="by how much poses may be off, median, mm")
+    max_shift_m: Millimetres = Field(None, description="the largest of these, mm")
+    median_residual_m: Millimetres = Field(None, description="residual of the frames with a pose, median, mm")
+    held_out_residual_m: Millimetres = Field(
+        None, description="the same of the frames that are no keyframes, mm"
+    )
+    sensor_noise_m: Millimetres = Field(
+        None, description="what the sensor's noise alone would make of that, mm"
+    )
+    path_length_m: float = Field(0.0, alias="path_length_m", description="length of the camera's path, m")
+    open_path_m: float = Field(
+        0.0, alias="open_path_m", description="of this, what lies outside every believed loop, m"
+    )
+    arc_rad: DegreesInFile | None = Field(
+        None, description="walked around what is looked at, degrees; null if nothing is"
+    )
+    ties: ConstraintCounts = Field(ConstraintCounts(), description="constraints of the pose graph")
+    loop_correction_m: Millimetres = Field(
+        None, description="how far believed loops disagree with the poses, rms mm"
+    )
+    loops: tuple[LoopClosure, ...] = Field((), description="loop closures in the pose graph")
+    refused_loops: tuple[LoopClosure, ...] = Field((), description="loop closures tried and not believed")
+    given: GivenFigures | None = Field(None, description="of a given trajectory; null without one")
+    covisibility: Covisibility = Field(Covisibility(), description="what keyframes see of each other")
+    per_frame: tuple[FrameHealth, ...] = Field((), description="a row for each frame")
+
+    def pose_sigma_m(self) -> Float64:
+        """(n,) by how much each frame's pose may be off, metres; NaN where it is not known."""
+        sigma_m = np.full(self.frames, np.nan)
+        for row in self.per_frame:
+            sigma_m[row.frame] = np.nan if row.shift_m is None else row.shift_m
+        return sigma_m
+
+
+class StoredDepthCalibration(Stored):
+    """depth_calibration.json: the correction of the recording's depth that the poses were found with."""
+
+    FILE: ClassVar[str] = "depth_calibration.json"
+
+    formula: str = Field(
+        "1 / true depth = 1 / depth + sum of coefficient * P_i(x) * P_j(y); P: Legendre, "
+        "x = (2 u + 1) / width - 1, y = (2 v + 1) / height - 1",
+        description="how the coefficients are meant",
+    )
+    terms: list[tuple[int, int]] = Field(TERMS, description="(i, j) of each coefficient")
+    coefficients_per_m: list[float] = Field(description="of each term, 1/m")
+
+    @model_validator(mode="after")
+    def _known_terms(self) -> Self:
+        if self.terms != TERMS or len(self.coefficients_per_m) != len(TERMS):
+            raise ValueError(f"holds other terms than the {len(TERMS)} that are known")
+        return self
+
+    @property
+    def calibration(self) -> DepthCalibration:
+        """The correction itself."""
+        return DepthCalibration(np.array(self.coefficients_per_m, np.float64))

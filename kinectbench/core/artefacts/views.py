@@ -1,0 +1,100 @@
+"""views.json and pairs.json: the views of a recording with their figures, and the pairs made of them."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints
+
+from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
+
+ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
+Steps = tuple[int, int, int]
+Angles = tuple[float, float, float]
+
+
+class ViewRow(Part):
+    """One view; of a held-back recording `view`, `K`, `width`, `height` and `pair` only."""
+
+    view: ViewName = Field(description="zero-padded index")
+    steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
+    angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
+    frame: int | None = Field(None, description="index of the frame in the recording")
+    stamp_ns: int | None = Field(None, description="depth stamp, nanoseconds")
+    reason: str | None = Field(None, description="why it was chosen")
+    T_world_camera: Matrix4 | None = Field(
+        None, description="(4, 4), camera to world, metres, after alignment"
+    )
+    moved_m: float | None = Field(None, description="by the alignment, metres")
+    turned_rad: float | None = Field(None, description="by the alignment, radians")
+    blur: float | None = Field(None, description="of the colour image, see docs/tracking.md")
+    pose_residual_m: float | None = Field(None, description="of the tracker, metres")
+    pixels: int | None = Field(None, description="of the mask")
+    visible_share: float | None = Field(None, description="of the silhouette that has depth")
+    border_share: float | None = Field(None, description="of the silhouette, within 1 px of the border")
+    dropped_share: float | None = Field(None, description="of the depth in the mask, far from the shape")
+    containment: float | None = Field(None, description="share of the view's points in the shape")
+    residual_m: float | None = Field(None, description="median distance of the points from the shape, metres")
+    truncated_share: float | None = Field(None, description="of the outline, beyond the image")
+    K: Matrix3 | None = Field(None, description="(3, 3) intrinsics, pixels; pixel centres are integers")
+    width: int | None = Field(None, description="of depth and mask, pixels")
+    height: int | None = Field(None, description="of depth and mask, pixels")
+    pair: bool | None = Field(None, description="the view has a pair, and its images are published")
+
+
+class Refused(Part):
+    """A frame that was no view, or a view of which no pair was made."""
+
+    view: ViewName | None = Field(None, description="zero-padded index; frames that were no views have none")
+    steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
+    angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
+    frame: int | None = Field(None, description="index of the frame in the recording")
+    reason: str = Field(description="why")
+
+
+class SynthesisedCamera(Part):
+    """The pinhole camera that synthesised views were rendered with; pixel centres are integers."""
+
+    width: int = Field(description="of the image, pixels")
+    height: int = Field(description="of the image, pixels")
+    fx: float = Field(description="focal length across, pixels")
+    fy: float = Field(description="focal length down, pixels")
+    cx: float = Field(description="principal point across, pixels")
+    cy: float = Field(description="principal point down, pixels")
+
+
+class ViewsFile(Stored):
+    """views/<recording>/views.json."""
+
+    FILE = "views.json"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    color_registered: bool | None = Field(None, description="colour pixels lie on depth pixels")
+    order: str | None = Field(None, description="synthesised: order of the angles")
+    steps_per_turn: Steps | int | None = Field(None, description="synthesised: steps in a turn")
+    camera: SynthesisedCamera | None = Field(None, description="synthesised: its camera")
+    views: tuple[ViewRow, ...] = Field(description="a row for each view")
+    refused: tuple[Refused, ...] = Field(description="frames that were no views")
+    warnings: tuple[str, ...] = Field((), description="one line each")
+
+
+class PairRow(Part):
+    """The figures of one pair."""
+
+    view: ViewName = Field(description="zero-padded index")
+    frame: int | None = Field(None, description="index of the frame in the recording")
+    containment: float | None = Field(None, description="share of the view's points in the shape")
+    residual_m: float | None = Field(None, description="median distance of the points from the shape, metres")
+    dropped_share: float | None = Field(None, description="of the depth in the mask, far from the shape")
+    visible_share: float | None = Field(None, description="of the silhouette that has depth")
+    moved_m: float | None = Field(None, description="by the alignment, metres")
+    turned_rad: float | None = Field(None, description="by the alignment, radians")
+    cut_share: float | None = Field(None, description="of the shape's volume, outside the pair's cube")
+
+
+class PairsFile(Stored):
+    """pairs/pairs.json."""
+
+    FILE = "pairs.json"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    pairs: tuple[PairRow, ...] = Field(description="a row for each pair")
+    refused: tuple[Refused, ...] = Field(description="views of which no pair was made")

@@ -1,0 +1,51 @@
+"""Every error a user can meet. Only `kinectbench.cli.main` turns one into a line and an exit status."""
+
+
+class KinectBenchError(Exception):
+    """Base of all errors with a one-line message: what, where, what to do. The data cannot be used."""
+
+    exit_status = 1
+
+
+class SettingsError(KinectBenchError):
+    """Wrong settings, in benchmark.yaml or on the command line."""
+
+    exit_status = 2
+
+
+class RecordingError(KinectBenchError):
+    """A recording cannot be read, or is not what it says."""
+
+
+class TrackingError(KinectBenchError):
+    """No usable trajectory."""
+
+
+class SegmentationError(KinectBenchError):
+    """No floor, no object, or an impossible box or mask."""
+
+
+class ShapeError(KinectBenchError):
+    """No solid shape can be made from the recording."""
+
+
+class PairError(KinectBenchError):
+    """A pair or a grid file cannot be made or read."""
+
+
+class PredictionError(KinectBenchError):
+    """A submitted prediction is missing or unacceptable."""
+
+
+class ReleaseError(KinectBenchError):
+    """A published benchmark is damaged or incomplete."""
+
+
+class StorageError(KinectBenchError):
+    """An artefact cannot be written or read: disk full, read-only, or in use."""
+
+
+def internal_error(error: BaseException) -> str:
+    """One line about an error that nobody foresaw."""
+    text = " ".join(str(error).split())
+    return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"

@@ -1,0 +1,74 @@
+"""The pinhole camera: optical axes (x right, y down, z forward), integer pixel centres; and what it sees."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry.mesh import TriangleMesh, raycaster
+from kinectbench.core.types import Float32, Float64
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of an undistorted camera: `u = fx x/z + cx`, `v = fy y/z + cy`, in pixels.
+
+    The centre of the top-left pixel is (0, 0).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @property
+    def K(self) -> Float64:
+        """The (3, 3) intrinsic matrix in pixels."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
+
+    @property
+    def intrinsics(self) -> Float64:
+        """(4,): fx, fy, cx, cy in pixels."""
+        return np.array([self.fx, self.fy, self.cx, self.cy])
+
+    def every(self, step_px: int) -> "Camera":
+        """The camera of an image of which every `step_px`-th row and column is kept, from the first on."""
+        width, height = -(-self.width // step_px), -(-self.height // step_px)
+        return Camera(width, height, *(float(each) for each in self.intrinsics / step_px))
+
+    def rays(self) -> Float64:
+        """Directions through every pixel centre with z = 1: (height, width, 3), camera frame."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def backproject(self, depth_m: NDArray[np.floating]) -> Float64:
+        """Depth (height, width) in metres along z to points (height, width, 3) in the camera frame."""
+        return self.rays() * np.asarray(depth_m, dtype=np.float64)[..., None]
+
+    def project(self, points_camera: NDArray[np.floating]) -> Float64:
+        """Points (..., 3) in the camera frame, z > 0, to pixels (..., 2) as (u, v)."""
+        x, y, z = np.moveaxis(np.asarray(points_camera, dtype=np.float64), -1, 0)
+        return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], axis=-1)
+
+
+class DepthRenderer:
+    """Casts the rays of a camera's pixels at one mesh (Open3D RaycastingScene).
+
+    Rays go through integer pixel centres, as everywhere here; the library's own pinhole rays would be
+    half a pixel off.
+    """
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self._scene, self._tensor = raycaster(mesh)
+
+    def depth_m(self, camera: Camera, T_world_camera: Float64) -> Float32:
+        """Depth along z in metres, (height, width) float32, 0 where the mesh is not hit."""
+        directions = camera.rays() @ T_world_camera[:3, :3].T
+        origins = np.broadcast_to(T_world_camera[:3, 3], directions.shape)
+        rays = np.concatenate([origins, directions], axis=-1).astype(np.float32)
+        # Directions have z = 1 in the camera's frame, so the ray parameter is the depth.
+        hit = self._scene.cast_rays(self._tensor(rays))["t_hit"].numpy()
+        return np.where(np.isfinite(hit), hit, 0).astype(np.float32)

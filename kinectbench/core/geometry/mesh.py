@@ -1,0 +1,162 @@
+"""Triangle meshes: as values, from a field by marching cubes, and as binary PLY (by trimesh)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry.boxes import OrientedBox
+from kinectbench.core.geometry.rigid import transform_points
+from kinectbench.core.types import Bools, Float32, Float64, Int32
+
+# Two triangles a side, by the order of `OrientedBox.corners_floor`.
+BOX_FACES = np.array(
+    [
+        *([0, 2, 6], [6, 4, 0], [0, 4, 5], [5, 1, 0], [4, 6, 5], [5, 6, 7]),
+        *([3, 2, 0], [0, 1, 3], [3, 6, 2], [7, 6, 3], [1, 5, 3], [3, 5, 7]),
+    ],
+    dtype=np.int32,
+)
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Triangles over shared vertices.
+
+    Attributes:
+        vertices: (n, 3) float64, metres, in the frame its owner says (`world` if not said).
+        faces: (m, 3) int32, counter-clockwise seen from outside.
+        colors: (n, 3) uint8 RGB, or None.
+    """
+
+    vertices: Float64
+    faces: Int32
+    colors: NDArray[np.uint8] | None = None
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume enclosed by a closed mesh (divergence theorem), cubic metres."""
+        a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
+        return float((a * np.cross(b, c)).sum() / 6.0)
+
+    def keep_faces(self, mask: Bools) -> "TriangleMesh":
+        """The mesh of the faces where mask (m,) is true, without vertices that no face uses."""
+        faces = self.faces[mask]
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[faces] = True
+        renumber = np.cumsum(used, dtype=np.int32) - 1
+        colors = None if self.colors is None else self.colors[used]
+        return TriangleMesh(self.vertices[used], renumber[faces], colors)
+
+    def transformed(self, T: Float64) -> "TriangleMesh":
+        """The mesh with its vertices mapped by a rigid transform (4, 4)."""
+        return replace(self, vertices=transform_points(T, self.vertices))
+
+
+def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """One mesh of all the triangles of several, one after the other; colours are left out."""
+    offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
+    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]
+    return TriangleMesh(
+        np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces).astype(np.int32)
+    )
+
+
+def box_mesh(box: OrientedBox) -> TriangleMesh:
+    """The closed mesh of a box, in the frame of the box's centre (z up), metres."""
+    corners = box.corners_floor()
+    return TriangleMesh(corners, BOX_FACES)
+
+
+def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple[Any, Any]:
+    """Meshes made ready for casting rays at them, in float32 (Open3D's RaycastingScene, which is Embree).
+
+    Args:
+        meshes: the library's geometry ids count from 0 in their order.
+        threads: that build the structure; 0: all.
+
+    Returns:
+        The scene, and the function that makes the library's tensors of arrays.
+    """
+    import open3d as o3d
+
+    scene, tensor = o3d.t.geometry.RaycastingScene(nthreads=threads), o3d.core.Tensor.from_numpy
+    for mesh in meshes:
+        vertices, faces = mesh.vertices.astype(np.float32, "C"), mesh.faces.astype(np.uint32, "C")
+        scene.add_triangles(tensor(vertices), tensor(faces))
+    return scene, tensor
+
+
+def isosurface(field: Float32, observed: Bools | None = None, level: float = 0.0) -> TriangleMesh:
+    """Marching cubes of a dense field at a level, larger outside, in index coordinates.
+
+    Args:
+        field: (nx, ny, nz) float32.
+        observed: (nx, ny, nz); a cell with an unobserved corner gives no faces. None: all observed.
+        level: where the surface is.
+
+    Returns:
+        A mesh whose vertex (i, j, k) lies on the centre of cell (i, j, k); faces look outward.
+    """
+    import open3d as o3d
+
+    values = o3d.core.Tensor.from_numpy(np.ascontiguousarray(field))
+    extracted = o3d.t.geometry.TriangleMesh.create_isosurfaces(values, [level])
+    if "indices" not in extracted.triangle or len(extracted.triangle.indices) == 0:
+        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    # The library counts the last array axis as x.
+    vertices = extracted.vertex.positions.numpy()[:, ::-1].astype(np.float64)
+    faces = extracted.triangle.indices.numpy().astype(np.int32)
+    mesh = TriangleMesh(vertices, faces)
+    if observed is None:
+        return mesh
+    cell = np.floor(vertices[mesh.faces].mean(axis=1)).astype(np.int64)
+    x, y, z = np.clip(cell, 0, np.array(field.shape) - 2).T
+    whole = np.ones(len(cell), dtype=bool)
+    for corner in np.ndindex(2, 2, 2):
+        whole &= observed[x + corner[0], y + corner[1], z + corner[2]]
+    return mesh.keep_faces(whole)
+
+
+def write_ply(mesh: TriangleMesh, path: Path) -> None:
+    """Write vertices (float32, metres), faces and colours; the same bytes for the same mesh."""
+    import trimesh
+
+    shell = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
+    path.write_bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=False))
+
+
+def read_ply(path: Path) -> TriangleMesh:
+    """Read a mesh that `write_ply` wrote; colours are left out.
+
+    Raises:
+        StorageError: the file is missing or damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            mesh = parse_ply(file)
+        inside = (mesh.faces >= 0) & (mesh.faces < len(mesh.vertices))
+        if not np.isfinite(mesh.vertices).all() or not inside.all():
+            raise ValueError("a vertex is not finite, or a face has none")
+        return mesh
+    except (OSError, ValueError, KeyError, IndexError, AttributeError) as error:
+        raise StorageError(
+            f"{path}: not a readable triangle mesh ({error}); `kinectbench build --force` makes it again"
+        ) from error
+
+
+def parse_ply(file: IO[bytes]) -> TriangleMesh:
+    """Read a mesh from an open PLY file; colours are left out.
+
+    Raises:
+        ValueError, KeyError, IndexError, AttributeError: it is damaged.
+    """
+    import trimesh
+
+    loaded = trimesh.load(file, file_type="ply", process=False, force="mesh")
+    vertices = np.asarray(loaded.vertices, dtype=np.float64)
+    return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32))

@@ -1,0 +1,124 @@
+"""Rigid transforms as 4x4 float64 matrices: `points_a = T_a_b @ points_b`; small motions as twists.
+
+A twist is a rotation vector (radians) and a translation (metres), stacked.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinectbench.core.types import Float64
+
+
+def rigid(rotation: ArrayLike, translation_m: ArrayLike) -> Float64:
+    """Assemble a 4x4 transform from a (3, 3) rotation and a (3,) translation in metres."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = translation_m
+    return T
+
+
+def invert_rigid(T_a_b: Float64) -> Float64:
+    """Invert rigid transforms of shape (..., 4, 4): returns T_b_a."""
+    rotation_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    T_b_a = np.zeros_like(T_a_b)
+    T_b_a[..., :3, :3] = rotation_b_a
+    T_b_a[..., :3, 3] = -(rotation_b_a @ T_a_b[..., :3, 3, None])[..., 0]
+    T_b_a[..., 3, 3] = 1.0
+    return T_b_a
+
+
+def transform_points(T_a_b: Float64, points_b: NDArray[np.floating]) -> Float64:
+    """Map points of shape (..., 3) from frame b to frame a; float64, same shape."""
+    return np.asarray(points_b, dtype=np.float64) @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def closest_rotation(matrix: Float64) -> Float64:
+    """Project (..., 3, 3) matrices onto SO(3) in the Frobenius norm (orthogonal Procrustes by SVD)."""
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.sign(np.linalg.det(u @ vt))
+    u[..., :, 2] *= sign[..., None]
+    result: Float64 = u @ vt
+    return result
+
+
+def rotation_angle_rad(rotation: Float64) -> Float64:
+    """Rotation angle in radians of (..., 3, 3) rotations, accurate for small angles."""
+    axis = np.stack(
+        [
+            rotation[..., 2, 1] - rotation[..., 1, 2],
+            rotation[..., 0, 2] - rotation[..., 2, 0],
+            rotation[..., 1, 0] - rotation[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    trace = np.trace(rotation, axis1=-2, axis2=-1)
+    angle: Float64 = np.arctan2(np.linalg.norm(axis, axis=-1), trace - 1.0)
+    return angle
+
+
+def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Float64:
+    """Turn quaternions (..., 4), order x y z w, into rotations (..., 3, 3); they are normalised first."""
+    q = np.asarray(quaternion_xyzw, dtype=np.float64)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_xyzw_from_rotation(rotation: Float64) -> Float64:
+    """Turn one rotation (3, 3) into a unit quaternion (4,), order x y z w, with w >= 0."""
+    # Bar-Itzhack (2000): the quaternion is the dominant eigenvector of this symmetric matrix.
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], 0.0, 0.0, 0.0],
+            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0.0, 0.0],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], 0.0],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], np.trace(r)],
+        ]
+    )
+    _, vectors = np.linalg.eigh(k, UPLO="L")
+    quaternion: Float64 = vectors[:, 3] / np.linalg.norm(vectors[:, 3])
+    return -quaternion if quaternion[3] < 0 else quaternion
+
+
+def interpolate_rigid(T_a_b0: Float64, T_a_b1: Float64, fraction: float) -> Float64:
+    """Interpolate between two transforms: slerp for the rotation, linear for the translation.
+
+    Args:
+        T_a_b0: (4, 4), the result at fraction 0.
+        T_a_b1: (4, 4), the result at fraction 1.
+        fraction: in [0, 1].
+    """
+    q0 = quaternion_xyzw_from_rotation(T_a_b0[:3, :3])
+    q1 = quaternion_xyzw_from_rotation(T_a_b1[:3, :3])
+    dot = float(q0 @ q1)
+    if dot < 0:
+        q1, dot = -q1, -dot
+    angle = np.arccos(min(dot, 1.0))
+    apart = angle > 1e-9
+    quaternion = np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1 if apart else q0
+    translation_m = (1 - fraction) * T_a_b0[:3, 3] + fraction * T_a_b1[:3, 3]
+    return rigid(rotation_from_quaternion_xyzw(quaternion), translation_m)
+
+
+def rigid_from_twist(twist: NDArray[np.floating]) -> Float64:
+    """(4, 4) from a rotation vector (radians) and a translation (metres), stacked (6,)."""
+    import cv2
+
+    return rigid(np.asarray(cv2.Rodrigues(twist[:3])[0]), twist[3:])
+
+
+def on_so3(T: Float64) -> Float64:
+    """T (4, 4) with its rotation on SO(3): products of many drift off it, and ever faster."""
+    return rigid(closest_rotation(T[:3, :3]), T[:3, 3])
+
+
+def twist_from_rigid(T: Float64) -> Float64:
+    """The inverse of `rigid_from_twist`: (6,)."""
+    import cv2
+
+    return np.concatenate([cv2.Rodrigues(np.ascontiguousarray(T[:3, :3]))[0].ravel(), T[:3, 3]])

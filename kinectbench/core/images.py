@@ -1,0 +1,140 @@
+"""Depth, colour and masks of a view as pictures, their encoding into the page, and how sharp they are."""
+
+import base64
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.types import Bools, Float64, Rgb
+
+NO_DEPTH = 40
+CONTOUR_RGB = (255, 120, 20)
+
+
+def depth_picture(depth_mm: NDArray[np.uint16]) -> Rgb:
+    """Colour a depth image (height, width) by distance, near is bright; no measurement is dark grey."""
+    import cv2
+
+    valid = depth_mm > 0
+    if not valid.any():
+        return np.full((*depth_mm.shape, 3), NO_DEPTH, np.uint8)
+    low, high = np.percentile(depth_mm[valid], [2, 98])
+    scaled = np.clip((high - depth_mm.astype(np.float64)) / max(high - low, 1.0), 0, 1)
+    bgr = cv2.applyColorMap((scaled * 235 + 20).astype(np.uint8), cv2.COLORMAP_CIVIDIS)
+    rgb = np.asarray(bgr, np.uint8)[..., ::-1].copy()
+    rgb[~valid] = NO_DEPTH
+    return rgb
+
+
+def overlay_mask(picture: Rgb, mask: Bools) -> Rgb:
+    """Dim what lies outside a mask (height, width) and draw its contour; the picture has the mask's size."""
+    import cv2
+
+    result = np.ascontiguousarray(np.where(mask[..., None], picture, picture * 0.55), dtype=np.uint8)
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(result, contours, -1, CONTOUR_RGB, max(2, picture.shape[1] // 200))
+    return result
+
+
+def shrunk(picture: Rgb, size_px: int) -> Rgb:
+    """Reduce a picture, if need be, so that neither side is longer than `size_px`."""
+    import cv2
+
+    height, width = picture.shape[:2]
+    factor = size_px / max(height, width)
+    if factor >= 1:
+        return picture
+    shape = (max(1, round(width * factor)), max(1, round(height * factor)))
+    return np.asarray(cv2.resize(picture, shape, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def data_uri(picture: Rgb, quality: int = 82) -> str:
+    """Encode RGB (height, width, 3) as a JPEG `data:` address."""
+    import cv2
+
+    bgr = np.ascontiguousarray(picture[..., ::-1])
+    _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
+
+
+def read_color(path: Path) -> Rgb:
+    """Read a colour image: (height, width, 3) uint8 RGB.
+
+    Raises:
+        StorageError: the file is damaged or of another kind.
+    """
+    import cv2
+
+    return np.asarray(_decode(path, cv2.IMREAD_COLOR), np.uint8)[..., ::-1]
+
+
+def read_gray(path: Path) -> NDArray[np.uint16]:
+    """Read an image of one channel (depth, mask): (height, width), widened to uint16.
+
+    Raises:
+        StorageError: the file is damaged or of another kind.
+    """
+    import cv2
+
+    pixels = _decode(path, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16):
+        raise _unreadable(path)
+    return pixels.astype(np.uint16)
+
+
+def _decode(path: Path, flag: int) -> NDArray[np.generic]:
+    import cv2
+
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = cv2.imdecode(data, flag) if len(data) else None
+    if image is None:
+        raise _unreadable(path)
+    return np.asarray(image)
+
+
+def _unreadable(path: Path) -> StorageError:
+    return StorageError(f"{path}: not a readable image of its kind; build this recording's views again")
+
+
+# Detail finer than this, in pixels of the halved image, is what motion takes first.
+COARSE_SIGMA_PX = 2.0
+# Below this the coarse detail of an image is rounding: there is nothing to see in it.
+MIN_COARSE_VARIANCE = 0.01
+
+
+def image_sharpness(gray: NDArray[np.uint8]) -> float:
+    """How much fine detail there is for the coarse detail that there is; NaN for an image without any.
+
+    The variance of the Laplacian (Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy", ICPR
+    2000) over that of the smoothed image's: so it depends little on what is shown, and not on exposure (own
+    rule).
+
+    Args:
+        gray: (height, width) uint8, about 320 wide, where less of its detail is the sensor's noise.
+    """
+    import cv2
+
+    image = gray.astype(np.float32)
+    coarse = cv2.GaussianBlur(image, (0, 0), COARSE_SIGMA_PX)
+    fine_variance, coarse_variance = (
+        float(cv2.meanStdDev(cv2.Laplacian(each, cv2.CV_32F))[1][0, 0] ** 2) for each in (image, coarse)
+    )
+    return fine_variance / coarse_variance if coarse_variance > MIN_COARSE_VARIANCE else np.nan
+
+
+def relative_blur(sharpness: Float64) -> Float64:
+    """How blurred each frame is, relative to the recording's median frame.
+
+    Args:
+        sharpness: (n,), NaN where unknown.
+
+    Returns:
+        (n,): 1 is as sharp as the median frame, 2 half as sharp; NaN where unknown.
+    """
+    known = np.isfinite(sharpness) & (sharpness > 0)
+    relative = np.full(len(sharpness), np.nan)
+    if known.any():
+        relative[known] = np.median(sharpness[known]) / sharpness[known]
+    return relative

@@ -1,0 +1,50 @@
+"""HTML pages that are one file and open from disk: one head and style sheet, and a template for each page."""
+
+import base64
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+
+def render_page(template: str, shown: dict[str, Any]) -> str:
+    """Lay out a page: HTML text, the same for the same input.
+
+    Names and reasons come from strangers: all text is escaped, except for the package's own files, which a
+    template names by `packaged("core/page.css")`.
+
+    Args:
+        template: path of the page's template below the package, such as "doctor/page.html".
+        shown: what the template shows, by the names it uses; a name that is missing is an error.
+    """
+    return _environment().get_template(template).render(shown)
+
+
+def png_uri(png: bytes) -> str:
+    """A PNG file as a `data:` address."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+@cache
+def _environment() -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("kinectbench", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["packaged"] = _packaged
+    return environment
+
+
+def _packaged(name: str) -> "Markup":
+    """A file of the package as it stands, by its path below the package."""
+    from markupsafe import Markup
+
+    return Markup(resources.files("kinectbench").joinpath(name).read_text(encoding="utf-8"))

@@ -1,0 +1,149 @@
+"""Rendering pictures of meshes and voxel grids, in parallel projection.
+
+A viewpoint's axes are optical: right, down, forward.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry.mesh import isosurface, raycaster
+from kinectbench.core.types import Float32, Float64, Rgb
+
+Color = tuple[int, int, int]
+
+PAPER: Color = (243, 242, 238)
+CLAY: Color = (205, 186, 160)
+BLUE: Color = (118, 160, 205)
+# Towards the light, in the viewpoint's axes: from above, the left and behind the viewer.
+LIGHT = np.array([-0.45, -0.7, -0.55]) / np.linalg.norm([-0.45, -0.7, -0.55])
+SUPERSAMPLING = 1.5
+ONE, TWO, FOUR = np.uint64(1), np.uint64(2), np.uint64(4)
+FIVES, THREES, FIFTEENS = (np.uint64(int(byte * 8, 16)) for byte in ("55", "33", "0f"))
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A parallel projection onto a square picture.
+
+    Attributes:
+        R_frame_view: (3, 3), columns are the picture's right, down and forward in the mesh's frame.
+        center_m: (3,) the point in the middle of the picture, in the mesh's frame.
+        half_m: half the edge of the picture, metres.
+        depth_m: the viewer stands this far before the centre; everything to draw lies beyond.
+    """
+
+    R_frame_view: Float64
+    center_m: Float64
+    half_m: float
+    depth_m: float
+
+
+def look_along(forward: Float64, up: Float64) -> Float64:
+    """Rotation (3, 3), columns right, down, forward, of one who looks along `forward` (not along `up`)."""
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=-1)
+
+
+def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
+    """The viewpoint of that orientation whose square just holds the points (n, 3), n > 0, with a margin."""
+    points_view = points_m @ R_frame_view
+    low, high = points_view.min(axis=0), points_view.max(axis=0)
+    size = high - low
+    half_m = max(float(size[:2].max()) / 2 * margin, 1e-6)
+    return Viewpoint(R_frame_view, R_frame_view @ ((low + high) / 2), half_m, float(size[2]) + half_m)
+
+
+def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float64, Float64]:
+    """Cast one ray through each pixel's centre.
+
+    Returns:
+        Distances (size_px, size_px) in metres, inf where nothing is hit, and the normals
+        (size_px, size_px, 3) of what is hit, in the viewpoint's axes, turned towards the viewer.
+    """
+    if not len(mesh.faces):
+        return np.full((size_px, size_px), np.inf), np.zeros((size_px, size_px, 3))
+    return cast_pieces([mesh], viewpoint, size_px)[:2]
+
+
+def cast_pieces(
+    pieces: Sequence[TriangleMesh], viewpoint: Viewpoint, size_px: int
+) -> tuple[Float64, Float64, NDArray[np.intp]]:
+    """What `cast` returns of several meshes, and which is hit: (size_px, size_px), their number for none."""
+    scene, tensor = raycaster(*pieces)
+    right, down, forward = viewpoint.R_frame_view.T
+    offset_m = ((np.arange(size_px) + 0.5) / size_px * 2 - 1) * viewpoint.half_m
+    rays = np.empty((size_px, size_px, 6), np.float32)
+    start = viewpoint.center_m - viewpoint.depth_m * forward
+    rays[..., :3] = start + offset_m[None, :, None] * right + offset_m[:, None, None] * down
+    rays[..., 3:] = forward
+    hit = scene.cast_rays(tensor(rays))
+    normals_view = hit["primitive_normals"].numpy().astype(np.float64) @ viewpoint.R_frame_view
+    normals_view *= np.where(normals_view[..., 2:] > 0, -1.0, 1.0)
+    distance_m = hit["t_hit"].numpy().astype(np.float64)
+    which = np.where(np.isfinite(distance_m), hit["geometry_ids"].numpy(), len(pieces)).astype(np.intp)
+    return distance_m, normals_view, which
+
+
+def render(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int, color: Color = CLAY) -> Rgb:
+    """Draw a mesh, shaded, on paper: (size_px, size_px, 3) uint8 RGB."""
+    import cv2
+
+    distance_m, normals_view = cast(mesh, viewpoint, round(size_px * SUPERSAMPLING))
+    lit = 0.52 + 0.6 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
+    # What lies farther back is a little darker, so that a leg stands out from the leg behind it.
+    far = np.clip((distance_m - viewpoint.depth_m) / (2 * viewpoint.depth_m) + 0.5, 0.0, 1.0)
+    shade = (lit * (1.08 - 0.3 * far))[..., None]
+    picture = np.where(np.isfinite(distance_m)[..., None], shade * np.array(color), np.array(PAPER))
+    picture_u8 = np.clip(picture, 0, 255).astype(np.uint8)
+    small = cv2.resize(picture_u8, (size_px, size_px), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
+def silhouette(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
+    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of its centre."""
+    import cv2
+
+    hit = np.isfinite(cast(mesh, viewpoint, size_px)[0]).astype(np.uint8)
+    contours, _ = cv2.findContours(np.pad(hit, 1), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    scale = 2 * viewpoint.half_m / size_px
+    outlines = [cv2.approxPolyDP(contour, 1.0, True)[:, 0].astype(np.float64) for contour in contours]
+    return [(outline - 0.5) * scale - viewpoint.half_m for outline in outlines if len(outline) > 2]
+
+
+def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
+    """Surface of a grid of densities (nx, ny, nz) where they cross `level`, in metres of its frame."""
+    # A density is larger inside: the faces look inward, which no picture shows.
+    surface = isosurface(np.pad(density, 1), level=level)
+    return replace(surface, vertices=(surface.vertices - 0.5) * cell_m)
+
+
+def block_density(packed: NDArray[np.uint8]) -> Float32:
+    """Share of set cells in each 4x4x4 block of a packed grid: (n, n, n / 8) uint8 to (n / 4,) * 3."""
+    n = packed.shape[0] // 4
+    # Bits are counted side by side in 64-bit words: in pairs, in fours, then each half byte apart.
+    words = np.ascontiguousarray(packed).view(np.uint64)
+    twos = words - (words >> ONE & FIVES)
+    fours = (twos & THREES) + (twos >> TWO & THREES)
+    halves = np.stack([fours >> FOUR & FIFTEENS, fours & FIFTEENS])
+    # A sum of 16 counts is at most 64: no byte of a word runs over.
+    sums = halves.reshape(2, n, 4, n, 4, -1).sum(axis=(2, 4), dtype=np.uint64).view(np.uint8)
+    counts = np.stack([sums[0], sums[1]], axis=-1).reshape(n, n, n)
+    return counts.astype(np.float32) * np.float32(1 / 64)
+
+
+def smoothed(density: Float32) -> Float32:
+    """Blur a grid (nx, ny, nz) by (1, 2, 1) / 4 along each axis, so that its surface has no steps."""
+    result = np.pad(density, 1)
+    for axis in range(3):
+        moved = np.moveaxis(result, axis, 0)
+        blurred = moved * np.float32(0.5)
+        blurred[1:] += moved[:-1] * np.float32(0.25)
+        blurred[:-1] += moved[1:] * np.float32(0.25)
+        result = np.moveaxis(blurred, 0, axis)
+    return result[1:-1, 1:-1, 1:-1]

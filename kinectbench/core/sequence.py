@@ -1,0 +1,117 @@
+"""The normalised recording: frames by index, one pinhole camera, an optional given trajectory."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry.depth import DepthCalibration, corrected_depth_m
+from kinectbench.core.types import Bools, Float32, Float64, Int64
+
+
+@dataclass(frozen=True)
+class GivenTrajectory:
+    """The trajectory that came with a recording, as it was given.
+
+    Attributes:
+        stamps_ns: (m,) int64, nanoseconds, strictly increasing, same clock as the frames.
+        T_world_camera: (m, 4, 4) float64, optical camera axes; rotations on SO(3).
+    """
+
+    stamps_ns: Int64
+    T_world_camera: Float64
+
+    def equals(self, other: "GivenTrajectory", tolerance_m: float) -> bool:
+        """Whether both hold the same poses at the same stamps, but for rounding.
+
+        Rotations, whose entries have no unit, may differ by the number that `tolerance_m` is in metres.
+        """
+        return np.array_equal(self.stamps_ns, other.stamps_ns) and np.allclose(
+            self.T_world_camera, other.T_world_camera, rtol=0, atol=tolerance_m
+        )
+
+
+class FrameStore(Protocol):
+    """Where the frames of a sequence lie: any frame at random."""
+
+    def depth_native(self, index: int) -> NDArray[np.uint16]:
+        """Depth of one frame as recorded: (height, width) uint16, 0 = no measurement."""
+        ...
+
+    def color_encoded(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of one frame as it was encoded: (suffix such as ".jpg", bytes), or None."""
+        ...
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A recording that every later stage can use without knowing its format.
+
+    Attributes:
+        camera: intrinsics of the depth image (and of colour, where that is registered).
+        depth_scale: native units per metre: `metres = native / depth_scale`.
+        stamps_ns: (n,) int64, depth stamps, strictly increasing; a recording without stamps counts
+            its frames in seconds (index * 10**9).
+        color_registered: colour pixels lie on depth pixels.
+        given_trajectory: the trajectory that came with the recording, or None.
+        frames: where depth and colour lie.
+        depth_correction_per_m: (height, width) float32, added to 1 / depth; None: depth as recorded.
+        masks: the masks that came with the recording, or None: index -> (height, width) bool, the object, or
+            None for a frame without one.
+        trajectory_error: why a trajectory that came with the recording cannot be used, or "".
+    """
+
+    camera: Camera
+    depth_scale: float
+    stamps_ns: Int64
+    color_registered: bool
+    given_trajectory: GivenTrajectory | None
+    frames: FrameStore
+    depth_correction_per_m: Float32 | None = None
+    masks: Callable[[int], Bools | None] | None = None
+    trajectory_error: str = ""
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def depth_m(self, index: int) -> Float32:
+        """Depth of one frame in metres along z: (height, width) float32, 0 = no measurement."""
+        depth_m = depth_in_metres(self.frames.depth_native(index), self.depth_scale)
+        if self.depth_correction_per_m is None:
+            return depth_m
+        return corrected_depth_m(depth_m, self.depth_correction_per_m)
+
+    def calibrated(self, calibration: DepthCalibration) -> "Sequence":
+        """The same recording, its depth in metres with a calibration."""
+        if calibration.is_none:
+            return replace(self, depth_correction_per_m=None)
+        correction = calibration.correction_per_m(self.camera.width, self.camera.height)
+        return replace(self, depth_correction_per_m=correction)
+
+    def color_rgb(self, index: int) -> NDArray[np.uint8] | None:
+        """Colour of one frame: (height, width, 3) uint8 RGB, or None if there is none."""
+        import cv2
+
+        encoded = self.frames.color_encoded(index)
+        if encoded is None:
+            return None
+        bgr = cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_COLOR)
+        return np.ascontiguousarray(np.asarray(bgr)[..., ::-1])
+
+
+def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:
+    """Depth of any shape in native units as metres, float32; 0 stays 0.
+
+    Args:
+        native: as recorded.
+        depth_scale: native units per metre.
+    """
+    return native.astype(np.float32) / np.float32(depth_scale)
+
+
+def counts_frames(stamps_ns: Int64) -> bool:
+    """Whether stamps (n,) are those of a recording without any: they count frames in whole seconds."""
+    return bool(len(stamps_ns)) and not (stamps_ns % 10**9).any()

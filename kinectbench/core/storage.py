@@ -1,0 +1,123 @@
+"""Where artefacts live, their fingerprints, and how they come to be on disk whole or not at all."""
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+from kinectbench.core.errors import StorageError
+
+# Names that are safe as those of files.
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+
+
+def canonical_json(value: Any) -> str:
+    """JSON with sorted keys and no spaces: the same text for the same value."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def pretty_json(value: Any) -> str:
+    """JSON for people and files: indented, keys in the order given, ends in a newline."""
+    return json.dumps(value, indent=1, allow_nan=False) + "\n"
+
+
+def strict_json(text: str) -> Any:
+    """Parse JSON without NaN and infinities.
+
+    Raises:
+        ValueError: it is malformed; RecursionError: it is nested without end.
+    """
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def sha256_text(text: str) -> str:
+    """SHA-256 of a text's UTF-8 bytes, as hex."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, as hex, in streaming."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def storage_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's complaints about a full or read-only disk into one clear line."""
+    try:
+        yield
+    except OSError as error:
+        advice = {
+            errno.ENOSPC: "the disk is full: free some space and run the command again",
+            errno.EDQUOT: "the disk quota is used up: free some space and run the command again",
+            errno.EROFS: "the disk is read-only: choose a folder that can be written",
+            errno.EACCES: "no permission to write there: choose another folder or change its rights",
+            errno.EPERM: "no permission to write there: choose another folder or change its rights",
+        }.get(error.errno or 0)
+        if advice is None:
+            raise
+        raise StorageError(f"{path}: {advice}; what was there before is untouched") from error
+
+
+@contextlib.contextmanager
+def _reachable(path: Path) -> Iterator[None]:
+    """Turn a way that leads nowhere into one clear line."""
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:
+        raise StorageError(
+            f"{path}: the way to it holds a file, a broken link or nothing; choose another place"
+        ) from error
+
+
+@contextlib.contextmanager
+def replaced_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary sibling folder that takes `folder`'s place when the block ends well."""
+    # The name comes first: an interrupt right after the folder is made must find it to take away.
+    temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.part")
+    try:
+        with storage_errors(folder), _reachable(folder):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            temporary.mkdir()
+            temporary.chmod(0o755)
+        with storage_errors(folder):
+            yield temporary
+            old = temporary.with_suffix(".old")
+            with _reachable(folder):
+                if folder.exists():
+                    folder.rename(old)
+                try:
+                    temporary.rename(folder)
+                except OSError:  # a full disk may have no room for the name
+                    if old.exists():
+                        old.rename(folder)
+                    raise
+            shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def replaced_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary sibling path to write; it takes `path`'s place when the block ends well."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with storage_errors(path):
+            with _reachable(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(path)
+    finally:
+        with contextlib.suppress(OSError):  # there is none, or the disk is read-only
+            temporary.unlink()

@@ -1,0 +1,1 @@
+"""Poses over time: their value, their files, and how two trajectories compare."""

@@ -1,0 +1,96 @@
+"""Bringing streams to each other's time: colour frames to depth frames, given poses to frames.
+
+Depth and colour are paired: as many pairs as possible, then the closest ones, none used twice. A given
+trajectory is interpolated.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from typing import NamedTuple, Optional
+
+import numpy as np
+
+from kinectbench.core.geometry import interpolate_rigid
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.types import Float64, Int64
+
+TOLERANCE_NS = 20_000_000
+
+
+class _Matching(NamedTuple):
+    """The best pairs so far, as a linked list; compared by (pairs, -total gap)."""
+
+    pairs: int
+    minus_gap_ns: int
+    pair: tuple[int, int] | None
+    before: Optional["_Matching"]
+
+    @property
+    def score(self) -> tuple[int, int]:
+        return self.pairs, self.minus_gap_ns
+
+
+def associate(
+    depth_ns: Sequence[int], color_ns: Sequence[int], tolerance_ns: int = TOLERANCE_NS
+) -> list[int | None]:
+    """Give each depth frame at most one colour frame, and each colour frame at most one depth frame.
+
+    Of all ways to pair stamps that differ by `tolerance_ns` at most, the one with the most pairs, and of
+    those the one with the least sum of differences. On a line such pairs never need to cross, so dynamic
+    programming over the sorted stamps finds it (own rule; TUM RGB-D's tolerance of 0.02 s).
+
+    Args:
+        depth_ns: increasing stamps of depth.
+        color_ns: increasing stamps of colour, same clock.
+        tolerance_ns: largest difference of a pair.
+
+    Returns:
+        For each depth frame the index of its colour frame, or None.
+    """
+    # best[j]: the best matching of the depth frames so far with the colours before j; known up to `reach`.
+    best = [_Matching(0, 0, None, None)] * (len(color_ns) + 1)
+    reach = 0
+    for i, stamp_ns in enumerate(depth_ns):
+        low = bisect_left(color_ns, stamp_ns - tolerance_ns)
+        high = bisect_right(color_ns, stamp_ns + tolerance_ns)
+        best[reach + 1 : high + 1] = [best[reach]] * (high - reach)
+        reach = max(reach, high)
+        for j in range(high - 1, low - 1, -1):
+            gap_ns = abs(color_ns[j] - stamp_ns)
+            paired = _Matching(best[j].pairs + 1, best[j].minus_gap_ns - gap_ns, (i, j), best[j])
+            best[j + 1] = max(best[j + 1], paired, key=lambda matching: matching.score)
+        for j in range(low, high):
+            best[j + 1] = max(best[j], best[j + 1], key=lambda matching: matching.score)
+    partners: list[int | None] = [None] * len(depth_ns)
+    matching: _Matching | None = best[reach]
+    while matching is not None and matching.pair is not None:
+        i, j = matching.pair
+        partners[i] = j
+        matching = matching.before
+    return partners
+
+
+def poses_at(given: GivenTrajectory, stamps_ns: Int64, max_gap_s: float) -> Float64:
+    """T_world_camera at each stamp, by slerp between the two poses around it.
+
+    Args:
+        given: the trajectory.
+        stamps_ns: (n,) int64, the frames.
+        max_gap_s: two poses farther apart than this are not bridged.
+
+    Returns:
+        (n, 4, 4) float64; NaN where the trajectory says nothing. A stamp met exactly needs no bridge.
+    """
+    poses = np.full((len(stamps_ns), 4, 4), np.nan)
+    after = np.searchsorted(given.stamps_ns, stamps_ns)
+    for index, (stamp, right) in enumerate(zip(stamps_ns, after, strict=True)):
+        if right < len(given.stamps_ns) and given.stamps_ns[right] == stamp:
+            poses[index] = given.T_world_camera[right]
+        elif 0 < right < len(given.stamps_ns):
+            gap_ns = int(given.stamps_ns[right] - given.stamps_ns[right - 1])
+            if gap_ns <= max_gap_s * 1e9:
+                fraction = int(stamp - given.stamps_ns[right - 1]) / gap_ns
+                poses[index] = interpolate_rigid(
+                    given.T_world_camera[right - 1], given.T_world_camera[right], fraction
+                )
+    return poses

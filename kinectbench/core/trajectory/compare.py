@@ -1,0 +1,203 @@
+"""How far an estimated trajectory is from a reference: absolute and relative errors (Sturm et al. 2012).
+
+`T_world_camera` of both may refer to different worlds: the estimate is aligned first, without scale.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.errors import TrackingError
+from kinectbench.core.geometry import (
+    closest_rotation,
+    invert_rigid,
+    rigid,
+    rotation_angle_rad,
+    transform_points,
+)
+from kinectbench.core.trajectory.association import TOLERANCE_NS, associate
+from kinectbench.core.types import Bools, Float64, Int64
+
+MIN_MATCHED = 3
+# Drift is taken over pieces of path of this length, give or take a tenth.
+PIECE_M = 1.0
+PIECE_TOLERANCE_M = 0.1
+# Camera positions that spread less than this about a line do not say how worlds are turned to each other.
+MIN_SPREAD_M = 0.05
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """A set of errors, all >= 0, in the unit that the name of the value says."""
+
+    rmse: float
+    mean: float
+    median: float
+    max: float
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """An estimated trajectory against a reference, over the poses that both have.
+
+    Attributes:
+        matched: number of these poses, n.
+        T_reference_estimate: (4, 4), from the estimate's world to the reference's (ATE's alignment).
+        ate_m: distances of the aligned positions; its rmse is the absolute trajectory error.
+        rpe_frame_m: relative translation errors between one pose and the next.
+        rpe_frame_rad: relative rotation errors between one pose and the next.
+        rpe_metre_m: relative translation errors over a metre of path; None if no piece is that long.
+        rpe_metre_rad: relative rotation errors over a metre of path, or None.
+        position_errors_m: (n,) distances of the aligned positions, in the order given.
+    """
+
+    matched: int
+    T_reference_estimate: Float64
+    ate_m: ErrorStatistics
+    rpe_frame_m: ErrorStatistics
+    rpe_frame_rad: ErrorStatistics
+    rpe_metre_m: ErrorStatistics | None
+    rpe_metre_rad: ErrorStatistics | None
+    position_errors_m: Float64
+
+
+def has_pose(T: Float64) -> Bools:
+    """Which of the transforms (n, 4, 4) hold numbers only: bool (n,)."""
+    return np.asarray(np.isfinite(T).all(axis=(1, 2)))
+
+
+def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]:
+    """Pair stamps, each at most once: equal ones first, then the closest within half a frame.
+
+    Half a frame is half the smaller of the two median intervals, so that nothing is paired with the
+    neighbour of its own frame. As many as possible are paired (own rule, see `ingest.association`).
+
+    Args:
+        estimate_ns: (k,) int64, any order.
+        reference_ns: (m,) int64, any order, same clock.
+
+    Returns:
+        Indices into the one and into the other, (n,) int64 each, in the order of the estimate's stamps.
+    """
+    _, first, second = np.intersect1d(estimate_ns, reference_ns, return_indices=True)
+    rest, rest_reference = (
+        np.setdiff1d(np.unique(stamps, return_index=True)[1], used)
+        for stamps, used in ((estimate_ns, first), (reference_ns, second))
+    )
+    # np.setdiff1d sorts by index; the association wants them by time.
+    rest = rest[np.argsort(estimate_ns[rest], kind="stable")]
+    rest_reference = rest_reference[np.argsort(reference_ns[rest_reference], kind="stable")]
+    half_ns = min(_half_interval_ns(estimate_ns), _half_interval_ns(reference_ns))
+    partners = associate(estimate_ns[rest].tolist(), reference_ns[rest_reference].tolist(), half_ns)
+    near = [(rest[i], rest_reference[j]) for i, j in enumerate(partners) if j is not None]
+    pairs = np.array([*zip(first, second, strict=True), *near], dtype=np.int64).reshape(-1, 2)
+    estimate, reference = pairs[np.argsort(estimate_ns[pairs[:, 0]], kind="stable")].T
+    return estimate, reference
+
+
+def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
+    """Absolute and relative errors of matched poses.
+
+    ATE: the distances |p_i - S q_i| of the positions, with the rigid S that makes their squares least
+    (Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991
+    without scale). RPE: translation and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1) for j = i + 1,
+    and for the pose j whose path from i along the reference is closest to 1 m (0.9 to 1.1 m).
+
+    Args:
+        T_estimate: (n, 4, 4) `T_world_camera`, n >= 3, in the order of time.
+        T_reference: (n, 4, 4).
+
+    Raises:
+        TrackingError: fewer than three poses.
+    """
+    n = len(T_estimate)
+    if n < MIN_MATCHED:
+        raise TrackingError(
+            f"only {n} poses of the two trajectories match by stamp, and {MIN_MATCHED} are needed; "
+            "are they of one recording, on one clock?"
+        )
+    T_reference_estimate = align_positions(T_estimate[:, :3, 3], T_reference[:, :3, 3])
+    aligned = transform_points(T_reference_estimate, T_estimate[:, :3, 3])
+    errors_m = np.linalg.norm(aligned - T_reference[:, :3, 3], axis=1)
+    i = np.arange(n - 1)
+    frame_m, frame_rad = _relative_errors(T_estimate, T_reference, i, i + 1)
+    metre_m, metre_rad = _relative_errors(T_estimate, T_reference, *_pieces(T_reference[:, :3, 3]))
+    return TrajectoryError(
+        matched=n,
+        T_reference_estimate=T_reference_estimate,
+        ate_m=statistics(errors_m),
+        rpe_frame_m=statistics(frame_m),
+        rpe_frame_rad=statistics(frame_rad),
+        rpe_metre_m=statistics(metre_m) if len(metre_m) else None,
+        rpe_metre_rad=statistics(metre_rad) if len(metre_rad) else None,
+        position_errors_m=errors_m,
+    )
+
+
+def align_positions(points_b: Float64, points_a: Float64) -> Float64:
+    """The rigid T_a_b with the least sum of squares |a_i - T_a_b b_i|^2.
+
+    Source: Umeyama, "Least-squares estimation of transformation parameters" (PAMI 1991), without scale.
+
+    Args:
+        points_b: (n, 3), n > 0.
+        points_a: (n, 3), the same points in the other frame.
+    """
+    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    rotation = closest_rotation((points_a - mean_a).T @ (points_b - mean_b))
+    return rigid(rotation, mean_a - rotation @ mean_b)
+
+
+def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
+    """The transform from the estimate's world to the reference's, also where positions do not tell it.
+
+    As for ATE; but with fewer than three poses, or where the cameras stand still or move along a line
+    (less than 5 cm about it, rms), the orientations say how the worlds are turned (own rule).
+
+    Args:
+        T_estimate: (n, 4, 4) `T_world_camera`, n > 0.
+        T_reference: (n, 4, 4), the same cameras.
+    """
+    points_estimate, points_reference = T_estimate[:, :3, 3], T_reference[:, :3, 3]
+    centred = points_reference - points_reference.mean(axis=0)
+    spread_m = np.linalg.svd(centred, compute_uv=False)[1] / np.sqrt(len(centred)) if len(centred) > 1 else 0
+    if len(centred) >= MIN_MATCHED and spread_m >= MIN_SPREAD_M:
+        return align_positions(points_estimate, points_reference)
+    turns = T_reference[:, :3, :3] @ np.swapaxes(T_estimate[:, :3, :3], 1, 2)
+    rotation = closest_rotation(turns.sum(axis=0))
+    return rigid(rotation, points_reference.mean(axis=0) - rotation @ points_estimate.mean(axis=0))
+
+
+def statistics(errors: Float64) -> ErrorStatistics:
+    """The statistics of errors (n,), n > 0."""
+    return ErrorStatistics(
+        rmse=float(np.sqrt(np.mean(errors**2))),
+        mean=float(errors.mean()),
+        median=float(np.median(errors)),
+        max=float(errors.max()),
+    )
+
+
+def _relative_errors(
+    T_estimate: Float64, T_reference: Float64, i: Int64, j: Int64
+) -> tuple[Float64, Float64]:
+    """Translation (m) and angle (rad) of the relative pose errors from the poses i to the poses j."""
+    moved_estimate = invert_rigid(T_estimate[i]) @ T_estimate[j]
+    moved_reference = invert_rigid(T_reference[i]) @ T_reference[j]
+    error = invert_rigid(moved_reference) @ moved_estimate
+    return np.linalg.norm(error[:, :3, 3], axis=1), rotation_angle_rad(error[:, :3, :3])
+
+
+def _pieces(positions: Float64) -> tuple[Int64, Int64]:
+    """From each pose the one that is closest to a metre of path ahead, if it is within a tenth."""
+    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    first = np.arange(len(path_m) - 1)
+    last = np.array([i + 1 + np.argmin(np.abs(path_m[i + 1 :] - path_m[i] - PIECE_M)) for i in first], int)
+    fits = np.abs(path_m[last] - path_m[first] - PIECE_M) <= PIECE_TOLERANCE_M
+    return first[fits], last[fits]
+
+
+def _half_interval_ns(stamps_ns: Int64) -> int:
+    gaps = np.diff(np.unique(stamps_ns))
+    return int(np.median(gaps)) // 2 if len(gaps) else TOLERANCE_NS

@@ -1,0 +1,137 @@
+"""What a trajectory looks at: where the optical axes meet, the arc around it, which views share what."""
+
+import numpy as np
+
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Bools, Float32, Float64, Int64
+
+USUAL_DISTANCE_M = 1.5
+# Upper edges whose mean is shorter than this point anywhere.
+MIN_UPRIGHT = 0.1
+# Enough for a few cameras side by side, whose rows say nothing; little enough to find 119 of 120 degrees.
+LEAN_WEIGHT = 0.01
+# Cosine from which on a camera looks straight up or down.
+NEARLY_ALONG = 0.95
+# A camera counts as looking at a point that lies within this angle of its axis.
+LOOKING_AT_RAD = np.pi / 4
+# Depth is kept on a grid of about this many columns; every eighth of its pixels is a point to be found.
+DEPTH_COLUMNS = 160
+POINT_STEP = 8
+# A point is seen where the depth agrees this closely: coarse, as the grid is, and poses may be a little off.
+SEEN_SHARE_OF_DEPTH = 0.05
+
+
+def convergence_point(T_world_camera: Float64) -> Float64:
+    """The point (3,) in the world nearest to all optical axes, in the least-squares sense.
+
+    Args:
+        T_world_camera: (n, 4, 4), n > 0. Axes that are nearly parallel leave the distance open: a weak pull
+            towards 1.5 m ahead closes it; the mean of those points is taken where axes that diverge are
+            nearest to each other behind most cameras (own rules).
+    """
+    axes, positions = T_world_camera[:, :3, 2], T_world_camera[:, :3, 3]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    weak = 1e-3 * len(axes)
+    ahead = (positions + USUAL_DISTANCE_M * axes).mean(axis=0)
+    normal_matrix = across.sum(axis=0) + weak * np.eye(3)
+    nearest = np.linalg.solve(
+        normal_matrix, (across @ positions[:, :, None]).sum(axis=0)[:, 0] + weak * ahead
+    )
+    in_front = ((nearest - positions) * axes).sum(axis=1) > 0
+    return nearest if in_front.mean() > 0.5 else ahead
+
+
+def from_above(T_world_camera: Float64) -> Float64:
+    """R_above_world (3, 3): z is up, y is where the first camera looks.
+
+    Up is where the cameras' upper edges point, on the whole, and as square to their rows as may be: cameras
+    that look down at something lean forward, but are held level (own rule).
+
+    Args:
+        T_world_camera: (n, 4, 4), n > 0.
+    """
+    first, rows = T_world_camera[0, :3, :3], T_world_camera[:, :3, 0]
+    upper = -T_world_camera[:, :3, 1].mean(axis=0)
+    if np.linalg.norm(upper) < MIN_UPRIGHT:
+        upper = -first[:, 1]
+    square = rows.T @ rows / len(rows) - LEAN_WEIGHT * np.outer(upper, upper)
+    up = np.linalg.eigh(square)[1][:, 0]
+    up = up if up @ upper > 0 else -up
+    # A camera that looks straight down has its upper edge ahead.
+    ahead = first[:, 2] if abs(first[:, 2] @ up) < NEARLY_ALONG else -first[:, 1]
+    right = np.cross(ahead, up)
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(up, right), up])
+
+
+def covered_arc_rad(T_world_camera: Float64) -> float | None:
+    """The arc of directions from which the cameras look at the point where their axes meet (own rule).
+
+    The directions are seen from above; the arc is the full circle less the largest gap between two of them.
+
+    Args:
+        T_world_camera: (n, 4, 4), finite, any n.
+
+    Returns:
+        Radians, 0 to 2 pi; None if there is no camera, or if fewer than half of them have the point within 45
+        degrees of their axis, as when someone turns about in a room.
+    """
+    if not len(T_world_camera):
+        return None
+    towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]
+    distance_m = np.linalg.norm(towards, axis=1)
+    ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
+    looking = ahead_m > np.cos(LOOKING_AT_RAD) * distance_m
+    if 2 * looking.sum() < len(T_world_camera):
+        return None
+    right, forward, _ = from_above(T_world_camera) @ -towards[looking].T
+    angles = np.sort(np.arctan2(forward, right))
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    return float(2 * np.pi - gaps.max())
+
+
+def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
+    """How much of each frame others see, by depth and poses alone (own rule).
+
+    A point is seen by a frame whose depth, at the pixel that it falls on, agrees with it within 5 %.
+
+    Args:
+        sequence: the recording.
+        T_world_camera: (n, 4, 4) of all its frames.
+        frames: (k,) indices of frames that have a pose.
+
+    Returns:
+        (k, k), [i, j] is the share of the points of frame i that frame j sees; 0 for frames without depth.
+    """
+    step = max(1, round(sequence.camera.width / DEPTH_COLUMNS))
+    depths_m = [sequence.depth_m(int(f))[::step, ::step] for f in frames]
+    rays = sequence.camera.rays()[::step, ::step][::POINT_STEP, ::POINT_STEP]
+    points_world, owners = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
+    for k, (frame, depth_m) in enumerate(zip(frames, depths_m, strict=True)):
+        coarse_m = depth_m[::POINT_STEP, ::POINT_STEP]
+        points = (rays * coarse_m[..., None])[coarse_m > 0]
+        points_world.append(transform_points(T_world_camera[frame], points))
+        owners.append(np.full(len(points), k))
+    points, owner = np.concatenate(points_world), np.concatenate(owners)
+    shares = np.zeros((len(frames), len(frames)))
+    counts = np.maximum(np.bincount(owner, minlength=len(frames)), 1)
+    for k, (frame, depth_m) in enumerate(zip(frames, depths_m, strict=True)):
+        seen = _seen(transform_points(invert_rigid(T_world_camera[frame]), points), depth_m, sequence, step)
+        shares[:, k] = np.bincount(owner[seen], minlength=len(frames)) / counts
+    return shares
+
+
+def _seen(points_camera: Float64, depth_m: Float32, sequence: Sequence, step: int) -> Bools:
+    """Which points (m, 3) agree with the depth on every `step`-th pixel: (m,)."""
+    height, width = depth_m.shape
+    before = points_camera[:, 2] > 0
+    pixels = np.full((len(points_camera), 2), -1.0)
+    pixels[before] = sequence.camera.project(points_camera[before]) / step
+    # Far outside, pixels would not fit into integers.
+    u, v = np.rint(np.clip(pixels, -1, [width, height])).astype(np.int64).T
+    inside = before & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    seen = np.zeros(len(points_camera), dtype=bool)
+    measured_m, expected_m = depth_m[v[inside], u[inside]], points_camera[inside, 2]
+    seen[inside] = (measured_m > 0) & (np.abs(measured_m - expected_m) < SEEN_SHARE_OF_DEPTH * expected_m)
+    return seen

@@ -1,0 +1,152 @@
+"""Time stamps: decimal seconds as text to integer nanoseconds, exactly; and whether a clock ran as it should.
+
+A clock's faults are dropped and repeated frames, jumps, resets and time going back.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.types import Int64
+
+NS_PER_S = 10**9
+LIMIT_NS = 2**63
+# What seconds since 1970 are in other units, by the exponent of ten; and steps of cameras, by the least.
+UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
+UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
+# A longer pause is not a few dropped frames.
+JUMP_PERIODS, JUMP_NS = 10, 1_000_000_000
+# A step back by more than this begins another clock.
+RESET_NS = 1_000_000_000
+
+
+def parse_stamp_ns(text: str, where: str) -> int:
+    """Turn decimal seconds into nanoseconds without floats; digits beyond the ninth are rounded.
+
+    Args:
+        text: such as "1305031107.130308" or "1.305e9".
+        where: file and line, for the message.
+
+    Raises:
+        RecordingError: not a finite number, or beyond 64-bit nanoseconds (292 years).
+    """
+    try:
+        stamp = Decimal(text)
+    except InvalidOperation:
+        stamp = Decimal("NaN")
+    if not stamp.is_finite() or stamp.adjusted() > 11 or abs(stamp) * NS_PER_S >= LIMIT_NS:
+        unit = UNITS_OF_TODAY.get(stamp.adjusted() // 3 * 3) if stamp.is_finite() else None
+        advice = f"it looks like {unit}: write seconds" if unit else "correct or remove the line"
+        raise RecordingError(f"{where}: '{text}' is not a time stamp in seconds; {advice}")
+    return int((stamp * NS_PER_S).to_integral_value())
+
+
+def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
+    """Whether stamps of images were written in seconds, as they must be, by the steps between them.
+
+    Args:
+        stamps_ns: in the order of recording, as they were read.
+        where: file, for the message.
+
+    Returns:
+        A warning where frames are so far apart that they may be milliseconds, as those of a slow series, too.
+
+    Raises:
+        RecordingError: so far apart that they are micro- or nanoseconds.
+    """
+    period_s = usual_period_ns(np.asarray(stamps_ns, np.int64)) / NS_PER_S
+    unit = next((unit for least_s, unit in UNITS_OF_STEPS.items() if period_s >= least_s), None)
+    if unit is None:
+        return []
+    if unit == "milliseconds":
+        return [f"{where}: images are {period_s:g} s apart; if the stamps are {unit}, write seconds"]
+    what = f"images are {period_s:g} s apart: the stamps look like {unit}"
+    raise RecordingError(f"{where}: {what}; write seconds")
+
+
+def format_stamp(stamp_ns: int) -> str:
+    """Write nanoseconds as decimal seconds with exactly nine decimals."""
+    sign, magnitude = ("-", -stamp_ns) if stamp_ns < 0 else ("", stamp_ns)
+    return f"{sign}{magnitude // NS_PER_S}.{magnitude % NS_PER_S:09d}"
+
+
+def first_by_stamp(stamps_ns: Sequence[int]) -> tuple[list[int], int]:
+    """Order by stamp, each stamp once.
+
+    Returns:
+        Indices into `stamps_ns` with strictly increasing stamps (of equal ones the first given), and
+        how many were left out.
+    """
+    _, first = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_index=True)
+    return first.tolist(), len(stamps_ns) - len(first)
+
+
+@dataclass(frozen=True)
+class StampFaults:
+    """What is wrong with the stamps of a stream, in the order in which it was recorded.
+
+    Attributes:
+        period_ns: the usual step between frames, as `usual_period_ns` has it.
+        dropped: frames that are missing in gaps between two frames.
+        repeated: frames with the stamp of the one before.
+        backwards: frames that are a little earlier than the one before.
+        jumps: frames before which the time jumped ahead, longer than a few dropped frames explain.
+        resets: frames before which the clock began anew, more than a second back.
+    """
+
+    period_ns: int
+    dropped: int
+    repeated: int
+    backwards: int
+    jumps: tuple[int, ...]
+    resets: tuple[int, ...]
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is wrong."""
+        return bool(self.dropped or self.repeated or self.backwards or self.jumps or self.resets)
+
+
+def usual_period_ns(stamps_ns: Int64) -> int:
+    """The step between frames where none is missing; 0: unknown.
+
+    The median of the steps forward that are shorter than one and a half of their lower quartile: where every
+    third frame is gone, the median of all is that of two steps (own rule).
+    """
+    steps = np.diff(stamps_ns)
+    forward = steps[steps > 0]
+    if not len(forward):
+        return 0
+    single = forward[forward < 1.5 * np.quantile(forward, 0.25, method="lower")]
+    return int(np.median(single))
+
+
+def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
+    """Look over the stamps of one stream (own rule).
+
+    Args:
+        stamps_ns: (n,) nanoseconds, in the order of recording.
+    """
+    stamps = np.asarray(stamps_ns, np.int64)
+    steps, period_ns = np.diff(stamps), usual_period_ns(stamps)
+    is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * period_ns)
+    gaps = steps[(steps > 0) & ~is_jump]
+    missing = np.rint(gaps / period_ns).astype(np.int64) - 1 if period_ns else np.zeros(0, np.int64)
+    is_reset = steps < -RESET_NS
+    return StampFaults(
+        period_ns=period_ns,
+        dropped=int(np.maximum(missing, 0).sum()),
+        repeated=int((steps == 0).sum()),
+        backwards=int(((steps < 0) & ~is_reset).sum()),
+        jumps=tuple((np.flatnonzero(is_jump) + 1).tolist()),
+        resets=tuple((np.flatnonzero(is_reset) + 1).tolist()),
+    )
+
+
+def find_doubled(digests: Sequence[bytes]) -> tuple[int, ...]:
+    """The frames whose content, by a digest, is that of the frame before: the driver delivered it twice."""
+    return tuple(i for i in range(1, len(digests)) if digests[i] == digests[i - 1])

@@ -1,0 +1,113 @@
+"""The camera's trajectory: one pose per frame, or the reason why there is none; and how it is stored."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, TrajectoryHealth
+from kinectbench.core.errors import RecordingError, StorageError
+from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.trajectory_file import read_trajectory as read_tum
+from kinectbench.core.trajectory.trajectory_file import trajectory_text
+from kinectbench.core.types import Float64, Int64
+
+TRAJECTORY_TXT = "trajectory.txt"
+# How far off a pose may be that no other frame checked: the largest plausible error. Given poses that the
+# depth finds 25 mm off are left out (`tracking.max_disagreement_m`). With 25 mm here, aligning a view to the
+# object half-corrects a pose that is wrong by 85 mm and 4 degrees; with 20 mm it is refused.
+UNCHECKED_POSE_SIGMA_M = 0.02
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """`T_world_camera` per frame of a sequence.
+
+    Attributes:
+        stamps_ns: (n,) int64, the sequence's depth stamps.
+        T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
+        source: "trust", "refine" or "tracked": where the poses come from.
+        pose_sigma_m: (n,) by how much each pose may be off, metres: how far its depth would move it; NaN
+            where that is not known. None: of no frame.
+        health: what can be said of it without a ground truth; None if nobody looked.
+        depth_calibration: of the recording's depth, as the poses were found or checked with it.
+    """
+
+    stamps_ns: Int64
+    T_world_camera: Float64
+    source: str
+    pose_sigma_m: Float64 | None = None
+    health: TrajectoryHealth | None = None
+    depth_calibration: DepthCalibration = NO_CALIBRATION
+
+    @property
+    def good_frames(self) -> Int64:
+        """Indices of the frames that have a pose, ascending."""
+        return np.flatnonzero(np.isfinite(self.T_world_camera).all(axis=(1, 2)))
+
+    def assumed_pose_sigma_m(self, frame: int) -> float:
+        """`pose_sigma_m`, or for a pose that nobody could check the largest plausible error, metres."""
+        sigma_m = np.nan if self.pose_sigma_m is None else float(self.pose_sigma_m[frame])
+        return UNCHECKED_POSE_SIGMA_M if np.isnan(sigma_m) else sigma_m
+
+    @cached_property
+    def usual_pose_sigma_m(self) -> float | None:
+        """Median of `pose_sigma_m` over the good frames that were checked, metres; None if none was."""
+        if self.pose_sigma_m is None:
+            return None
+        sigma_m = self.pose_sigma_m[self.good_frames]
+        checked_m = sigma_m[np.isfinite(sigma_m)]
+        return float(np.median(checked_m)) if len(checked_m) else None
+
+
+def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
+    """Write trajectory.txt (the good frames), depth_calibration.json and, where it is known, health.json.
+
+    Args:
+        trajectory: `pose_sigma_m` is stored in its health only.
+        folder: is there already.
+    """
+    good = trajectory.good_frames
+    posed = GivenTrajectory(trajectory.stamps_ns[good], trajectory.T_world_camera[good])
+    (folder / TRAJECTORY_TXT).write_text(trajectory_text(posed))
+    if trajectory.health is not None:
+        trajectory.health.write(folder)
+    coefficients_per_m = trajectory.depth_calibration.coefficients_per_m.tolist()
+    StoredDepthCalibration(coefficients_per_m=coefficients_per_m).write(folder)
+
+
+def read_poses(folder: Path) -> GivenTrajectory:
+    """Read trajectory.txt of a trajectory's folder.
+
+    Raises:
+        StorageError: it is missing or damaged.
+    """
+    try:
+        return read_tum(folder / TRAJECTORY_TXT)[0]
+    except RecordingError as error:
+        raise StorageError(
+            f"{folder}: the trajectory is damaged ({error}); `kinectbench build --force` makes it again"
+        ) from error
+
+
+def read_trajectory(folder: Path, stamps_ns: Int64) -> Trajectory:
+    """Read a stored trajectory back for the frames with these stamps (n,).
+
+    Raises:
+        StorageError: the files do not belong to these frames, or are damaged.
+    """
+    posed, health = read_poses(folder), TrajectoryHealth.read(folder)
+    # Earlier versions wrote no calibration.
+    stored = StoredDepthCalibration.read_if_there(folder)
+    rows = np.searchsorted(stamps_ns, posed.stamps_ns)
+    others = rows.max() >= len(stamps_ns) or (stamps_ns[rows] != posed.stamps_ns).any()
+    if others or health.frames != len(stamps_ns):
+        raise StorageError(
+            f"{folder}: the stored trajectory is of other frames; `kinectbench build --force` makes it again"
+        )
+    T_world_camera = np.full((len(stamps_ns), 4, 4), np.nan)
+    T_world_camera[rows] = posed.T_world_camera
+    calibration = NO_CALIBRATION if stored is None else stored.calibration
+    return Trajectory(stamps_ns, T_world_camera, health.source, health.pose_sigma_m(), health, calibration)

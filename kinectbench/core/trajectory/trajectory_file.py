@@ -1,0 +1,146 @@
+"""Trajectories in TUM text format (`t tx ty tz qx qy qz qw`, camera to world), in and out."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import closest_rotation, quaternion_xyzw_from_rotation, rigid
+from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_from_xyzw
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.stamps import first_by_stamp, format_stamp, parse_stamp_ns
+from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
+from kinectbench.core.types import Float64
+
+HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world)\n"
+# Recorded rotation matrices are a little off; farther than this from SO(3) they are something else.
+RIGID_TOLERANCE = 0.05
+
+
+class TimedPose(NamedTuple):
+    """One row: stamp (ns), translation (m) and quaternion, and where it was read."""
+
+    stamp_ns: int
+    translation_m: tuple[float, ...]
+    quaternion_xyzw: tuple[float, ...]
+    where: str
+
+
+def read_given(
+    read: Callable[[], tuple[GivenTrajectory | None, list[str]]],
+) -> tuple[GivenTrajectory | None, list[str], str]:
+    """Read the trajectory that came with a recording, which may be broken: frames can be used without it.
+
+    Args:
+        read: reads it; gives the trajectory, and warnings.
+
+    Returns:
+        The trajectory or None, warnings, and why it cannot be used, or "".
+    """
+    try:
+        return *read(), ""
+    except RecordingError as error:
+        return None, [], str(error)
+
+
+def read_trajectory(path: Path) -> tuple[GivenTrajectory, list[str]]:
+    """Read a TUM trajectory file, camera to world, and put it in order.
+
+    Returns:
+        The trajectory, and warnings.
+
+    Raises:
+        RecordingError: a row is not eight finite numbers, a quaternion has no length, or no row is there.
+    """
+    rows = []
+    for where, row in text_rows(path):
+        words = row.replace(",", " ").split()
+        if len(words) != 8:
+            raise RecordingError(f"{where}: holds {len(words)} values, not the 8 of 't tx ty tz qx qy qz qw'")
+        stamp_ns = parse_stamp_ns(words[0], where)
+        numbers = parse_floats(words[1:], where)
+        rows.append(TimedPose(stamp_ns, tuple(numbers[:3]), tuple(numbers[3:]), where))
+    return trajectory_from_poses(rows, str(path))
+
+
+def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTrajectory, list[str]]:
+    """Check timed poses (camera to world) and put them in order.
+
+    Args:
+        rows: in any order; of equal stamps the first is kept.
+        name: the file or topic, for messages.
+
+    Returns:
+        The trajectory, and warnings.
+
+    Raises:
+        RecordingError: a value is not finite, a quaternion has no length, or no row is there.
+    """
+    if not rows:
+        raise RecordingError(f"{name}: the trajectory is empty; remove it or export it again")
+    for row in rows:
+        if not np.isfinite([*row.translation_m, *row.quaternion_xyzw]).all():
+            raise RecordingError(f"{row.where}: the pose holds NaN or infinity; remove this row")
+        if np.linalg.norm(row.quaternion_xyzw) < 1e-6:
+            raise RecordingError(f"{row.where}: the quaternion has length zero; remove this row")
+    order, repeated = first_by_stamp([row.stamp_ns for row in rows])
+    warnings = []
+    if repeated:
+        warnings.append(f"{name}: {repeated} poses repeat the stamp of an earlier row and were left out")
+    kept = [rows[i] for i in order]
+    rotations = rotation_from_xyzw([row.quaternion_xyzw for row in kept])
+    T_world_camera = np.stack(
+        [rigid(rotation, row.translation_m) for rotation, row in zip(rotations, kept, strict=True)]
+    )
+    return GivenTrajectory(np.array([row.stamp_ns for row in kept], np.int64), T_world_camera), warnings
+
+
+def trajectory_text(trajectory: GivenTrajectory) -> str:
+    """Write a trajectory as TUM text: nine decimals of seconds, poses with every digit they have."""
+    rows = [HEADER]
+    for stamp_ns, T in zip(trajectory.stamps_ns.tolist(), trajectory.T_world_camera, strict=True):
+        numbers = [*T[:3, 3].tolist(), *quaternion_xyzw_from_rotation(T[:3, :3]).tolist()]
+        rows.append(" ".join([format_stamp(stamp_ns), *(repr(number) for number in numbers)]) + "\n")
+    return "".join(rows)
+
+
+def rigid_or_none(matrix: Float64) -> Float64 | None:
+    """Project a recorded (4, 4) matrix onto the rigid transforms; None if it is nowhere near one."""
+    if not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) <= 0:
+        return None
+    rotation = closest_rotation(matrix[:3, :3])
+    apart = max(np.abs(rotation - matrix[:3, :3]).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
+    return rigid(rotation, matrix[:3, 3]) if apart <= RIGID_TOLERANCE else None
+
+
+def trajectory_from_matrices(
+    stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Make a trajectory of the frames that have a usable (4, 4) camera-to-world matrix.
+
+    Args:
+        stamps_ns: stamp of each frame, strictly increasing.
+        matrices: its matrix as recorded, or None if it has none.
+        name: the recording, for messages.
+
+    Returns:
+        The trajectory, or None if no frame has a usable matrix; and warnings, unless no frame has any matrix.
+    """
+    if all(matrix is None for matrix in matrices):
+        return None, []
+    usable = [None if matrix is None else rigid_or_none(matrix) for matrix in matrices]
+    kept = [(stamp, T) for stamp, T in zip(stamps_ns, usable, strict=True) if T is not None]
+    lost = len(usable) - len(kept)
+    if not kept:
+        return None, [f"{name}: none of the {lost} poses is usable; the trajectory is ignored"]
+    warnings = []
+    if lost:
+        first = next(stamp for stamp, T in zip(stamps_ns, usable, strict=True) if T is None)
+        warnings.append(
+            f"{name}: {lost} of {len(usable)} frames have no pose, or one that is not finite and rigid "
+            f"(first at {format_stamp(first)} s)"
+        )
+    stamps = np.array([stamp for stamp, _ in kept], np.int64)
+    return GivenTrajectory(stamps, np.stack([T for _, T in kept])), warnings

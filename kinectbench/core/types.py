@@ -1,0 +1,26 @@
+"""Types that every room uses."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Int32 = NDArray[np.int32]
+Int64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+# A color picture, (height, width, 3), or colors, (n, 3).
+Rgb = NDArray[np.uint8]
+
+# Called with (done, total) while something long is at work.
+Progress = Callable[[int, int], None]
+# Called with (name, done, total), where several named things are at work.
+NamedProgress = Callable[[str, int, int], None]
+
+# The part of a benchmark that a recording belongs to.
+Split = Literal["train", "validation", "test"]
+# How the cube of a pair is placed, and how 4 x 4 x 4 of its cells become one.
+Framing = Literal["object", "view"]
+PartialRule = Literal["any", "majority"]

@@ -1,0 +1,217 @@
+"""The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis.
+
+A `Pair` holds a view and its truth; a `PairInput` is the same without the truth: what a method may look at,
+and what a public part publishes.
+"""
+
+import io
+import zipfile
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import PairError
+from kinectbench.core.geometry import Grid
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, load_arrays, packed_npz_bytes
+
+FORMAT_VERSION = 1
+FULL_CELLS = 256
+PARTIAL_CELLS = 64
+BLOCK = FULL_CELLS // PARTIAL_CELLS
+# Grids, matrices and texts of a pair, unpacked from its npz, are 10.5 MB.
+MAX_BYTES = 16 << 20
+
+Packed = NDArray[np.uint8]
+
+PACKED_256 = ("partial_256", "full", "shell", "known", "seen")
+PACKED_SHAPES = {
+    "partial": (PARTIAL_CELLS, PARTIAL_CELLS, PARTIAL_CELLS // 8),
+    **dict.fromkeys(PACKED_256, (FULL_CELLS, FULL_CELLS, FULL_CELLS // 8)),
+}
+NUMBERS = ("voxel_size_m", "surface_sigma_m")
+TEXTS = ("framing", "partial_rule", "occupancy_rule")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One single-view completion problem and its truth. Grid axes are the view's optical axes.
+
+    Attributes:
+        partial: (64, 64, 8) uint8, packed; the view's depth on the object, the input.
+        partial_256: (256, 256, 32) uint8, packed; the same before reduction.
+        full: (256, 256, 32) packed; the solid shape.
+        shell: (256, 256, 32) packed; the surface of `full` only.
+        known: (256, 256, 32) packed; the truth is trusted there.
+        seen: (256, 256, 32) packed; in the view's frustum and not behind its depth.
+        T_world_grid: (4, 4) float64; cell (i, j, k) of `full` has its centre at
+            `T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)`.
+        T_world_camera: (4, 4) float64, the view's camera.
+        K: (3, 3) float64, its intrinsics in pixels.
+        voxel_size_m: edge of a cell of the 256-grid, metres.
+        surface_sigma_m: standard deviation of the truth's surface, metres.
+        framing: "object" or "view".
+        partial_rule: "any" or "majority".
+        occupancy_rule: what makes a cell of `full` occupied: "winding" (its centre is inside a closed
+            mesh) or "six-rays" (the authors' rule for meshes that are not watertight); files without
+            the key are "winding".
+    """
+
+    partial: Packed
+    partial_256: Packed
+    full: Packed
+    shell: Packed
+    known: Packed
+    seen: Packed
+    T_world_grid: Float64
+    T_world_camera: Float64
+    K: Float64
+    voxel_size_m: float
+    surface_sigma_m: float
+    framing: str
+    partial_rule: str
+    occupancy_rule: str = "winding"
+
+    @property
+    def grid(self) -> Grid:
+        """The 256-grid in the world."""
+        return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
+
+
+@dataclass(frozen=True)
+class PairInput:
+    """What a view gives; the attributes are those of `Pair`.
+
+    Attributes:
+        partial: (64, 64, 8) uint8, packed.
+        partial_256: (256, 256, 32) uint8, packed.
+        seen: (256, 256, 32) uint8, packed.
+        T_world_grid: (4, 4) float64.
+        T_world_camera: (4, 4) float64.
+        K: (3, 3) float64, pixels.
+        voxel_size_m: edge of a cell of the 256-grid, metres.
+        framing: "object" or "view".
+        partial_rule: "any" or "majority".
+    """
+
+    partial: Packed
+    partial_256: Packed
+    seen: Packed
+    T_world_grid: Float64
+    T_world_camera: Float64
+    K: Float64
+    voxel_size_m: float
+    framing: str
+    partial_rule: str
+
+
+INPUT_KEYS = tuple(field.name for field in fields(PairInput))
+TRUTH_KEYS = ("full", "shell", "known", "surface_sigma_m")
+
+AnyPair = TypeVar("AnyPair", Pair, PairInput)
+
+
+def pack(occupancy: Bools) -> Packed:
+    """Pack booleans (..., n) into bytes (..., n / 8), most significant bit first."""
+    return np.packbits(occupancy, axis=-1)
+
+
+def unpack(packed: Packed) -> Bools:
+    """Unpack bytes (..., n / 8) into booleans (..., n)."""
+    return np.unpackbits(packed, axis=-1).view(np.bool_)
+
+
+def pair_bytes(pair: Pair | PairInput) -> bytes:
+    """Serialise a pair or an input as a compressed npz, the same bytes every time."""
+    arrays: dict[str, NDArray[np.generic]] = {f.name: np.asarray(getattr(pair, f.name)) for f in fields(pair)}
+    return packed_npz_bytes(arrays | {"format_version": np.asarray(FORMAT_VERSION)})
+
+
+def read_pair(path: Path) -> Pair:
+    """Read a pair file and check every key, shape and dtype.
+
+    Raises:
+        PairError: the file is missing, damaged, or not a pair of a known format version.
+    """
+    return _read(Pair, path)
+
+
+def read_input(path: Path) -> PairInput:
+    """Read the input of a pair file, with or without its truth, and check every key, shape and dtype.
+
+    Raises:
+        PairError: the file is missing, damaged, or not a pair of a known format version.
+    """
+    return _read(PairInput, path)
+
+
+def _read(kind: type[AnyPair], path: Path) -> AnyPair:
+    try:
+        values = load_arrays(path)
+    except UNREADABLE as error:
+        raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
+    return checked_pair(kind, values, str(path))
+
+
+def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
+    """The arrays of a pair file's bytes, which may come from anyone, by key and not checked.
+
+    Raises:
+        PairError: damaged, or claiming to hold more than a pair; the line begins with `where`.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            claimed = sum(entry.file_size for entry in archive.infolist())
+        if claimed > MAX_BYTES:
+            raise PairError(f"{where}: claims to hold {claimed} bytes, more than a pair; not read")
+        return arrays_of(io.BytesIO(content))
+    except UNREADABLE as error:
+        raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
+
+
+def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where: str) -> AnyPair:
+    """The values of a pair file as a pair or an input; every key, shape and dtype is checked.
+
+    Raises:
+        PairError: a key is missing or wrong, or the format version is another; the line begins with `where`.
+    """
+    values = {f.name: np.asarray(f.default) for f in fields(kind) if f.default is not MISSING} | dict(values)
+    names = [f.name for f in fields(kind)]
+    missing = [name for name in names if name not in values]
+    if missing:
+        what = "a pair file" if kind is Pair else "a pair's input"
+        raise PairError(f"{where}: not {what}: the keys {', '.join(missing)} are missing")
+    fault = _fault(values, names)
+    if fault:
+        raise PairError(f"{where}: {fault}")
+    scalars = (*NUMBERS, *TEXTS)
+    checked: dict[str, Any] = {n: values[n].item() if n in scalars else values[n] for n in names}
+    return kind(**checked)
+
+
+def _fault(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
+    """What is wrong with some values of a pair file, all of them there, or None."""
+    version = values.get("format_version", np.asarray(0))
+    if version.shape != () or version.item() != FORMAT_VERSION:
+        return f"written in another format version; this package reads {FORMAT_VERSION}"
+    for name, shape in PACKED_SHAPES.items():
+        if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
+            return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"
+    for name, side in {"T_world_grid": 4, "T_world_camera": 4, "K": 3}.items():
+        if name in names and (values[name].shape != (side, side) or not _finite(values[name])):
+            return f"'{name}' is not a finite {side}x{side} matrix"
+    for name in NUMBERS:
+        if name in names and (values[name].shape != () or not _finite(values[name]) or values[name] < 0):
+            return f"'{name}' is not a length in metres"
+    for name in TEXTS:
+        if name in names and (values[name].shape != () or values[name].dtype.kind != "U"):
+            return f"'{name}' is not a text"
+    return None
+
+
+def _finite(values: NDArray[Any]) -> bool:
+    return values.dtype.kind in "fiu" and bool(np.isfinite(values).all())

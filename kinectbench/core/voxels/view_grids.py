@@ -1,0 +1,135 @@
+"""The cube of a pair in the world, and the cells that its view's depth falls into: the partial shape."""
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, Grid, rigid, transform_points
+from kinectbench.core.types import Bools, Float32, Float64, Int64
+from kinectbench.core.voxels.pair_file import BLOCK, FULL_CELLS
+
+# Two cells of margin on either side of the shape's longest extent.
+OBJECT_SCALE = FULL_CELLS / (FULL_CELLS - 4)
+VIEW_SCALE = 1.4
+VIEW_FRONT_MARGIN = 0.1
+
+
+def object_cube(vertices_world: Float64, T_world_camera: Float64) -> Grid:
+    """Framing `object` (the paper's): a cube centred on the full shape's box in the view's axes.
+
+    Its side is the box's longest extent x 256/252.
+
+    Args:
+        vertices_world: (n, 3) of the full shape, metres.
+        T_world_camera: (4, 4), the view.
+    """
+    low, high = _extent(np.ascontiguousarray(vertices_world), T_world_camera)
+    return _cube((low + high) / 2, float((high - low).max()) * OBJECT_SCALE, T_world_camera)
+
+
+def view_cube(points_camera: Float64, T_world_camera: Float64) -> Grid:
+    """Framing `view`: a cube from the partial view alone, so that it tells nothing of the hidden part.
+
+    With the box of the partial's points in the view's axes (0.5 % left out on every side): side =
+    1.4 x its longest extent; centred on the box in x and y; in z it begins 0.1 side in front of it.
+
+    Args:
+        points_camera: (n, 3) the view's points on the object, camera frame, metres.
+        T_world_camera: (4, 4), the view.
+    """
+    low, high = np.quantile(points_camera, [0.005, 0.995], axis=0)
+    side_m = VIEW_SCALE * float((high - low).max())
+    centre = (low + high) / 2
+    centre[2] = low[2] + (0.5 - VIEW_FRONT_MARGIN) * side_m
+    origin_rotated = T_world_camera[:3, 3] @ T_world_camera[:3, :3]
+    return _cube(centre + origin_rotated, side_m, T_world_camera)
+
+
+def _cube(centre_rotated: Float64, side_m: float, T_world_camera: Float64) -> Grid:
+    """A 256-cube in the view's axes around a centre given in those axes, origin at the world's."""
+    rotation = T_world_camera[:3, :3]
+    corner_world = rotation @ (centre_rotated - side_m / 2)
+    return Grid((FULL_CELLS,) * 3, side_m / FULL_CELLS, rigid(rotation, corner_world))
+
+
+@numba.njit(cache=True)
+def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
+    """The least and the largest coordinates (3,) of points (n, 3), turned into the view's axes."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for n in range(len(points_world)):
+        x, y, z = points_world[n, 0], points_world[n, 1], points_world[n, 2]
+        for axis in range(3):
+            turned = x * T_world_camera[0, axis] + y * T_world_camera[1, axis] + z * T_world_camera[2, axis]
+            low[axis], high[axis] = min(low[axis], turned), max(high[axis], turned)
+    return low, high
+
+
+def depth_cells(
+    depth_m: Float32,
+    mask: Bools,
+    camera: Camera,
+    T_world_camera: Float64,
+    grid: Grid,
+) -> Int64:
+    """The cells, also beyond the grid's bounds, that each pixel of a view's masked depth falls into.
+
+    Args:
+        depth_m: (height, width) float32, metres, 0 = none.
+        mask: (height, width) bool, pixels of the object.
+        camera: intrinsics.
+        T_world_camera: (4, 4).
+        grid: any grid in the world.
+
+    Returns:
+        (n, 3) int64, one row a pixel.
+    """
+    points_camera = camera.backproject(depth_m)[mask & (depth_m > 0)]
+    points_grid = transform_points(grid.T_grid_world @ T_world_camera, points_camera)
+    cells: Int64 = np.floor(points_grid / grid.voxel_size_m).astype(np.int64)
+    return cells
+
+
+def partial_grids(
+    depth_m: Float32, camera: Camera, T_world_camera: Float64, grid: Grid
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The cells that back-projected depth falls into, at full resolution and by blocks of 4^3 ("any").
+
+    Args:
+        depth_m: (height, width) float32, metres, 0 = none; of the object alone.
+        camera: intrinsics.
+        T_world_camera: (4, 4); has the grid's orientation, so that only a shift lies between the frames.
+        grid: in the view's optical axes, sides multiples of 32.
+
+    Returns:
+        (nx, ny, nz / 8) and (nx / 4, ny / 4, nz / 32) uint8, packed along z.
+    """
+    corner_camera = corner_in_camera(grid, T_world_camera)
+    fine = np.zeros((*grid.shape[:2], grid.shape[2] // 8), np.uint8)
+    coarse = np.zeros(
+        (grid.shape[0] // BLOCK, grid.shape[1] // BLOCK, grid.shape[2] // (8 * BLOCK)), np.uint8
+    )
+    _mark(depth_m, camera.K, corner_camera, grid.voxel_size_m, fine, coarse)
+    return fine, coarse
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark(depth, K, corner, voxel, fine, coarse):  # type: ignore[no-untyped-def]
+    nx, ny, nz = fine.shape[0], fine.shape[1], fine.shape[2] * 8
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            d = np.float64(depth[v, u])
+            if d <= 0:
+                continue
+            i = int(np.floor(((u - K[0, 2]) / K[0, 0] * d - corner[0]) / voxel))
+            j = int(np.floor(((v - K[1, 2]) / K[1, 1] * d - corner[1]) / voxel))
+            k = int(np.floor((d - corner[2]) / voxel))
+            if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+                fine[i, j, k >> 3] |= 128 >> (k & 7)
+                i, j, k = i // BLOCK, j // BLOCK, k // BLOCK
+                coarse[i, j, k >> 3] |= 128 >> (k & 7)
+
+
+def corner_in_camera(grid: Grid, T_world_camera: Float64) -> Float64:
+    """The corner (3,) of a grid in the view's axes, camera frame, metres."""
+    corner: Float64 = (grid.T_world_grid[:3, 3] - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+    return corner

@@ -1,0 +1,227 @@
+"""Checks of colour: whether it lies on depth, exposure, blur, and frames that belong to another scene."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.images import image_sharpness, relative_blur
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.look import Look, SmallFrame
+
+COLUMNS = 320
+JUMP_SHARE = 0.06
+REACH_PX = 24
+# Shifts are in pixels of images 320 wide.
+OFF_PX = 4.0
+# The best place must stand out of all places by so many of their standard deviations.
+CLEAR = 5.0
+MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
+WHITE, BLACK = 254, 8
+MANY_SATURATED = 0.2
+JUMP_RATIO = 1.25
+FEW = 0.02
+BLURRED, MANY_BLURRED = 2.5, 0.1
+THUMB_PX = (40, 30)
+# Depths that agree this closely, as a ratio, show the same place.
+SAME_DEPTH = 1.15
+# A frame is of another scene where those beside it agree this much more with each other than with it.
+ODD_BY, BESIDE_AGREE = 0.4, 0.55
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """How well edges agree.
+
+    Attributes:
+        here: at no shift; `best` at `shift_px`; `mirrored`: the best with colour mirrored left to right. All
+            in standard deviations over every shift of the image.
+        shift_px: (2,) by which colour lies right of and below depth, pixels of the depth image.
+    """
+
+    here: float
+    best: float
+    mirrored: float
+    shift_px: NDArray[np.float64]
+
+    @property
+    def clear(self) -> bool:
+        """Whether edges say anything."""
+        return self.best > CLEAR
+
+
+def fit_edges(look: Look) -> EdgeFit | None:
+    """Correlate edges of depth with those of colour, over all frames that were read whole (own rule).
+
+    None if colour is missing or of another shape than depth.
+    """
+    import cv2
+
+    sums: list[NDArray[np.float64]] = []
+    factor = 1.0
+    for frame in look.whole:
+        height, width = frame.depth.shape
+        if frame.bgr is None or abs(frame.bgr.shape[1] / frame.bgr.shape[0] - width / height) > 0.02:
+            continue
+        factor = width / COLUMNS
+        size = (COLUMNS, round(height / factor))
+        gray = cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY)
+        jumps, edges = depth_jumps(frame.depth, size), color_edges(np.asarray(gray, np.uint8), size)
+        sums.append(np.stack([_correlation(jumps, edges), _correlation(jumps, edges[:, ::-1])]))
+    if not sums:
+        return None
+    right, mirrored = np.sum(sums, axis=0)
+    near = _around(right)
+    row, column = np.unravel_index(int(np.argmax(near)), near.shape)
+    shift = np.array([column - REACH_PX, row - REACH_PX]) * factor
+    return EdgeFit(float(near[REACH_PX, REACH_PX]), float(near.max()), float(_around(mirrored).max()), shift)
+
+
+def check_edges(look: Look, fit: EdgeFit | None) -> Iterator[Finding]:
+    """Judge what the edges say against what the recording says of its colour."""
+    if fit is None:
+        if look.recording.color_registered and any(f.bgr is not None for f in look.whole):
+            what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
+            advice = "`color_registered: false` in camera.json"
+            yield Finding("color_not_registered", "warning", what, look.where, advice)
+        return
+    if fit.mirrored > CLEAR and fit.mirrored > MIRROR_BETTER * fit.best:
+        what = "colour is mirrored left to right against depth"
+        yield Finding("color_mirrored", "warning", what, look.where, "mirror one of the two, and look which")
+        return
+    off_px = float(np.linalg.norm(fit.shift_px))
+    off = off_px > OFF_PX * look.recording.camera.width / COLUMNS
+    if look.recording.color_registered and fit.clear and off and fit.best > MUCH_BETTER * fit.here:
+        right, down = fit.shift_px
+        what = (
+            f"colour is said to lie on depth, but its edges are {abs(right):.0f} px to the "
+            f"{'right' if right > 0 else 'left'} and {abs(down):.0f} px {'down' if down > 0 else 'up'}"
+        )
+        advice = "register it, give its calibration, or say `color_registered: false` in camera.json"
+        yield Finding("color_not_registered", "warning", what, look.where, advice)
+    elif not look.recording.color_registered and look.recording.color_calibration is None:
+        lies = " although its edges are near those of depth" if fit.clear and not off else ""
+        what = f"colour does not lie on depth, or it is not known that it does{lies}: it is for display only"
+        yield Finding("color_display_only", "note", what, look.where)
+
+
+def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float64]:
+    """1 where depth (height, width; 0 = none) jumps between measured neighbours, else 0, at a size (w, h)."""
+    import cv2
+
+    pixels = depth.astype(np.float32)
+    z = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_NEAREST), np.float64)
+    jumps = np.zeros(z.shape)
+    for axis in (0, 1):
+        before, after = (np.roll(z, shift, axis) for shift in (1, -1))
+        measured = (before > 0) & (after > 0)
+        far = np.abs(before - after) > JUMP_SHARE * np.minimum(before, after)
+        jumps[measured & far] = 1.0
+    jumps[[0, -1]] = jumps[:, [0, -1]] = 0.0
+    return jumps
+
+
+def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Gradient of a grey image, limited so that a few strong edges do not decide, at a size (w, h)."""
+    import cv2
+
+    small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
+    steep = cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    usual = float(steep.mean()) + 1e-3
+    return np.asarray(np.minimum(steep / usual, 4.0), np.float64)
+
+
+def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """For every cyclic shift of colour (down, right) how well it fits; 0 on average."""
+    spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
+    return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
+
+
+def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scores of shifts up to REACH_PX each way, in standard deviations over shifts up to four times that."""
+
+    def window(reach: int) -> NDArray[np.float64]:
+        rolled = np.roll(scores, (reach, reach), axis=(0, 1))
+        return rolled[: 2 * reach + 1, : 2 * reach + 1]
+
+    wide = window(4 * REACH_PX)
+    return np.asarray((window(REACH_PX) - np.median(wide)) / (wide.std() + 1e-9))
+
+
+def check_light(look: Look) -> Iterator[Finding]:
+    """Judge the colour images, and whether each frame looks like those beside it."""
+    yield from _exposure(look)
+    yield from _blur(look)
+    yield from _odd_frames(look)
+
+
+def _exposure(look: Look) -> Iterator[Finding]:
+    grays = [frame.gray for frame in look.frames if frame.gray is not None]
+    if not grays:
+        return
+    for name, share, how in (
+        ("overexposed", np.median([(gray >= WHITE).mean() for gray in grays]), "white"),
+        ("underexposed", np.median([(gray <= BLACK).mean() for gray in grays]), "black"),
+    ):
+        if share > MANY_SATURATED:
+            what = f"{share:.0%} of the colour pixels are {how}"
+            yield Finding(name, "note", what, look.where, "fix the exposure: colour helps to close loops")
+    jumps = [
+        second.index
+        for first, second in look.neighbours()
+        if _brightness_ratio(first, second) > JUMP_RATIO and _alike(_thumb(first), _thumb(second)) > 0.8
+    ]
+    if len(jumps) > FEW * len(grays):
+        what = f"the brightness jumps before {len(jumps)} frames, such as {jumps[0]}"
+        yield Finding("exposure_jumps", "note", what, look.where, "fix the exposure and white balance")
+
+
+def _brightness_ratio(first: SmallFrame, second: SmallFrame) -> float:
+    if first.gray is None or second.gray is None:
+        return 1.0
+    a, b = float(first.gray.mean()) + 1, float(second.gray.mean()) + 1
+    return max(a / b, b / a)
+
+
+def _blur(look: Look) -> Iterator[Finding]:
+    blurs = relative_blur(
+        np.array([np.nan if f.gray is None else image_sharpness(f.gray) for f in look.frames])
+    )
+    blurred = np.flatnonzero(blurs > BLURRED)
+    if len(blurred) > MANY_BLURRED * max(int(np.isfinite(blurs).sum()), 1):
+        what = f"{len(blurred)} of {len(blurs)} frames have under {1 / BLURRED:.0%} of the usual detail: blur"
+        yield Finding("blur", "note", what, look.where, "move more slowly, or give it more light")
+
+
+def _odd_frames(look: Look) -> Iterator[Finding]:
+    thumbs = {frame.index: _thumb(frame) for frame in look.frames}
+    odd = []
+    for index, here in thumbs.items():
+        before, after = thumbs.get(index - 1), thumbs.get(index + 1)
+        if before is None or after is None:
+            continue
+        beside = _alike(before, after)
+        if beside > BESIDE_AGREE and max(_alike(before, here), _alike(here, after)) < beside - ODD_BY:
+            odd.append(index)
+    if odd:
+        what = (
+            f"{len(odd)} frames look nothing like those beside them, such as frame {odd[0]}: another scene?"
+        )
+        yield Finding("odd_frames", "warning", what, f"{look.where}: frame {odd[0]}", "remove them")
+
+
+def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
+    import cv2
+
+    return np.asarray(cv2.resize(frame.depth_m, THUMB_PX, interpolation=cv2.INTER_NEAREST), np.float32)
+
+
+def _alike(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+    """Share of the pixels measured in both whose depths agree; 1 where none is."""
+    both = (first > 0) & (second > 0)
+    if not both.any():
+        return 1.0
+    ratio = first[both] / second[both]
+    return float(((ratio < SAME_DEPTH) & (ratio > 1 / SAME_DEPTH)).mean())

@@ -1,0 +1,75 @@
+"""What the doctor says during a build: what none should begin with, offsets of clocks, why one failed."""
+
+from collections.abc import Iterator
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.doctor.clocks import check_partners
+from kinectbench.doctor.delays import check_color_delay, check_trajectory_delay
+from kinectbench.doctor.depth import check_depth, check_intrinsics
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.look import Gathering, frames_to_read, take_look
+from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+
+# What ingest itself does not notice; the poses are judged by `track`, on all frames.
+CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
+
+
+def refuse_hopeless(recording: Recording) -> None:
+    """Refuse a recording of which every frame is wrong in a way that a build can only end badly.
+
+    Raises:
+        RecordingError: exchanged bytes, a code read as depth, intrinsics of another size.
+    """
+    look = take_look(recording, few=True)
+    for found in (*check_depth(look), *check_intrinsics(look)):
+        if found.severity == "stops" and found.name in CHECKED:
+            raise RecordingError(
+                f"{found.where}: {found.what}; {found.advice} (`kinectbench inspect` says more)"
+            )
+
+
+def doubted_scale(recording: Recording) -> str:
+    """What `inspect` says against the depth's scale where the depth is unlikely, one line; "" if nothing.
+
+    Depth of a small thing is as near as depth with a wrong scale: this is no reason to refuse a recording,
+    but the likely one if nothing can be made of it.
+    """
+    look = take_look(recording)
+    by_depth = [found for found in check_depth(look) if found.name == "depth_scale"]
+    if not by_depth:
+        return ""
+    by_poses = [
+        found for found in check_trajectory(look, fit_trajectory(look)) if found.name == "depth_scale"
+    ]
+    # Poses tell the scale, the depth alone only that it is unlikely.
+    found = (by_poses or by_depth)[0]
+    return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}"
+
+
+class OffsetWatch:
+    """Looks on while frames are written, so that none is read twice for it."""
+
+    def __init__(self, recording: Recording) -> None:
+        """Look at the frames that `inspect` would read."""
+        self._recording = recording
+        self._gathering = Gathering(recording, frames_to_read(len(recording)), whole=0)
+
+    def see(self, index: int, frame: RawFrame) -> None:
+        """Take a frame as it was recorded."""
+        self._gathering.take(index, frame)
+
+    def warnings(self) -> list[str]:
+        """A line for each offset, with what to write into benchmark.yaml."""
+        told = (found for found in self._findings() if found.severity == "warning")
+        return [f"{found.where}: {found.what}; {found.advice}" for found in told if "delay_s" in found.advice]
+
+    def _findings(self) -> Iterator[Finding]:
+        look = self._gathering.look()
+        given = self._recording.given_trajectory
+        yield from check_partners(look)
+        yield from check_color_delay(look)
+        fit = fit_trajectory(look)
+        # Poses that are meant otherwise fit at no time; `track` says so, on all frames.
+        if fit is not None and given is not None and not fit.reading.changes:
+            yield from check_trajectory_delay(look, given, fit.reading, fit.pairs)

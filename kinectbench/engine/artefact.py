@@ -1,0 +1,145 @@
+"""What a build keeps: artefacts with the fingerprint of all they depend on, source hashes, and failures.
+
+An artefact is a folder that one stage makes.
+"""
+
+import contextlib
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.manifest import Failed, Manifest, SourceFile, Sources, Timing
+from kinectbench.core.errors import RecordingError, StorageError
+from kinectbench.core.storage import canonical_json, replaced_file, replaced_folder, sha256_file, sha256_text
+
+FORMAT_VERSION = 1
+
+
+def fingerprint(stage: str, version: int, settings: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
+    """Fingerprint of what this version of a stage makes from these settings and inputs."""
+    return sha256_text(canonical_json([FORMAT_VERSION, stage, version, settings, inputs]))
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """A folder that one stage makes.
+
+    Attributes:
+        folder: where it lies.
+        stage: name of the stage.
+        version: of the stage: what it writes differs from one to the next.
+        settings: the settings it depends on, as plain JSON values.
+        inputs: fingerprint of each thing it is made from.
+    """
+
+    folder: Path
+    stage: str
+    version: int
+    settings: Mapping[str, Any]
+    inputs: Mapping[str, str]
+
+    @property
+    def fingerprint(self) -> str:
+        """What the manifest must hold for the folder to be this artefact."""
+        return fingerprint(self.stage, self.version, self.settings, self.inputs)
+
+    def is_current(self) -> bool:
+        """Whether the folder holds this very artefact, with every file present at its size."""
+        try:
+            manifest = Manifest.read(self.folder)
+            return manifest.fingerprint == self.fingerprint and all(
+                (self.folder / name).stat().st_size == size for name, size in manifest.files.items()
+            )
+        except (OSError, StorageError):
+            return False
+
+    @contextlib.contextmanager
+    def write(self) -> Iterator[Path]:
+        """Yield an empty folder to fill; on success it takes the artefact's place, on failure it goes.
+
+        Raises:
+            StorageError: the disk is full or read-only.
+        """
+        with replaced_folder(self.folder) as temporary:
+            yield temporary
+            files = {
+                str(path.relative_to(temporary)): path.stat().st_size
+                for path in sorted(temporary.rglob("*"))
+                if path.is_file() and path.name != Timing.FILE
+            }
+            Manifest(
+                format_version=FORMAT_VERSION,
+                package_version=__version__,
+                stage=self.stage,
+                stage_version=self.version,
+                fingerprint=self.fingerprint,
+                settings=dict(self.settings),
+                inputs=dict(self.inputs),
+                files=files,
+            ).write(temporary)
+
+
+def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
+    """One hash over the names and contents of files.
+
+    Contents are hashed once: a file whose size and modification time are as the cache says is believed.
+
+    Args:
+        files: the files.
+        root: names are taken relative to it (so that moving the recording changes nothing).
+        cache: the folder to keep sizes, times and hashes in; None: hash every time.
+
+    Raises:
+        RecordingError: a file cannot be read.
+    """
+    known = {} if cache is None else _known(cache)
+    entries: dict[str, SourceFile] = {}
+    for path in files:
+        name = path.relative_to(root).as_posix() if path != root else ""
+        try:
+            stat = path.stat()
+            seen = known.get(name)
+            fresh = seen is not None and seen[:2] == (stat.st_size, stat.st_mtime_ns)
+            digest = seen.sha256 if seen is not None and fresh else sha256_file(path)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror}); check the file") from error
+        entries[name] = SourceFile(stat.st_size, stat.st_mtime_ns, digest)
+    sources = Sources.model_validate(entries)
+    if cache is not None and entries != known:
+        with replaced_file(cache / Sources.FILE) as temporary:
+            temporary.write_text(sources.text(), encoding="utf-8")
+    return sha256_text(canonical_json(sources.sha256))
+
+
+def _known(folder: Path) -> dict[str, SourceFile]:
+    """What the cache says; a damaged one is as good as none."""
+    try:
+        return Sources.read(folder).files
+    except StorageError:
+        return {}
+
+
+def keep_failure(build: Path, stage: str | None, error: str) -> None:
+    """Write failed.json. A disk that takes nothing more keeps no reason.
+
+    Args:
+        build: `build/<recording>/`.
+        stage: the name of the stage that failed; None if its process was killed.
+        error: why, one line, as people are told.
+    """
+    failed = Failed(stage=stage, error=error)
+    with contextlib.suppress(StorageError, OSError), replaced_file(build / Failed.FILE) as temporary:
+        temporary.write_text(failed.text(), encoding="utf-8")
+
+
+def forget_failure(build: Path, stages: Collection[str]) -> None:
+    """Remove failed.json of `build/<recording>/` if it is of one of these stages, which have succeeded."""
+    try:
+        failed = Failed.read_if_there(build)
+        of_others = failed is not None and failed.stage is not None and failed.stage not in stages
+    except StorageError:
+        of_others = False  # damaged: nobody can read the reason
+    if not of_others:
+        (build / Failed.FILE).unlink(missing_ok=True)

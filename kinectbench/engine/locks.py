@@ -1,0 +1,119 @@
+"""One run at a time in a folder: who holds its lock, and what killed runs left in it.
+
+The lock is the operating system's (flock): it goes with the process that holds it, however that ends, so
+there is no stale lock. The file `.lock` only says who holds it.
+"""
+
+import contextlib
+import errno
+import fcntl
+import multiprocessing
+import os
+import shlex
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import storage_errors
+
+LOCK = ".lock"
+# Seconds in which whoever has just taken a lock will have written who it is.
+SIGNING_S = 0.2
+# A command line is cut here, to keep the line that quotes it readable.
+COMMAND_CHARS = 100
+
+
+@contextlib.contextmanager
+def locked(
+    folder: Path, *, wait: bool = True, waiting: Callable[[str], None] | None = None
+) -> Iterator[None]:
+    """Hold the folder's lock. Leftovers of runs that were killed are swept away once it is held.
+
+    Args:
+        folder: made if it is not there.
+        wait: whether to wait for another run that holds it.
+        waiting: called once with who holds it, before waiting.
+
+    Raises:
+        StorageError: another run holds it (without `wait`), or the disk cannot be written or keeps no locks.
+    """
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / LOCK).open("a+")
+    with lock:
+        if not _taken(lock, folder, fcntl.LOCK_EX | fcntl.LOCK_NB):
+            holder = _holder(folder / LOCK)
+            if not wait:
+                raise StorageError(
+                    f"{folder}: in use by {holder}; run again when that has ended, or without --no-wait"
+                )
+            if waiting is not None:
+                waiting(holder)
+            _taken(lock, folder, fcntl.LOCK_EX)
+        _write(lock, _myself())
+        try:
+            sweep(folder / "*")
+            yield
+        finally:
+            _write(lock, "")
+
+
+def sweep(path: Path) -> None:
+    """Clear away what killed runs left beside `path`, whose name may be a pattern. Nobody may be writing it.
+
+    What was moved aside to be replaced is moved back if nothing has taken its place.
+    """
+    for leftover in (f for end in ("part", "old") for f in path.parent.glob(f".{path.name}.*.{end}")):
+        original = leftover.with_name(leftover.name[1:].rsplit(".", 2)[0])
+        if leftover.suffix == ".old" and not original.exists():
+            leftover.rename(original)
+        elif leftover.is_dir():
+            shutil.rmtree(leftover, ignore_errors=True)
+        else:
+            leftover.unlink(missing_ok=True)
+
+
+def _taken(lock: IO[str], folder: Path, how: int) -> bool:
+    """Whether the lock is ours now; False only if it was not to be waited for."""
+    try:
+        fcntl.flock(lock, how)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+            raise
+        raise StorageError(
+            f"{folder}: this file system keeps no locks (flock): build on another disk, and copy the result"
+        ) from error
+    return True
+
+
+def _holder(file: Path) -> str:
+    end = time.monotonic() + SIGNING_S
+    while not (text := file.read_text(errors="replace").strip()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return text or "another run of kinectbench"
+
+
+def _write(lock: IO[str], text: str) -> None:
+    with contextlib.suppress(OSError):  # a full disk: the lock holds without a name on it
+        lock.seek(0)
+        lock.truncate()
+        lock.write(text)
+        lock.flush()
+
+
+def _myself() -> str:
+    """One line: process, machine, command and time. A worker goes by the name of its parent."""
+    parent = multiprocessing.parent_process()
+    command = shlex.join(["kinectbench", *sys.argv[1:]])
+    if len(command) > COMMAND_CHARS:
+        command = command[:COMMAND_CHARS] + "…"
+    process = os.getpid() if parent is None else parent.pid
+    since = time.strftime("%Y-%m-%d %H:%M:%S")
+    return f"process {process} on {socket.gethostname()} (`{command}`, since {since})"

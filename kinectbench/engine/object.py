@@ -1,0 +1,67 @@
+"""The stage `segment` as a whole: an object is chosen in the scene, observed by its frames and made solid."""
+
+from kinectbench.core.geometry import OrientedBox, TriangleMesh
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.observation import merge
+from kinectbench.settings.models import FusionSettings, SegmentationSettings
+from kinectbench.stages.fuse import observe
+from kinectbench.stages.segment.choose import segment
+from kinectbench.stages.segment.grids import (
+    floor_layers,
+    object_grid,
+    surround_frames,
+    surround_grid,
+    usual_ray_width_m,
+)
+from kinectbench.stages.segment.object_model import ObjectModel, object_model, usual_pose_error_m
+from kinectbench.stages.segment.quality import surface_sigma_m
+from kinectbench.stages.segment.solid import solidify
+from kinectbench.stages.segment.witness import witness
+
+
+def build_object(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    scene: TriangleMesh,
+    given_box: OrientedBox | None,
+    segmentation: SegmentationSettings,
+    fusion: FusionSettings,
+    progress: Progress | None = None,
+) -> ObjectModel:
+    """Find the object in the fused scene and make it solid.
+
+    The odd and the even frames are fused apart and then together, so that the shape's repeatability
+    costs no further pass over the frames.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses.
+        scene: the fused scene's surface, world frame.
+        given_box: a person's box (floor frame), or None to choose the object automatically.
+        segmentation: floor and object settings.
+        fusion: voxel size and depth range.
+        progress: called with (done, total).
+
+    Raises:
+        SegmentationError: no floor, no object, or a box with nothing in it.
+        ShapeError: no solid can be made.
+    """
+    chosen = segment(scene, trajectory, given_box, segmentation)
+    frames, voxel_size_m = trajectory.good_frames, fusion.voxel_size_m
+    grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
+    odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion, progress) for k in (0, 1))
+    layers = floor_layers(chosen.floor, segmentation, voxel_size_m)
+    rules = chosen.excluded(grid), layers, usual_ray_width_m(sequence.camera, trajectory, grid)
+    halves = solidify(odd, *rules), solidify(even, *rules)
+    sigma_m = surface_sigma_m(odd, even)
+    together = merge(odd, even)
+    # Of a large object each of them is a gigabyte.
+    del odd, even
+    whole = solidify(together, *rules)
+    del together
+    around = surround_grid(grid, chosen.floor)
+    surround = observe(sequence, trajectory, surround_frames(frames), around, fusion)
+    seen = witness(sequence, trajectory, scene, chosen)
+    return object_model(chosen, (whole, *halves), sigma_m, seen, surround, usual_pose_error_m(trajectory))

@@ -1,0 +1,171 @@
+"""Running the stages of one recording: what is current is skipped, errors are told, not raised."""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+from kinectbench.core.artefacts.manifest import Timing
+from kinectbench.core.artefacts.object import CandidatesFile
+from kinectbench.core.errors import (
+    KinectBenchError,
+    SegmentationError,
+    SettingsError,
+    ShapeError,
+    TrackingError,
+    internal_error,
+)
+from kinectbench.engine.artefact import Artefact, forget_failure, keep_failure
+from kinectbench.engine.interrupts import check_interrupt
+from kinectbench.engine.locks import locked
+from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
+
+NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one recording: the stages made and those still current, the error or None."""
+
+    recording: str
+    made: tuple[str, ...]
+    current: tuple[str, ...]
+    error: str | None
+    seconds: float
+
+
+STAGE_NAMES = tuple(stage.name for stage in STAGES)
+
+
+def build_recording(
+    job: Job,
+    upto: str = "pairs",
+    force: Sequence[str] = (),
+    progress: Callable[[str, int, int], None] | None = None,
+    *,
+    wait: bool = True,
+) -> Outcome:
+    """Bring one recording up to date as far as a stage. Its errors are told, not raised.
+
+    Not even an unforeseen one may stop the other recordings (but does with KINECTBENCH_DEBUG set).
+
+    Args:
+        job: the recording.
+        upto: name of the last stage.
+        force: names of stages to make anew even if they are current.
+        progress: called with (stage, done, total); a run that waits for another says so as its stage.
+        wait: whether to wait for another run that is at this recording; else that is the error.
+    """
+    report = progress or (lambda stage, done, total: None)
+    started = time.monotonic()
+    made: list[str] = []
+    current: list[str] = []
+    error = None
+    try:
+        with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
+            artefacts: dict[str, Artefact] = {}
+            stages = stages_upto(upto)
+            for stage in stages:
+                if stage.name == "sample-views":
+                    with _failure_kept(job, stage):
+                        check_masks(job)  # before the stages that take long
+            for stage in stages:
+                with _failure_kept(job, stage):
+                    artefact = _artefact(job, stage, artefacts)
+                    artefacts[stage.name] = artefact
+                    if artefact.is_current() and stage.name not in force:
+                        current.append(stage.name)
+                        continue
+                    report(stage.name, 0, 1)
+                    _make(job, stage, artefact, report)
+                    made.append(stage.name)
+            forget_failure(job.build, (*made, *current))
+    except Exception as failure:
+        error = _told(failure)
+    if error is not None:
+        check_interrupt()  # an interrupt in the midst of an import may look like an error
+    return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
+
+
+@contextmanager
+def _failure_kept(job: Job, stage: Stage) -> Iterator[None]:
+    """Keep on disk why a stage failed, for the page; of `suggest` it shows nothing."""
+    try:
+        yield
+    except Exception as failure:
+        check_interrupt()
+        if stage.name in STAGE_NAMES:
+            keep_failure(job.build, stage.name, _told(failure))
+        raise
+
+
+def _told(failure: Exception) -> str:
+    """What people are told of an error, in one line; an unforeseen one goes on with KINECTBENCH_DEBUG set."""
+    if isinstance(failure, KinectBenchError):
+        return str(failure)
+    if isinstance(failure, MemoryError):
+        return NO_MEMORY
+    if os.environ.get("KINECTBENCH_DEBUG"):
+        raise failure
+    return internal_error(failure)
+
+
+def is_current(job: Job, upto: str) -> bool:
+    """Whether all stages up to the named one are made and current."""
+    artefacts: dict[str, Artefact] = {}
+    for stage in stages_upto(upto):
+        artefacts[stage.name] = _artefact(job, stage, artefacts)
+    return all(artefact.is_current() for artefact in artefacts.values())
+
+
+def listed_box(job: Job, number: int) -> dict[str, Any]:
+    """The box of that number, as `suggest` listed it for the recording as it is now.
+
+    Raises:
+        SettingsError: there is no current list, or no such number in it.
+    """
+    name = job.recording.id
+    if not is_current(job, SUGGEST.name):
+        raise SettingsError(
+            f"segment --pick: {name} has no list of boxes, or an old one; "
+            f"run `kinectbench segment {name} --suggest` and look at the pictures first"
+        )
+    listed = CandidatesFile.read(job.build / SUGGEST.folder).candidates
+    boxes = {each.number: each.box.json_value() for each in listed}
+    if number not in boxes:
+        raise SettingsError(f"segment --pick: {name} has boxes 1 to {len(boxes)}, none of number {number}")
+    return boxes[number]
+
+
+def _artefact(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Artefact:
+    inputs = {name: artefacts[name].fingerprint for name in stage.inputs} | dict(stage.sources(job))
+    return Artefact(job.build / stage.folder, stage.name, stage.version, stage.settings(job), inputs)
+
+
+def _make(job: Job, stage: Stage, artefact: Artefact, report: Callable[[str, int, int], None]) -> None:
+    from kinectbench.engine.steps import STEPS
+
+    started = time.monotonic()
+    with artefact.write() as folder:
+        try:
+            STEPS[stage.name](job, folder, lambda done, total: report(stage.name, done, total))
+        except (TrackingError, SegmentationError, ShapeError) as failure:
+            raise type(failure)(_explained(job, failure)) from failure
+        Timing(seconds=round(time.monotonic() - started, 3)).write(folder)
+
+
+def _explained(job: Job, failure: KinectBenchError) -> str:
+    """The line of a failure, behind the doubts about the depth's scale, if there are any: they explain it."""
+    from kinectbench.doctor.during_build import doubted_scale
+    from kinectbench.stages.ingest.registry import open_recording
+
+    try:
+        recording = open_recording(job.source, job.recording.camera)
+        if job.recording.trajectory == "ignore":
+            recording = replace(recording, given_trajectory=None, trajectory_error="")
+        doubt = doubted_scale(recording)
+    except KinectBenchError:
+        doubt = ""  # the recording itself is gone or damaged since it was read
+    return f"{doubt} (under `camera:` in benchmark.yaml). What failed: {failure}" if doubt else str(failure)

@@ -1,0 +1,167 @@
+"""The stages in their order: what each stands on, and which settings it depends on. `steps` runs them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.engine.artefact import content_hash
+from kinectbench.engine.versions import VERSIONS
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording of a benchmark.
+
+    Attributes:
+        settings: the whole benchmark.
+        recording: the recording.
+        root: the folder of benchmark.yaml; relative paths start there.
+    """
+
+    settings: BenchmarkSettings
+    recording: RecordingSettings
+    root: Path
+
+    @property
+    def build(self) -> Path:
+        """`build/<recording>/`."""
+        return self.root / "build" / self.recording.id
+
+    @property
+    def source(self) -> Path:
+        """The recording itself."""
+        return self.root / self.recording.path
+
+    @property
+    def masks(self) -> Path | None:
+        """The folder of a person's masks, if there is one."""
+        return None if self.recording.masks is None else self.root / self.recording.masks
+
+    @property
+    def unused_masks(self) -> Path | None:
+        """`masks/<recording>/`, if it is there and benchmark.yaml names no masks of the recording."""
+        folder = self.root / "masks" / self.recording.id
+        return folder if self.recording.masks is None and folder.is_dir() else None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One arrow of the way through.
+
+    Attributes:
+        name: of the command.
+        folder: of the artefact, below `build/<recording>/`.
+        inputs: names of the stages it stands on.
+        settings: what of the settings it depends on, as plain JSON values.
+        sources: hashes of files outside `build/` that it depends on.
+    """
+
+    name: str
+    folder: str
+    inputs: tuple[str, ...]
+    settings: Callable[[Job], Mapping[str, Any]]
+    sources: Callable[[Job], Mapping[str, str]] = lambda job: {}
+
+    @property
+    def version(self) -> int:
+        """Of what it writes; artefacts of another version are made again."""
+        return VERSIONS[self.name]
+
+
+def _section(job: Job, name: str, *keys: str, without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A section of the settings as JSON values: the named keys, or all but some."""
+    section = getattr(job.settings, name).model_dump(mode="json")
+    return {key: value for key, value in section.items() if (not keys or key in keys) and key not in without}
+
+
+def _ingest_settings(job: Job) -> Mapping[str, Any]:
+    camera = job.recording.camera
+    return {"camera": None if camera is None else camera.model_dump(mode="json")}
+
+
+def _segment_settings(job: Job) -> Mapping[str, Any]:
+    box = job.recording.box
+    return {
+        "box": None if box is None else box.model_dump(mode="json"),
+        "segmentation": _section(job, "segmentation", without=("mask_tolerance_m",)),
+        "fusion": _section(job, "fusion", without=("scene_voxel_size_m",)),
+    }
+
+
+def _view_settings(job: Job) -> Mapping[str, Any]:
+    return {
+        "views": _section(job, "views"),
+        "segmentation": _section(job, "segmentation", "mask_tolerance_m"),
+        "pairs": _section(job, "pairs", "min_containment", "max_residual_m", "min_visible_share"),
+    }
+
+
+def check_masks(job: Job) -> None:
+    """Refuse a folder of masks that is not there.
+
+    Raises:
+        RecordingError: it is named in benchmark.yaml, but missing.
+    """
+    if job.masks is not None and not job.masks.is_dir():
+        raise RecordingError(
+            f"{job.recording.id}: no such folder of masks: {job.masks}; make it, or correct `masks`"
+        )
+
+
+def _mask_sources(job: Job) -> Mapping[str, str]:
+    check_masks(job)
+    if job.masks is None:
+        return {}
+    return {"masks": content_hash(sorted(job.masks.glob("*.png")), job.masks)}
+
+
+def _recording_sources(job: Job) -> Mapping[str, str]:
+    from kinectbench.stages.ingest.registry import source_files
+
+    if not job.source.exists():
+        raise RecordingError(f"{job.source}: no such recording; correct `path` of '{job.recording.id}'")
+    return {"recording": content_hash(source_files(job.source), job.source, job.build)}
+
+
+STAGES: tuple[Stage, ...] = (
+    Stage("ingest", "sequence", (), _ingest_settings, _recording_sources),
+    Stage(
+        "track",
+        "trajectory",
+        ("ingest",),
+        lambda job: {"trajectory": job.recording.trajectory, "tracking": _section(job, "tracking")},
+    ),
+    Stage(
+        "fuse",
+        "reconstruction",
+        ("ingest", "track"),
+        lambda job: {"fusion": _section(job, "fusion", without=("voxel_size_m",))},
+    ),
+    Stage("segment", "object", ("ingest", "track", "fuse"), _segment_settings),
+    Stage("sample-views", "views", ("ingest", "track", "segment"), _view_settings, _mask_sources),
+    Stage(
+        "pairs",
+        "pairs",
+        ("ingest", "track", "segment", "sample-views"),
+        lambda job: {"pairs": _section(job, "pairs", "framing", "partial_rule", "min_containment")},
+    ),
+)
+
+# Beside the way: boxes to choose from, for a person to look at. No other stage stands on it.
+SUGGEST = Stage(
+    "suggest",
+    "candidates",
+    ("ingest", "track", "fuse"),
+    lambda job: {"segmentation": _section(job, "segmentation", "seed", "floor_cut_m", "low_cut_m")},
+)
+
+
+def stages_upto(name: str) -> tuple[Stage, ...]:
+    """The stages up to the named one, in their order; `suggest` follows `fuse`."""
+    if name == SUGGEST.name:
+        return (*stages_upto("fuse"), SUGGEST)
+    names = [stage.name for stage in STAGES]
+    return STAGES[: names.index(name) + 1]

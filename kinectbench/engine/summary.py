@@ -1,0 +1,96 @@
+"""What a run made of a recording, as the table at the end of a build shows it."""
+
+from collections.abc import Iterable
+from statistics import median
+from typing import TypeVar
+
+from pydantic import Field, field_serializer
+
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.sequence import CameraFile
+from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.trajectory import TrajectoryHealth
+from kinectbench.core.artefacts.views import PairsFile, ViewsFile
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.stages import STAGES, Job
+
+File = TypeVar("File", bound=Stored)
+FOLDERS = {stage.name: stage.folder for stage in STAGES}
+
+
+class RecordingSummary(Part):
+    """What a run made of a recording; a figure is null where its stage is not made and current."""
+
+    recording: str = Field(description="its id")
+    frames: int | None = Field(description="their number")
+    left_out: tuple[int, ...] | None = Field(description="frames whose depth disagrees with their given pose")
+    lost: int | None = Field(description="number of frames without a pose, but for these")
+    source: str | None = Field(description="of the poses: trust, refine or tracked")
+    grade: str | None = Field(description="what ground truth the poses are good for, in a word")
+    verdict: str | None = Field(description="the same in a sentence")
+    recommended: str | None = Field(description="the setting `trajectory` that is recommended")
+    repeatability_iou: float | None = Field(description="IoU of the solids made of odd and of even frames")
+    estimated_iou: float | None = Field(description="estimate of the solid's IoU to the unknown truth")
+    views: int | None = Field(description="their number")
+    pairs: int | None = Field(description="their number")
+    refused: int | None = Field(description="frames that were no views, and views without a pair")
+    containment: float | None = Field(description="share of the points in the shape, median of the pairs")
+    residual_m: float | None = Field(
+        alias="residual_mm", description="of the points from the shape, median of the pairs, mm"
+    )
+    warnings: tuple[str, ...] = Field(description="of all stages, one line each")
+    status: str = Field(description="failed, up to date, or the seconds it took")
+    error: str | None = Field(description="why it failed")
+    made: tuple[str, ...] = Field(description="stages of this run")
+    current: tuple[str, ...] = Field(description="stages that were up to date")
+
+    @field_serializer("residual_m")
+    def _millimetres(self, residual_m: float | None) -> float | None:
+        # With all its decimals, or what is shown would be rounded twice.
+        return None if residual_m is None else round(1000 * residual_m, 6)
+
+
+def summary(job: Job, outcome: Outcome) -> RecordingSummary:
+    """The figures of what a run made or found up to date; what lies there of other stages is older."""
+    stages = (*outcome.made, *outcome.current)
+
+    def read(stage: str, model: type[File]) -> File | None:
+        """A stage's file; None if it is not made or not readable."""
+        try:
+            return model.read(job.build / FOLDERS[stage]) if stage in stages else None
+        except KinectBenchError:
+            return None
+
+    sequence, health = read("ingest", CameraFile), read("track", TrajectoryHealth)
+    quality, views = read("segment", QualityFile), read("sample-views", ViewsFile)
+    pairs = read("pairs", PairsFile)
+    rows = pairs.pairs if pairs else ()
+    return RecordingSummary(
+        recording=job.recording.id,
+        frames=sequence.frames if sequence else None,
+        left_out=tuple(row.frame for row in health.rejected) if health else None,
+        lost=len(health.lost) if health else None,
+        source=health.source if health else None,
+        grade=health.grade if health else None,
+        verdict=health.verdict if health else None,
+        recommended=health.recommended if health else None,
+        repeatability_iou=quality.repeatability_iou if quality else None,
+        estimated_iou=quality.estimated_iou if quality else None,
+        views=len(views.views) if views else None,
+        pairs=len(rows) if pairs else None,
+        refused=len(pairs.refused) + (len(views.refused) if views else 0) if pairs else None,
+        containment=_median(row.containment for row in rows),
+        residual_m=_median(row.residual_m for row in rows),
+        warnings=tuple(line for part in (sequence, health, quality, views) if part for line in part.warnings),
+        status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
+        error=outcome.error,
+        made=outcome.made,
+        current=outcome.current,
+    )
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    """The median of the known values, as on the page; None without any."""
+    known = [value for value in values if value is not None]
+    return round(median(known), 9) if known else None

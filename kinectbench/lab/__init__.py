@@ -1,0 +1,1 @@
+"""Recordings with known truth, and builds held against it."""

@@ -1,0 +1,193 @@
+"""What was built of one recording, and how it lies to the truth: which frame is which, world to world."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.errors import RecordingError, StorageError
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.voxels.pair_file import Pair
+from kinectbench.lab.simulate.truth import Truth
+from kinectbench.stages.sample_views.views import View
+from kinectbench.stages.segment.object_model import ObjectModel
+
+NS_PER_S = 10**9
+
+
+@dataclass(frozen=True)
+class Build:
+    """The artefacts of a recording; None for a stage that was not built.
+
+    Attributes:
+        stamps_ns: (n,) int64, stamps of the sequence's frames.
+        trajectory: a pose for each of them.
+        model: the object, in the trajectory's world.
+        views: the sampled views.
+        valid_depth: of a view, the pixels (height, width) that measured something.
+        pair_names: names of the views that became pairs.
+        pair: one pair, by its view's name.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    trajectory: Trajectory | None
+    model: ObjectModel | None
+    views: tuple[View, ...] | None
+    valid_depth: Callable[[View], NDArray[np.bool_]]
+    pair_names: tuple[str, ...] | None
+    pair: Callable[[str], Pair]
+
+
+def read_build(folder: Path) -> Build:
+    """Open `build/<recording>/`; images and pairs are read when asked for.
+
+    A stage that was made from an earlier version of what it stands on counts as not built: it may be left
+    over from a run with other settings.
+
+    Raises:
+        StorageError: nothing was built there, or an artefact is damaged.
+    """
+    from kinectbench.core.trajectory.trajectory import read_trajectory
+    from kinectbench.core.voxels.pair_file import read_pair
+    from kinectbench.stages.ingest.sequence_folder import read_sequence
+    from kinectbench.stages.sample_views.views import read_views
+    from kinectbench.stages.segment.object_model import read_object
+
+    current = _current_folders(folder)
+
+    def built(stage: str) -> bool:
+        return stage in current
+
+    def valid_depth(view: View) -> NDArray[np.bool_]:
+        """Where the view has depth, (height, width) bool."""
+        from kinectbench.core.images import read_gray
+
+        path = folder / "views" / f"{view.name}.depth.png"
+        try:
+            return read_gray(path) > 0
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be read ({error.strerror}); build the views again") from error
+
+    if not built("sequence"):
+        raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
+    stamps_ns = read_sequence(folder / "sequence").stamps_ns
+    names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
+    return Build(
+        stamps_ns=stamps_ns,
+        trajectory=read_trajectory(folder / "trajectory", stamps_ns) if built("trajectory") else None,
+        model=read_object(folder / "object") if built("object") else None,
+        views=tuple(read_views(folder / "views")) if built("views") else None,
+        valid_depth=valid_depth,
+        pair_names=names if built("pairs") else None,
+        pair=lambda name: read_pair(folder / "pairs" / f"{name}.npz"),
+    )
+
+
+def _current_folders(build: Path) -> set[str]:
+    """Folders of the stages whose manifests name the inputs that lie there now (if they have manifests)."""
+    from kinectbench.engine.stages import STAGES
+
+    fingerprints: dict[str, str | None] = {}
+    current = set()
+    for stage in STAGES:
+        folder = build / stage.folder
+        manifest = _manifest(folder)
+        inputs = manifest.inputs if manifest else {}
+        if folder.is_dir() and all(
+            stage_input in fingerprints and inputs.get(stage_input) == fingerprints[stage_input]
+            for stage_input in (stage.inputs if manifest else ())
+        ):
+            current.add(stage.folder)
+            fingerprints[stage.name] = manifest.fingerprint if manifest else None
+    return current
+
+
+def _manifest(folder: Path) -> Manifest | None:
+    try:
+        return Manifest.read_if_there(folder)
+    except StorageError:
+        return None
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A build beside its truth.
+
+    Attributes:
+        true_frame: (n,) int64, for each frame of the build's sequence the frame of the truth, -1 for none.
+        shown: (n,) bool, the true camera of that frame is known: it has a frame of the truth, and shows
+            no other scene.
+        T_truth_built: (4, 4), from the build's world to the truth's; the identity if not aligned.
+        aligned: whether it was found from the trajectories.
+    """
+
+    true_frame: NDArray[np.int64]
+    shown: NDArray[np.bool_]
+    T_truth_built: NDArray[np.float64]
+    aligned: bool
+
+    @property
+    def T_built_truth(self) -> NDArray[np.float64]:
+        """(4, 4), from the truth's world to the build's."""
+        return invert_rigid(self.T_truth_built)
+
+
+def register(build: Build, truth: Truth, align: bool = True) -> Registration:
+    """Match frames by stamp, and the worlds by the trajectories.
+
+    A recording without a given trajectory has the world of its first camera; one with a given trajectory
+    has the world of the truth, up to that trajectory's errors. Both are aligned as for ATE.
+
+    Args:
+        build: as far as it was built.
+        truth: of the same recording.
+        align: False leaves the worlds as they are.
+
+    Raises:
+        RecordingError: no frame of the build is one of the truth.
+    """
+    true_frame = true_frames(build.stamps_ns, truth.stamps_ns)
+    matched = true_frame >= 0
+    if not matched.any():
+        raise RecordingError(
+            f"{truth.folder}: no frame of the build has the stamp of a frame of this truth; "
+            "is it the truth of this recording?"
+        )
+    shown = matched & has_pose(truth.T_world_camera)[true_frame]
+    if not shown.any():
+        raise RecordingError(f"{truth.folder}: every frame shows another scene; there is nothing to compare")
+    T_truth_built = np.eye(4)
+    usable = shown.copy()
+    if build.trajectory is not None:
+        usable &= has_pose(build.trajectory.T_world_camera)
+    aligned = align and build.trajectory is not None and bool(usable.any())
+    if aligned and build.trajectory is not None:
+        T_truth_built = align_worlds(
+            build.trajectory.T_world_camera[usable], truth.T_world_camera[true_frame[usable]]
+        )
+    return Registration(true_frame, shown, T_truth_built, aligned)
+
+
+def true_frames(stamps_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each frame of a sequence its frame in the truth, -1 for none: (n,) int64.
+
+    By stamp; a sequence whose recording has no stamps counts its frames in seconds, so its stamps are
+    the frames' numbers.
+
+    Args:
+        stamps_ns: (n,) of the sequence.
+        truth_ns: (m,) of the truth.
+    """
+    result = np.full(len(stamps_ns), -1, dtype=np.int64)
+    numbers, rest = np.divmod(stamps_ns, NS_PER_S)
+    counted = not rest.any() and numbers.min() >= 0 and numbers.max() < len(truth_ns)
+    if counted and not np.isin(stamps_ns, truth_ns).any():
+        return numbers
+    built, true = match_stamps(stamps_ns, truth_ns)
+    result[built] = true
+    return result

@@ -1,0 +1,228 @@
+"""Pictures of an evaluation: path, surface errors, meshes coloured by error, slices of the solid; as PNG."""
+
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.pictures import LIGHT, PAPER, Viewpoint, cast, fit_viewpoint, look_along
+from kinectbench.core.types import Float64, Rgb
+from kinectbench.lab.evaluate.solid import Solids
+from kinectbench.lab.evaluate.surface import Surface, SurfaceErrors
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# Maps distances (n,) in metres to colours (n, 3) in [0, 1].
+Colors = Callable[[Float64], Float64]
+
+SIZE_PX = 320
+SUPERSAMPLING = 2
+UP = np.array([0.0, 0.0, 1.0])
+# Two looks from a person's height and one from below: degrees.
+LOOKS_DEG = ((-50.0, 24.0), (130.0, 24.0), (-50.0, -35.0))
+DPI = 110
+INK, SOFT, BACKGROUND = "#1f2328", "#8a8f98", "#fdfcf9"
+BUILT, TRUE = "#b4572b", "#2b6cb4"
+# Errors beyond this have the colour of the last one; the same in every picture, so that they compare.
+SCALE_M = 0.020
+REACH_M = 0.030
+BINS = 120
+# Empty, true and built, missing, too much; RGB.
+SLICE_COLORS = np.array([(253, 252, 249), (176, 172, 164), (43, 108, 180), (200, 70, 40)], np.float64)
+UNKNOWN_COLOR = np.array([246, 214, 120], np.float64)
+
+
+def viewpoints(points_object: Float64) -> list[Viewpoint]:
+    """The looks at an object (points (n, 3), frame `object`: z up) that all its pictures share."""
+    found = []
+    for azimuth, elevation in np.radians(LOOKS_DEG):
+        level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
+        forward = np.cos(elevation) * level - np.sin(elevation) * UP
+        found.append(fit_viewpoint(points_object, look_along(forward, UP)))
+    return found
+
+
+def render_errors(
+    mesh: TriangleMesh, other: Surface, viewpoint: Viewpoint, signed: bool, colors: Colors
+) -> Rgb:
+    """Draw a mesh, each point coloured by its distance from another surface.
+
+    Args:
+        mesh: to draw, frame `object`.
+        other: closed if signed, same frame.
+        viewpoint: one of `viewpoints`.
+        signed: colour signed distances, positive outside `other`; else absolute ones.
+        colors: of these distances.
+
+    Returns:
+        (SIZE_PX, SIZE_PX, 3) uint8 RGB.
+    """
+    import cv2
+
+    size_px = SIZE_PX * SUPERSAMPLING
+    distance_m, normals_view = cast(mesh, viewpoint, size_px)
+    hit = np.isfinite(distance_m)
+    points = _points(viewpoint, distance_m, hit)
+    error_m = other.signed_distance_m(points) if signed else other.distance_m(points)
+    lit = 0.75 + 0.25 * np.clip(normals_view[hit] @ LIGHT, 0.0, 1.0)
+    picture = np.empty((size_px, size_px, 3))
+    picture[...] = PAPER
+    picture[hit] = 255 * colors(error_m) * lit[:, None]
+    small = cv2.resize(
+        np.clip(picture, 0, 255).astype(np.uint8), (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA
+    )
+    return np.asarray(small, np.uint8)
+
+
+def _points(viewpoint: Viewpoint, distance_m: Float64, hit: NDArray[np.bool_]) -> Float64:
+    """Where the rays of `cast` hit: (n, 3), the mesh's frame."""
+    right, down, forward = viewpoint.R_frame_view.T
+    size_px = len(distance_m)
+    offset_m = ((np.arange(size_px) + 0.5) / size_px * 2 - 1) * viewpoint.half_m
+    rows, columns = np.nonzero(hit)
+    across = offset_m[columns, None] * right + offset_m[rows, None] * down
+    points: Float64 = viewpoint.center_m + across + (distance_m[hit] - viewpoint.depth_m)[:, None] * forward
+    return points
+
+
+def path_picture(
+    positions_true: Float64, positions_built: Float64, errors_m: Float64, outline: Float64
+) -> bytes:
+    """The cameras from above: true path in grey, built positions coloured by their error.
+
+    Args:
+        positions_true: (n, 3) frame `object`, of every frame, in order; NaN where the truth has none.
+        positions_built: (m, 3) aligned positions, frame `object`.
+        errors_m: (m,) their distances from the true ones.
+        outline: (k, 2) points of the object from above.
+
+    Returns:
+        A PNG file.
+    """
+    figure = _figure(6.6, 5.6)
+    axes = figure.add_subplot(aspect="equal")
+    axes.plot(*outline.T, ".", color="#cdbaa0", markersize=1.5)
+    axes.plot(positions_true[:, 0], positions_true[:, 1], color=SOFT, linewidth=1.2, label="true path")
+    top_mm = max(float(errors_m.max()) * 1000, 0.1)
+    points = axes.scatter(
+        positions_built[:, 0], positions_built[:, 1], c=errors_m * 1000, s=14, cmap="plasma_r", vmin=0,
+        vmax=top_mm, label="built, aligned", zorder=3,
+    )  # fmt: skip
+    figure.colorbar(points, label="position error, mm", shrink=0.8)
+    axes.set(xlabel="x, m", ylabel="y, m")
+    axes.legend(loc="upper right", frameon=False, fontsize=8)
+    return _png(figure)
+
+
+def error_picture(errors: SurfaceErrors) -> bytes:
+    """Signed errors of the built surface, and precision and recall against the distance: a PNG file."""
+    figure = _figure(9.0, 3.6)
+    left, right = figure.subplots(1, 2)
+    signed_mm = np.clip(errors.built_m, -REACH_M, REACH_M) * 1000
+    left.hist(signed_mm, bins=np.linspace(-REACH_M, REACH_M, BINS + 1) * 1000, color=BUILT, density=True)
+    left.axvline(0, color=INK, linewidth=0.8)
+    left.set(xlabel="built surface outside (+) or inside (−) the true one, mm", yticks=[])
+    reach_mm = np.linspace(0, REACH_M * 1000, 200)
+    curves = (
+        ("precision", np.abs(errors.built_m), BUILT, "-"),
+        ("recall", errors.true_m, TRUE, "-"),
+        ("precision, seen", np.abs(errors.built_m)[errors.built_visible], BUILT, "--"),
+        ("recall, seen", errors.true_m[errors.true_visible], TRUE, "--"),
+    )
+    for label, distances_m, color, style in curves:
+        within = np.searchsorted(np.sort(distances_m) * 1000, reach_mm) / max(len(distances_m), 1)
+        right.plot(reach_mm, 100 * within, style, color=color, linewidth=1.4, label=label)
+    right.set(xlabel="distance, mm", ylabel="surface that close, %", ylim=(0, 102), xlim=(0, reach_mm[-1]))
+    right.legend(loc="lower right", frameon=False, fontsize=8)
+    return _png(figure)
+
+
+def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes:
+    """The built mesh coloured by signed error, above the true mesh coloured by distance: a PNG file.
+
+    Args:
+        built_object: closed mesh, frame `object`.
+        true_object: closed mesh, frame `object`.
+    """
+    import matplotlib as mpl
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure = _figure(10.2, 6.9)
+    looks = viewpoints(np.concatenate([built_object.vertices, true_object.vertices]))
+    rows: tuple[tuple[TriangleMesh, Surface, bool, str, float, str], ...] = (
+        (built_object, Surface(true_object), True, "coolwarm", -SCALE_M, "built mesh: outside the truth, mm"),
+        (true_object, Surface(built_object), False, "YlOrRd", 0.0, "true mesh: from the built one, mm"),
+    )
+    grid = figure.subplots(2, len(looks))
+    for axes_row, (mesh, other, signed, name, least_m, label) in zip(grid, rows, strict=True):
+        scale = ScalarMappable(Normalize(least_m * 1000, SCALE_M * 1000), mpl.colormaps[name])
+
+        def colors(error_m: Float64, scale: Any = scale) -> Float64:
+            return np.asarray(scale.to_rgba(error_m * 1000)[:, :3], dtype=np.float64)
+
+        for axes, viewpoint in zip(axes_row, looks, strict=True):
+            axes.imshow(render_errors(mesh, other, viewpoint, signed, colors))
+            axes.axis("off")
+        figure.colorbar(
+            scale, ax=list(axes_row), label=label, shrink=0.85, extend="both" if signed else "max"
+        )
+    return _png(figure)
+
+
+def slice_picture(solids: Solids) -> bytes:
+    """Three slices through the true solid's centre of mass: true, built, unknown; a PNG file.
+
+    Args:
+        solids: on the canonical cube, axes x, y, z of frame `object`.
+    """
+    from matplotlib.patches import Patch
+
+    figure = _figure(10.2, 3.9)
+    middle = np.rint(np.argwhere(solids.true).mean(axis=0)).astype(int)
+    titles = ("from the side, x", "from the front, y", "from above, z")
+    for axis, axes in enumerate(figure.subplots(1, 3)):
+        true, built, known = (
+            np.take(g, middle[axis], axis) for g in (solids.true, solids.built, solids.known)
+        )
+        # Rows of the picture go up along the second remaining axis.
+        picture = np.swapaxes(_slice_colors(true, built, known), 0, 1)
+        axes.imshow(picture.astype(np.uint8), origin="lower", interpolation="nearest")
+        axes.set_title(f"{titles[axis]} = cell {middle[axis]}", fontsize=9)
+        axes.set(xticks=[], yticks=[])
+    names = ("true and built", "missing", "too much")
+    patches = [Patch(color=_hex(c), label=n) for c, n in zip(SLICE_COLORS[1:], names, strict=True)]
+    patches.append(Patch(color=_hex(UNKNOWN_COLOR), label="unknown (tinted)"))
+    figure.legend(handles=patches, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    return _png(figure)
+
+
+def _slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
+    kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
+    colors = SLICE_COLORS[kind]
+    # Errors keep their colour, unknown or not: tinted they would look like what is right.
+    plain = known | (true != built)
+    tinted: Float64 = np.where(plain[..., None], colors, 0.45 * colors + 0.55 * UNKNOWN_COLOR)
+    return tinted
+
+
+def _hex(color: Float64) -> str:
+    return "#" + "".join(f"{int(channel):02x}" for channel in color)
+
+
+def _figure(width_in: float, height_in: float) -> "Figure":
+    # Without pyplot: no global state, no display.
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor=BACKGROUND)
+
+
+def _png(figure: "Figure") -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()

@@ -1,0 +1,205 @@
+"""Everything that a build is measured by, its trajectory and floor first, and its file evaluation.json."""
+
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench._version import __version__
+from kinectbench.core.geometry import rotation_angle_rad
+from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Progress
+from kinectbench.lab.evaluate.build import Build, Registration, register
+from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
+from kinectbench.lab.evaluate.solid import SolidFigures, solid_figures
+from kinectbench.lab.evaluate.surface import SurfaceFigures, surface_errors, surface_figures
+from kinectbench.lab.simulate.truth import Truth
+from kinectbench.stages.segment.floor import Floor
+
+
+@dataclass(frozen=True)
+class TrajectoryFigures:
+    """How much of a recording was tracked, and how well. Frames count as in the build's sequence.
+
+    Attributes:
+        frames: frames in the sequence.
+        tracked: frames with a pose.
+        tracked_share: `tracked / frames`.
+        lost: frames for which no pose was found.
+        rejected: frames whose pose was found and left out, because their depth disagrees with it.
+        foreign_tracked: frames that show another scene and have a pose all the same.
+        error: of the poses of the frames whose truth is known; None if there are fewer than three.
+    """
+
+    frames: int
+    tracked: int
+    tracked_share: float
+    lost: tuple[int, ...]
+    rejected: tuple[int, ...]
+    foreign_tracked: tuple[int, ...]
+    error: TrajectoryError | None
+
+
+def trajectory_figures(trajectory: Trajectory, truth: Truth, registration: Registration) -> TrajectoryFigures:
+    """Compare the poses of all matched frames (see `tracking.compare`), and count the others.
+
+    The alignment of ATE is the least-squares one of the positions, whatever the registration says.
+    """
+    posed = has_pose(trajectory.T_world_camera)
+    common = posed & registration.shown
+    error = None
+    if common.sum() >= MIN_MATCHED:
+        true_frame = registration.true_frame[common]
+        error = compare_poses(trajectory.T_world_camera[common], truth.T_world_camera[true_frame])
+    rejected = tuple(row.frame for row in trajectory.health.rejected) if trajectory.health else ()
+    lost = np.setdiff1d(np.flatnonzero(~posed), rejected)
+    foreign = posed & (registration.true_frame >= 0) & ~registration.shown
+    return TrajectoryFigures(
+        frames=len(posed),
+        tracked=int(posed.sum()),
+        tracked_share=float(posed.mean()),
+        lost=tuple(lost.tolist()),
+        rejected=rejected,
+        foreign_tracked=tuple(np.flatnonzero(foreign).tolist()),
+        error=error,
+    )
+
+
+@dataclass(frozen=True)
+class FloorFigures:
+    """How far the built floor is from the true one.
+
+    Attributes:
+        angle_rad: between the two planes.
+        height_m: of the built plane above the true floor at the object's foot; < 0 below it.
+    """
+
+    angle_rad: float
+    height_m: float
+
+
+def floor_figures(floor: Floor, truth: Truth, registration: Registration) -> FloorFigures:
+    """Angle of the planes, and the distance between them straight below the object (own rule)."""
+    T = registration.T_truth_built
+    normal = T[:3, :3] @ floor.plane_world[:3]
+    # n . (R^T (x - t)) + d = 0 in the truth's world
+    offset = floor.plane_world[3] - normal @ T[:3, 3]
+    up, foot = truth.T_world_object[:3, 2], truth.T_world_object[:3, 3]
+    cosine, sine = float(normal @ up), float(np.linalg.norm(np.cross(normal, up)))
+    # foot + h up lies on the built plane
+    return FloorFigures(float(np.arctan2(sine, cosine)), float(-(normal @ foot + offset) / cosine))
+
+
+FORMAT_VERSION = 1
+DIGITS = 6
+# Of matrices and lists of errors, metres.
+ARRAY_DECIMALS = 9
+
+
+@dataclass(frozen=True)
+class AlignmentFigures:
+    """How the build's world was laid onto the truth's.
+
+    Attributes:
+        aligned: by the trajectories; False: the worlds were left as they are.
+        moved_m: length of the shift of the world's origin.
+        turned_rad: angle of the turn.
+        T_truth_built: (4, 4).
+    """
+
+    aligned: bool
+    moved_m: float
+    turned_rad: float
+    T_truth_built: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A build against the truth; None for a stage that was not built.
+
+    Attributes:
+        subject: the truth's name of the object.
+        alignment: how the worlds were laid onto each other.
+        trajectory: of stage `track`.
+        floor: of stage `segment`.
+        surface: of the object's closed mesh.
+        solid: of the same mesh and the labels.
+        masks: of stage `sample-views`.
+        pairs: of stage `pairs`.
+    """
+
+    subject: str
+    alignment: AlignmentFigures
+    trajectory: TrajectoryFigures | None
+    floor: FloorFigures | None
+    surface: SurfaceFigures | None
+    solid: SolidFigures | None
+    masks: MaskFigures | None
+    pairs: PairFigures | None
+
+
+def evaluate(
+    build: Build,
+    truth: Truth,
+    *,
+    align: bool = True,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Measure a build against the truth of the same recording.
+
+    Args:
+        build: as far as it was built.
+        truth: the simulator's.
+        align: lay the build's world onto the truth's by the trajectories; False leaves it as it is.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        RecordingError: the truth is of another recording, or damaged.
+        StorageError: an artefact of the build is damaged.
+        PairError: a pair is damaged.
+    """
+    registration = register(build, truth, align)
+    model = build.model
+    surface = solid = floor = None
+    if model is not None:
+        mesh = model.shape.mesh.transformed(registration.T_truth_built)
+        surface = surface_figures(surface_errors(mesh, truth))
+        solid = solid_figures(model, truth, registration)
+        floor = floor_figures(model.floor, truth, registration)
+    trajectory = masks = pairs = None
+    if build.trajectory is not None:
+        trajectory = trajectory_figures(build.trajectory, truth, registration)
+    if build.views is not None:
+        masks = mask_figures(build, truth, registration)
+    if build.views is not None and build.pair_names is not None:
+        pairs = pair_figures(build, truth, registration, progress or (lambda _done, _total: None))
+    return Evaluation(
+        truth.subject, _alignment(registration), trajectory, floor, surface, solid, masks, pairs
+    )
+
+
+def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
+    """The content of evaluation.json: all figures in SI units and radians, to six digits."""
+    head = {"format_version": FORMAT_VERSION, "package_version": __version__}
+    return {**head, **_plain(evaluation)}
+
+
+def _alignment(registration: Registration) -> AlignmentFigures:
+    T = registration.T_truth_built
+    moved_m, turned_rad = float(np.linalg.norm(T[:3, 3])), float(rotation_angle_rad(T[:3, :3]))
+    return AlignmentFigures(registration.aligned, moved_m, turned_rad, T)
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses, tuples and arrays as JSON values; numbers are rounded."""
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, np.ndarray):
+        return np.round(value, ARRAY_DECIMALS).tolist()
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    return value

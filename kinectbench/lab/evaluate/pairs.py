@@ -1,0 +1,219 @@
+"""The masks of the views and the pairs against the truth, each pair on its own grid."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Grid, invert_rigid
+from kinectbench.core.voxels.morphology import containment
+from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.lab.evaluate.build import Build, Registration
+from kinectbench.lab.evaluate.solid import iou, known_iou, share
+from kinectbench.lab.simulate.truth import Truth, truth_occupancy
+
+
+@dataclass(frozen=True)
+class MaskRow:
+    """One view's mask.
+
+    Attributes:
+        view: its name.
+        frame: index in the sequence.
+        valid_iou: IoU with the true silhouette over pixels with valid depth.
+        iou: the same over all pixels; a mask holds pixels with depth only.
+    """
+
+    view: str
+    frame: int
+    valid_iou: float
+    iou: float
+
+
+@dataclass(frozen=True)
+class MaskFigures:
+    """All views' masks.
+
+    Attributes:
+        mean_valid_iou: mean over the views, over pixels with valid depth; None without views.
+        worst_valid_iou: the least of them.
+        worst_view: the view that has it.
+        mean_iou: mean over the views, over all pixels.
+        worst_iou: the least of them.
+        without_truth: views of frames that the truth does not have, or that show another scene.
+        rows: one a view.
+    """
+
+    mean_valid_iou: float | None
+    worst_valid_iou: float | None
+    worst_view: str | None
+    mean_iou: float | None
+    worst_iou: float | None
+    without_truth: tuple[str, ...]
+    rows: tuple[MaskRow, ...]
+
+
+def mask_figures(build: Build, truth: Truth, registration: Registration) -> MaskFigures:
+    """Compare the mask of every view with the object's silhouette in that frame.
+
+    Raises:
+        RecordingError: a silhouette is missing, damaged, or has another size than the mask.
+        StorageError: a view's depth is missing or damaged.
+    """
+    rows, without = [], []
+    for view in build.views or ():
+        if not registration.shown[view.frame]:
+            without.append(view.name)
+            continue
+        index = int(registration.true_frame[view.frame])
+        silhouette, valid = truth.mask(index), build.valid_depth(view)
+        if silhouette.shape != view.mask.shape or valid.shape != view.mask.shape:
+            raise RecordingError(
+                f"{truth.folder}: silhouette {index:06d} is {silhouette.shape[1]}x{silhouette.shape[0]}, "
+                f"view {view.name} is {view.mask.shape[1]}x{view.mask.shape[0]}; are they of one recording?"
+            )
+        overlap = iou(view.mask & valid, silhouette & valid)
+        rows.append(MaskRow(view.name, view.frame, overlap, iou(view.mask, silhouette)))
+    if not rows:
+        return MaskFigures(None, None, None, None, None, tuple(without), ())
+    worst = min(rows, key=lambda row: row.valid_iou)
+    return MaskFigures(
+        mean_valid_iou=float(np.mean([row.valid_iou for row in rows])),
+        worst_valid_iou=worst.valid_iou,
+        worst_view=worst.view,
+        mean_iou=float(np.mean([row.iou for row in rows])),
+        worst_iou=min(row.iou for row in rows),
+        without_truth=tuple(without),
+        rows=tuple(rows),
+    )
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """One pair against the truth; values in [0, 1].
+
+    Attributes:
+        view: its name.
+        frame: index in the sequence.
+        iou: of `full` and the true solid, over all cells.
+        known_iou: the same over `known` cells; None if none of the true solid is known.
+        true_unknown_share: share of the true solid that is not `known`.
+        containment: share of the partial's cells (64^3) that lie in the true solid, dilated once.
+    """
+
+    view: str
+    frame: int
+    iou: float
+    known_iou: float | None
+    true_unknown_share: float
+    containment: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Mean and worst of a figure over the pairs, and the view that has the worst."""
+
+    mean: float
+    worst: float
+    worst_view: str
+
+
+@dataclass(frozen=True)
+class PairFigures:
+    """All pairs against the truth.
+
+    Attributes:
+        iou: of `full` and the true solid, over all cells; None without pairs.
+        known_iou: the same over `known` cells.
+        true_unknown_share: share of the true solid that is not `known`; the worst is the largest.
+        containment: of the partial views in the true solid.
+        without_truth: pairs of frames that the truth does not have, or that show another scene.
+        rows: one a pair.
+    """
+
+    iou: Summary | None
+    known_iou: Summary | None
+    true_unknown_share: Summary | None
+    containment: Summary | None
+    without_truth: tuple[str, ...]
+    rows: tuple[PairRow, ...]
+
+
+def pair_figures(
+    build: Build, truth: Truth, registration: Registration, progress: Callable[[int, int], None]
+) -> PairFigures:
+    """Compare every pair with the true solid, put where the true camera of that frame saw it.
+
+    The depth of a view was taken by the true camera, so the truth lies exactly to `partial`, whatever
+    the pose that was found; how well `full` was turned into the view counts in its IoU (own rule).
+
+    Args:
+        build: with views and pairs.
+        truth: the exact solid and cameras.
+        registration: which frame is which.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        PairError: a pair is missing or damaged.
+    """
+    views = {view.name: view for view in build.views or ()}
+    names = [name for name in build.pair_names or () if name in views]
+    rows, without = [], []
+    for done, name in enumerate(names, start=1):
+        frame = views[name].frame
+        if registration.shown[frame]:
+            T_world_camera = truth.T_world_camera[registration.true_frame[frame]]
+            rows.append(pair_row(name, frame, build.pair(name), truth, T_world_camera))
+        else:
+            without.append(name)
+        progress(done, len(names))
+    return PairFigures(
+        iou=_summary(rows, "iou", min),
+        known_iou=_summary(rows, "known_iou", min),
+        true_unknown_share=_summary(rows, "true_unknown_share", max),
+        containment=_summary(rows, "containment", min),
+        without_truth=tuple(without),
+        rows=tuple(rows),
+    )
+
+
+def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: NDArray[np.float64]) -> PairRow:
+    """The figures of one pair.
+
+    Args:
+        view: its name.
+        frame: index in the sequence.
+        pair: as it was made.
+        truth: the exact solid.
+        T_world_camera: (4, 4), the true camera in the truth's world.
+    """
+    true = truth_occupancy(truth, grid_in_truth(pair, T_world_camera))
+    full, known = unpack(pair.full), unpack(pair.known)
+    # As verify does: before the partial rule thins the cells out.
+    touched = reduce_blocks(unpack(pair.partial_256), "any")
+    return PairRow(
+        view=view,
+        frame=frame,
+        iou=iou(full, true),
+        known_iou=known_iou(full, true, known),
+        true_unknown_share=share(~known, of=true),
+        containment=containment(touched, true),
+    )
+
+
+def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
+    """A pair's 256-grid in the truth's world, where the true camera (4, 4) has it."""
+    T_camera_grid = invert_rigid(pair.T_world_camera) @ pair.T_world_grid
+    return replace(pair.grid, T_world_grid=T_world_camera @ T_camera_grid)
+
+
+def _summary(rows: Sequence[PairRow], figure: str, worst: Callable[[list[float]], float]) -> Summary | None:
+    values = {row.view: float(getattr(row, figure)) for row in rows if getattr(row, figure) is not None}
+    if not values:
+        return None
+    least = worst(list(values.values()))
+    view = next(view for view, value in values.items() if value == least)
+    return Summary(float(np.mean(list(values.values()))), least, view)

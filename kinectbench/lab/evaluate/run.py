@@ -1,0 +1,204 @@
+"""`kinectbench evaluate`: from the words of the command line to evaluation.json, pictures and a page."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench._version import __version__
+from kinectbench.core.errors import RecordingError, SettingsError, StorageError
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.pages import png_uri, render_page
+from kinectbench.core.storage import pretty_json, replaced_folder
+from kinectbench.core.trajectory.compare import has_pose
+from kinectbench.core.types import Progress
+from kinectbench.engine.stages import Job
+from kinectbench.lab.evaluate import charts
+from kinectbench.lab.evaluate.build import Build, read_build, register
+from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
+from kinectbench.lab.evaluate.solid import canonical_cube, compare_on
+from kinectbench.lab.evaluate.surface import surface_errors
+from kinectbench.lab.evaluate.table import sections
+from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
+from kinectbench.settings.file import load_benchmark, parse_benchmark
+from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.words import suggestion
+
+CAPTIONS = {
+    "path": "Cameras from above, the true object's axes. Grey: true path. Dots: built positions, aligned.",
+    "meshes": "Above: the built mesh, red where it is too far out, blue where too far in. Below: the true "
+    "mesh, dark where the built one is far away. The last look is from below.",
+    "errors": "Left: signed distances of the built surface from the true one. Right: shares of the built "
+    "(precision) and true (recall) surface within a distance; dashed: of what the camera saw.",
+    "slices": "Slices of the upright cube, 256 cells a side, through the true solid's centre of mass.",
+}
+FIGURES = "evaluation.json"
+PAGE = "index.html"
+
+
+@dataclass(frozen=True)
+class Found:
+    """A recording to be evaluated.
+
+    Attributes:
+        name: of the recording.
+        root: the folder that holds `build/`.
+        build: `build/<name>/`.
+        truth: the folder of its truth.
+        job: brings the build up to date; None if only a build folder is known.
+    """
+
+    name: str
+    root: Path
+    build: Path
+    truth: Path
+    job: Job | None
+
+
+def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> Found:
+    """Find a recording and its truth, before anything is built.
+
+    Args:
+        recording: an id of the benchmark at `config`; or the folder of a build; or a recording's path, which
+            is then built with the default settings into `build/` of the current folder.
+        truth: its truth; by default what lies beside the recording.
+        config: a benchmark.yaml, which need not exist.
+        overrides: settings that win, as `--set` takes them.
+
+    Raises:
+        SettingsError: nothing of the kind, wrong settings, or no truth is known.
+        RecordingError: no truth lies there.
+    """
+    found = _find(recording, truth, config, overrides)
+    if not (found.truth / "truth.json").is_file():
+        raise RecordingError(
+            f"{found.truth}: no truth there; name its folder, or simulate the recording again"
+        )
+    return found
+
+
+def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> Found:
+    settings = load_benchmark(config, overrides) if config.is_file() else None
+    known = [] if settings is None else [each.id for each in settings.recordings]
+    path = Path(recording)
+    if settings is not None and recording in known:
+        job = Job(settings, settings.recording(recording), config.parent)
+        return Found(recording, job.root, job.build, truth or truth_folder(job.source), job)
+    if (path / "sequence").is_dir():
+        return Found(
+            path.name, path.parent.parent, path, truth or _truth_of_build(path, settings, config), None
+        )
+    if path.exists():
+        job = _job_of(path, overrides)
+        return Found(job.recording.id, job.root, job.build, truth or truth_folder(path), job)
+    hint = (
+        suggestion(recording, known) if known else "give a simulated recording's path, or an id and --config"
+    )
+    raise SettingsError(f"no recording '{recording}'; {hint}")
+
+
+def _truth_of_build(build: Path, settings: BenchmarkSettings | None, config: Path) -> Path:
+    """The truth beside the recording that a build folder was made of, by the benchmark."""
+    if settings is not None:
+        jobs = [Job(settings, recording, config.parent) for recording in settings.recordings]
+        for job in jobs:
+            if job.build.resolve() == build.resolve():
+                return truth_folder(job.source)
+    raise SettingsError(
+        f"{build}: its truth is not known; name the folder: kinectbench evaluate {build} TRUTH"
+    )
+
+
+def _job_of(path: Path, overrides: Sequence[str]) -> Job:
+    """A recording by itself, with default settings."""
+    name = (
+        re.sub(r"[^A-Za-z0-9._-]", "_", path.resolve().name.removesuffix(".bag")).lstrip("._-") or "recording"
+    )
+    text = json.dumps(
+        {"name": name[:80], "recordings": [{"id": name[:80], "path": str(path), "category": "object"}]}
+    )
+    settings = parse_benchmark(text, "settings", overrides)
+    return Job(settings, settings.recordings[0], Path())
+
+
+def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) -> str:
+    """Lay out the page: HTML text, the same for the same input.
+
+    Args:
+        name: of the recording.
+        evaluation: all figures.
+        pictures: PNG files by the keys of `CAPTIONS`, as far as there are any.
+    """
+    shown = [(key, png_uri(pictures[key]), CAPTIONS[key]) for key in CAPTIONS if key in pictures]
+    return render_page(
+        "lab/evaluate/page.html",
+        {
+            "name": name,
+            "evaluation": evaluation,
+            "sections": sections(evaluation),
+            "pictures": shown,
+            "version": __version__,
+        },
+    )
+
+
+def evaluate_recording(
+    build: Path, truth: Path, out: Path, *, align: bool = True, progress: Progress | None = None
+) -> Evaluation:
+    """Measure what was built of a recording against its truth, and write figures, pictures and a page.
+
+    Args:
+        build: `build/<recording>/`; any later stage may be missing.
+        truth: folder of the simulator's truth.
+        out: folder to write: evaluation.json, index.html and the pictures it shows; an earlier evaluation
+            there is replaced, in whole or not at all.
+        align: lay the build's world onto the truth's by the trajectories.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        StorageError: nothing is built, an artefact is damaged, or `out` holds something else.
+        RecordingError: there is no readable truth, or it is of another recording.
+        PairError: a pair is damaged.
+    """
+    if out.exists() and not _replaceable(out):
+        raise StorageError(f"{out}: holds something else than an evaluation; choose a new or empty folder")
+    built, true = read_build(build), read_truth(truth)
+    evaluation = evaluate(built, true, align=align, progress=progress)
+    pictures = make_pictures(built, true, evaluation, align)
+    page = make_page(build.resolve().name, evaluation, pictures)
+    with replaced_folder(out) as temporary:
+        (temporary / FIGURES).write_text(pretty_json(evaluation_json(evaluation)), encoding="utf-8")
+        (temporary / PAGE).write_text(page, encoding="utf-8")
+        for name, png in pictures.items():
+            (temporary / f"{name}.png").write_bytes(png)
+    return evaluation
+
+
+def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
+    """The pictures of an evaluation as far as their stages were built: name -> PNG file."""
+    registration = register(build, truth, align)
+    T_object_world = invert_rigid(truth.T_world_object)
+    true_object = truth.mesh_world.transformed(T_object_world)
+    pictures = {}
+    error = evaluation.trajectory.error if evaluation.trajectory else None
+    if build.trajectory is not None and error is not None:
+        common = has_pose(build.trajectory.T_world_camera) & registration.shown
+        aligned = T_object_world @ error.T_reference_estimate @ build.trajectory.T_world_camera[common]
+        pictures["path"] = charts.path_picture(
+            transform_points(T_object_world, truth.T_world_camera[:, :3, 3]),
+            aligned[:, :3, 3],
+            error.position_errors_m,
+            transform_points(T_object_world, truth.surface.points_world)[:, :2],
+        )
+    if build.model is not None:
+        mesh_truth = build.model.shape.mesh.transformed(registration.T_truth_built)
+        pictures["meshes"] = charts.mesh_picture(mesh_truth.transformed(T_object_world), true_object)
+        pictures["errors"] = charts.error_picture(surface_errors(mesh_truth, truth))
+        solids = compare_on(canonical_cube(truth), build.model, truth, registration)
+        pictures["slices"] = charts.slice_picture(solids)
+    return pictures
+
+
+def _replaceable(out: Path) -> bool:
+    return out.is_dir() and ((out / FIGURES).is_file() or not any(out.iterdir()))

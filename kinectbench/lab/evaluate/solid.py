@@ -1,0 +1,168 @@
+"""The built solid and its labels against the true solid, on one upright cube around the true object."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.geometry import Grid, rigid
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.known_cells import known_in
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.view_grids import object_cube
+from kinectbench.lab.evaluate.build import Registration
+from kinectbench.lab.simulate.truth import Truth, truth_occupancy
+from kinectbench.stages.pairs.pairs import full_shape
+from kinectbench.stages.segment.object_model import ObjectModel
+
+
+def iou(a: Bools, b: Bools) -> float:
+    """Intersection over union of two arrays of one shape; 1 if both are empty."""
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else 1.0
+
+
+def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
+    """IoU over the known cells; None if none of the true cells is known, since then it says nothing."""
+    return iou(built & known, true & known) if bool(np.any(true & known)) else None
+
+
+def share(part: Bools, of: Bools) -> float:
+    """Share of the cells of `of` that lie in `part`, in [0, 1]; 0 if there are none."""
+    cells = int(np.count_nonzero(of))
+    return int(np.count_nonzero(part & of)) / cells if cells else 0.0
+
+
+@dataclass(frozen=True)
+class Solids:
+    """Three grids (n, n, n) of bool over one cube.
+
+    Attributes:
+        true: the cell's centre lies in the true solid.
+        built: it lies in the built closed mesh.
+        known: the nearest label is not `unknown`.
+    """
+
+    true: Bools
+    built: Bools
+    known: Bools
+
+
+@dataclass(frozen=True)
+class SolidOverlap:
+    """The figures of one grid, in [0, 1].
+
+    Attributes:
+        cells: along an edge.
+        iou: of the built and the true solid, over all cells.
+        known_iou: the same over known cells; None if none of the true solid is known.
+        true_unknown_share: share of the true solid that is labelled unknown.
+        empty_unknown_share: share of the cube's empty space that is labelled unknown.
+    """
+
+    cells: int
+    iou: float
+    known_iou: float | None
+    true_unknown_share: float
+    empty_unknown_share: float
+
+
+@dataclass(frozen=True)
+class SolidFigures:
+    """The built solid against the true one.
+
+    Attributes:
+        fine: on 256^3 cells.
+        coarse: on 64^3 cells of the same cube, each set where more than half of its 4^3 fine cells are.
+            Upright parts a few cells thick gain or lose a whole layer by a small shift: this IoU jumps.
+        true_volume_m3: enclosed by the true mesh.
+        built_volume_m3: enclosed by the built mesh.
+        built_outside_share: share of the built solid outside the cube, where nothing else is counted,
+            looked for in a cube of twice the side.
+    """
+
+    fine: SolidOverlap
+    coarse: SolidOverlap
+    true_volume_m3: float
+    built_volume_m3: float
+    built_outside_share: float
+
+
+def canonical_cube(truth: Truth) -> Grid:
+    """The 256-cube in the truth's world: upright, in the true object's axes, centred on its box.
+
+    Its side is the box's longest extent x 256/252, as in framing `object`.
+    """
+    return object_cube(truth.mesh_world.vertices, truth.T_world_object)
+
+
+def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Registration) -> Solids:
+    """Sample truth, built mesh and labels on one grid.
+
+    Args:
+        grid: a cube in the truth's world, a multiple of 8 cells a side.
+        model: the built object, in its own world.
+        truth: the exact solid.
+        registration: how the worlds lie to each other.
+    """
+    in_built = _in_built(grid, registration)
+    return Solids(
+        true=truth_occupancy(truth, grid),
+        built=_built_cells(model, in_built),
+        known=unpack(known_in(*full_shape(model).known, in_built)),
+    )
+
+
+def solid_figures(model: ObjectModel, truth: Truth, registration: Registration) -> SolidFigures:
+    """Compare the solids on 256^3 and on 64^3 cells of the canonical cube (own rule).
+
+    The coarse cells' own centres would not do: by its margin the box ends just at centres of them.
+    """
+    grid = canonical_cube(truth)
+    fine = compare_on(grid, model, truth, registration)
+    return SolidFigures(
+        fine=overlap(fine),
+        coarse=overlap(reduced(fine)),
+        true_volume_m3=truth.mesh_world.volume_m3,
+        built_volume_m3=model.shape.mesh.volume_m3,
+        built_outside_share=_outside_share(grid, model, registration),
+    )
+
+
+def reduced(solids: Solids) -> Solids:
+    """A quarter as many cells along each axis, by majority; a tie counts as not set."""
+    return Solids(*(reduce_blocks(g, "majority") for g in (solids.true, solids.built, solids.known)))
+
+
+def overlap(solids: Solids) -> SolidOverlap:
+    """The figures of one grid."""
+    true, built, known = solids.true, solids.built, solids.known
+    return SolidOverlap(
+        cells=len(true),
+        iou=iou(built, true),
+        known_iou=known_iou(built, true, known),
+        true_unknown_share=share(~known, of=true),
+        empty_unknown_share=share(~known, of=~true),
+    )
+
+
+def _in_built(grid: Grid, registration: Registration) -> Grid:
+    """The same grid, placed in the build's world."""
+    return replace(grid, T_world_grid=registration.T_built_truth @ grid.T_world_grid)
+
+
+def _built_cells(model: ObjectModel, grid: Grid) -> Bools:
+    mesh = model.shape.mesh
+    return unpack(voxelize_solid(mesh.vertices, mesh.faces, grid))
+
+
+def _outside_share(grid: Grid, model: ObjectModel, registration: Registration) -> float:
+    """Share of the built solid outside a cube, by cells twice as large around it."""
+    n, side_m = grid.shape[0], grid.shape[0] * grid.voxel_size_m
+    corner = rigid(np.eye(3), np.full(3, -side_m / 2))
+    around = Grid(grid.shape, 2 * grid.voxel_size_m, grid.T_world_grid @ corner)
+    built = _built_cells(model, _in_built(around, registration))
+    outside = np.ones_like(built)
+    outside[n // 4 : -n // 4, n // 4 : -n // 4, n // 4 : -n // 4] = False
+    return share(outside, of=built)

@@ -1,0 +1,187 @@
+"""Backs of chairs and benches between two posts: ladders, slats, spindles, crosses, splats and panels."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.lab.simulate.objects.joinery import CLOTHS, SIDES, Draw, Look, Part, Parts
+from kinectbench.lab.simulate.objects.shapes import (
+    Vector3,
+    bar,
+    bowed,
+    cushion,
+    leaned,
+    leg,
+    plate,
+    rectangle,
+    rod,
+    tube,
+)
+
+
+@dataclass(frozen=True)
+class Back:
+    """Where a back stands, in metres, frame `object`; it leans to -y.
+
+    Attributes:
+        half: x of the posts' centres.
+        y: of the back's middle at the height of the seat.
+        seat: upper face of the seat.
+        top: upper end.
+        slope: metres to the back for each metre up.
+        bow: its middle is bent this much behind its sides.
+        thick: of its posts.
+        look: of all its parts.
+    """
+
+    half: float
+    y: float
+    seat: float
+    top: float
+    slope: float
+    bow: float
+    thick: float
+    look: Look
+
+    def point(self, x: float, z: float) -> Vector3:
+        """The point of the back's middle surface at x and height z."""
+        bend = self.bow * (1 - (x / self.half) ** 2)
+        return x, self.y - self.slope * (z - self.seat) - bend, z
+
+    def posts(self) -> Parts:
+        """Two posts from inside the seat to the top."""
+        return [self.upright("post", s * self.half, self.seat - 0.012, self.top, self.thick) for s in SIDES]
+
+    def upright(self, name: str, x: float, low: float, high: float, wide: float, deep: float = 0.0) -> Part:
+        """A leaning bar between two heights."""
+        size = (wide, deep or self.thick)
+        return Part(name, leg(self.point(x, low), self.point(x, high), size, size), self.look)
+
+    def rail(self, low: float, high: float, deep: float = 0.02, name: str = "rail") -> Part:
+        """A bent board from post to post between two heights."""
+        y, half = self.point(self.half, self.seat)[1], self.half
+        board = bowed((-half, y - deep / 2, low), (half, y + deep / 2, high), self.bow)
+        return Part(name, leaned(board, self.seat, self.slope), self.look)
+
+
+def _ladder(draw: Draw, back: Back) -> Parts:
+    count, high = draw.integer(2, 5), back.top - back.seat
+    wide = min(draw.between(0.04, 0.09), 0.55 * high / count)
+    tops = np.linspace(back.top - 0.01, back.seat + 0.35 * high, count)
+    return [back.rail(float(top) - wide, float(top)) for top in tops]
+
+
+def _between_rails(draw: Draw, back: Back) -> tuple[float, float, Parts]:
+    """A low and a high rail, and the heights between which something is to be fixed."""
+    low = back.seat + draw.between(0.06, 0.14)
+    crest = draw.between(0.05, 0.09)
+    rails = [back.rail(low - 0.025, low + 0.015), back.rail(back.top - crest, back.top, 0.024, "crest")]
+    return low, back.top - crest + 0.015, rails
+
+
+def _slats(draw: Draw, back: Back) -> Parts:
+    low, high, rails = _between_rails(draw, back)
+    yield from rails
+    count = max(3, round(2 * back.half / draw.between(0.08, 0.14)))
+    wide = 2 * back.half / count * draw.between(0.35, 0.65)
+    for x in np.linspace(-back.half, back.half, count + 2)[1:-1]:
+        yield back.upright("slat", float(x), low, high, wide, 0.016)
+
+
+def _spindles(draw: Draw, back: Back) -> Parts:
+    crest = draw.between(0.05, 0.1)
+    yield back.rail(back.top - crest, back.top, 0.024, "crest")
+    count = max(4, round(2 * back.half / draw.between(0.055, 0.08)))
+    radius = draw.between(0.008, 0.011)
+    for x in np.linspace(-back.half, back.half, count + 2)[1:-1]:
+        ends = back.point(float(x), back.seat - 0.01), back.point(float(x), back.top - crest + 0.015)
+        yield Part("spindle", rod(*ends, radius), back.look)
+
+
+def _cross(draw: Draw, back: Back) -> Parts:
+    low, high, rails = _between_rails(draw, back)
+    yield from rails
+    count = max(1, round(back.half / 0.3))
+    edges = np.linspace(-back.half, back.half, count + 1)
+    # A straight bar from post to post stays on the chord of the bent back.
+    flat = replace(back, bow=0.0)
+    for left, right in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        for z0, z1, deep in ((low, high, 0.016), (high, low, 0.018)):
+            shape = bar(flat.point(left, z0), flat.point(right, z1), deep, 0.03)
+            yield Part("cross", shape, back.look)
+    for x in edges[1:-1].tolist():
+        yield flat.upright("slat", x, back.seat - 0.01, back.top - 0.01, 0.03, 0.02)
+
+
+def _splat(draw: Draw, back: Back) -> Parts:
+    low, high, rails = _between_rails(draw, back)
+    wide = back.half * draw.between(0.5, 0.8)
+    yield from rails
+    yield back.upright("splat", 0.0, low, high, wide, 0.016)
+
+
+def _panel(draw: Draw, back: Back) -> Parts:
+    low = back.seat + (draw.between(0.08, 0.2) if draw.chance(0.5) else -0.01)
+    return [back.rail(low, back.top - 0.005, 0.018, "panel")]
+
+
+def _padded(draw: Draw, back: Back) -> Parts:
+    look = draw.pick(CLOTHS)
+    low, y = back.seat + draw.between(0.03, 0.1), back.y
+    panel = back.rail(low, back.top - 0.01, 0.018, "panel")
+    inner = back.half - back.thick / 2 - 0.004
+    pad = cushion((-inner, y - 0.02, low + 0.015), (inner, y + 0.035, back.top - 0.03), 0.022)
+    bend = pad.translate((0.0, -0.6 * back.bow, 0.0))
+    return [panel, Part("back cushion", leaned(bend, back.seat, back.slope), look)]
+
+
+KINDS: dict[str, Callable[[Draw, Back], Parts]] = {
+    "ladder": _ladder,
+    "slats": _slats,
+    "spindles": _spindles,
+    "cross": _cross,
+    "splat": _splat,
+    "panel": _panel,
+    "padded": _padded,
+}
+
+
+def filling(draw: Draw, back: Back, kinds: tuple[str, ...] = tuple(KINDS)) -> Parts:
+    """What fills a back between its posts, of one of the kinds."""
+    return KINDS[draw.choose(kinds)](draw, back)
+
+
+def hoop(draw: Draw, back: Back) -> Parts:
+    """A bent hoop with spindles, without posts, as on a Windsor chair."""
+    # An even number: no corner of the hoop lies on the middle spindle's axis.
+    angle = np.linspace(0, np.pi, 20)
+    flat = 0.62
+    x = back.half * np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** flat
+    z = back.seat - 0.012 + (back.top - back.seat) * np.sin(angle) ** flat
+    path = np.array([back.point(float(a), float(b)) for a, b in zip(x, z, strict=True)])
+    yield Part("hoop", tube(path, 0.012), back.look)
+    count = draw.integer(5, 9)
+    for share in np.linspace(-0.8, 0.8, count):
+        at = back.half * float(share)
+        high = float(np.interp(at, x[::-1], z[::-1]))
+        ends = back.point(0.8 * at, back.seat - 0.012), back.point(at, high)
+        yield Part("spindle", rod(*ends, 0.0085), back.look)
+
+
+def board_back(draw: Draw, back: Back) -> Parts:
+    """A bent board with round corners and perhaps an opening, on two short posts."""
+    high = back.top - back.seat
+    low = back.seat + high * draw.between(0.3, 0.5)
+    # The posts stand behind the board and are let into it.
+    behind = replace(back, y=back.y - 0.014)
+    posts = [behind.upright("post", s * back.half * 0.55, back.seat - 0.012, low + 0.1, 0.03) for s in SIDES]
+    board = back.rail(low, back.top, 0.018, "back")
+    middle, size = (low + back.top) / 2, (2 * back.half, back.top - low)
+    corner = min(size) * draw.between(0.15, 0.45)
+    window = plate(rectangle(size, corner), -1.0, 1.0).rotate((90.0, 0.0, 0.0)).translate((0.0, 0.0, middle))
+    shape = board.shape ^ window
+    if draw.chance(0.3):
+        hole = plate(rectangle((0.12, 0.035), 0.016), -1.0, 1.0).rotate((90.0, 0.0, 0.0))
+        shape = shape - hole.translate((0.0, 0.0, back.top - 0.06))
+    return [*posts, Part("back", shape, back.look)]

@@ -1,0 +1,163 @@
+"""Parametric furniture drawn by a seed: a registry of families, each in its own file, and their pictures."""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.geometry.mesh import join
+from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along
+from kinectbench.lab.simulate.objects.benches import bench
+from kinectbench.lab.simulate.objects.chairs import chair
+from kinectbench.lab.simulate.objects.couches import couch
+from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
+from kinectbench.lab.simulate.objects.shapes import Subject
+from kinectbench.lab.simulate.objects.tables import table
+from kinectbench.settings.words import listed, near_miss
+
+FAMILIES: dict[str, Callable[[Draw], Parts]] = {
+    "chair": chair,
+    "table": table,
+    "bench": bench,
+    "couch": couch,
+}
+COLUMNS = 4
+LABEL_PX = 22
+SUPERSAMPLING = 2
+# From the front, the right and above.
+FORWARD = np.array([-0.55, -0.8, -0.42])
+
+
+class ObjectName(NamedTuple):
+    """A piece of furniture: its family and the seed that draws it."""
+
+    family: str
+    seed: int
+
+
+def check_family(family: str) -> str:
+    """Accept the name of a family of furniture.
+
+    Raises:
+        SettingsError: there is no such family; the nearest name is suggested.
+    """
+    if family in FAMILIES:
+        return family
+    hint = f"{near_miss(family, list(FAMILIES))} choose one of {listed(FAMILIES)}".lstrip()
+    raise SettingsError(f"object family '{family}': unknown; {hint}")
+
+
+def parse_object(text: str) -> ObjectName:
+    """Read `chair` or `chair:seed=3`.
+
+    Raises:
+        SettingsError: the text is not of this form, or there is no such family.
+    """
+    match = re.fullmatch(r"([^:]+)(?::seed=(\d{1,9}))?", text.strip())
+    if not match:
+        raise SettingsError(f"object '{text}': write the family and its seed, such as chair:seed=3")
+    return ObjectName(check_family(match[1]), int(match[2] or 0))
+
+
+def make_object(family: str, seed: int) -> Subject:
+    """Draw a piece of furniture in its object frame: z up, on z = 0, centred at x = y = 0.
+
+    Chairs, benches and couches face +y. Nothing is thinner than 15 mm. Its mesh is the union of its pieces.
+    Same family and seed, same vertices. The proportions are own choices.
+
+    Raises:
+        SettingsError: there is no such family.
+    """
+    rng = np.random.default_rng([*check_family(family).encode(), seed])
+    name = f"{family}:seed={seed}"
+    return assemble(name, FAMILIES[family](Draw(rng)), "parametric furniture: exact union of its pieces")
+
+
+def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
+    """Draw a subject's pieces in their colours, seen from its front, in parallel projection.
+
+    Args:
+        subject: what to draw.
+        size_px: edge of the picture.
+
+    Returns:
+        (size_px, size_px, 3) uint8 RGB.
+    """
+    import cv2
+
+    pieces = [piece.mesh for piece in subject.pieces]
+    view = fit_viewpoint(join(pieces).vertices, look_along(FORWARD, np.array([0.0, 0.0, 1.0])))
+    distance_m, normals_view, which = cast_pieces(pieces, view, size_px * SUPERSAMPLING)
+    shade = 0.5 + 0.55 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
+    colors = np.array([piece.color_rgb for piece in subject.pieces] + [(0.0, 0.0, 0.0)]) * 255
+    # Black pieces are drawn a little lighter, so that their shape can be seen.
+    drawn = np.where(
+        np.isfinite(distance_m)[..., None], (25 + 0.9 * colors[which]) * shade[..., None], np.array(PAPER)
+    )
+    drawn_u8 = np.clip(drawn, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.resize(drawn_u8, (size_px, size_px), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
+    """Draw pieces of furniture of one family, each with its name and height below.
+
+    Args:
+        family: one of `FAMILIES`.
+        seeds: one picture each, four in a row.
+        size_px: edge of one picture.
+
+    Returns:
+        (rows * (size_px + 22), 4 * size_px, 3) uint8 RGB.
+
+    Raises:
+        SettingsError: there is no such family.
+    """
+    import cv2
+
+    rows = -(-len(seeds) // COLUMNS)
+    step_px = size_px + LABEL_PX
+    sheet = np.empty((rows * step_px, COLUMNS * size_px, 3), np.uint8)
+    sheet[:] = PAPER
+    for at, seed in enumerate(seeds):
+        subject = make_object(family, seed)
+        top, left = at // COLUMNS * step_px, at % COLUMNS * size_px
+        sheet[top : top + size_px, left : left + size_px] = picture(subject, size_px)
+        width, depth, height = (np.ptp(subject.mesh.vertices, axis=0) * 100).round().astype(int).tolist()
+        label = f"{subject.name}  {width} x {depth} x {height} cm"
+        where = (left + 6, top + size_px + 14)
+        cv2.putText(sheet, label, where, cv2.FONT_HERSHEY_SIMPLEX, 0.38, (70, 70, 70), 1, cv2.LINE_AA)
+    return sheet
+
+
+def write_contact_sheets(folder: Path, count: int = 12, size_px: int = 280) -> list[Path]:
+    """Write a PNG of the first objects of each family, `FAMILY.png`, into a folder.
+
+    Args:
+        folder: is made if it is not there.
+        count: seeds 0 to count - 1.
+        size_px: edge of one picture.
+
+    Returns:
+        The files, in the order of `FAMILIES`.
+
+    Raises:
+        StorageError: a file cannot be written.
+    """
+    import cv2
+
+    paths = [folder / f"{family}.png" for family in FAMILIES]
+    for family, path in zip(FAMILIES, paths, strict=True):
+        sheet = contact_sheet(family, range(count), size_px)
+        encoded = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(encoded.tobytes())
+        except OSError as error:
+            raise StorageError(
+                f"{path}: cannot be written ({error.strerror}); choose another folder"
+            ) from error
+    return paths

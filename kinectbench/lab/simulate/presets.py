@@ -1,0 +1,163 @@
+"""Named recordings: versioned presets, the samples and the demo's, and what writes them.
+
+The figures of different versions of the package compare on the presets: one is never changed; a better one
+gets the next version. The hash of each is held by `tests/lab/simulate/test_simulate_presets.py`.
+"""
+
+import difflib
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.types import NamedProgress
+from kinectbench.lab.simulate import Format
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec, WorldFrame
+from kinectbench.settings.overrides import merged, settings_from_options
+
+# 300 frames at 15 Hz: twenty seconds around the object and a little farther, at an easy pace.
+_ORBIT: dict[str, Any] = {"path": {"frames": 300, "rate_hz": 15.0}}
+
+
+def _orbit(**sections: dict[str, Any]) -> dict[str, Any]:
+    return {**_ORBIT, **sections, "path": {**_ORBIT["path"], **sections.get("path", {})}}
+
+
+PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
+    "orbit-v1": ("a full orbit indoors, Kinect v1", _orbit()),
+    "ideal-v1": ("the same with exact depth and colour", _orbit(sensor={"model": "ideal"})),
+    "arc-v1": (
+        "120 degrees, no loop to close",
+        _orbit(path={"arc_rad": 2 * np.pi / 3, "frames": 120, "swings": 0.5}),
+    ),
+    "half-v1": ("half an orbit: the back is never seen", _orbit(path={"arc_rad": np.pi, "frames": 150})),
+    "stride2-v1": ("half as many frames a second", _orbit(path={"frames": 150, "rate_hz": 7.5})),
+    "stride3-v1": ("a third as many frames a second", _orbit(path={"frames": 100, "rate_hz": 5.0})),
+    "blur-v1": (
+        "motion blur, changing exposure, a restless hand",
+        _orbit(
+            path={"shake_m": 0.012, "shake_rad": 0.02}, sensor={"exposure_s": 1 / 30, "exposure_drift": 0.3}
+        ),
+    ),
+    "jolt-v1": ("a knock of 8 cm and 8 degrees", _orbit(path={"jolt_m": 0.08, "jolt_rad": 0.14})),
+    "pause-v1": ("three seconds' pause half-way", _orbit(path={"pause_s": 3.0})),
+    "drop-v1": ("5 % of the frames are missing", _orbit(faults={"drop_share": 0.05})),
+    "outdoor-v1": ("open ground in the sun: less depth", _orbit(scene={"place": "outdoor"})),
+    "touching-v1": ("a box stands against the object", _orbit(scene={"touching": True})),
+    "cluttered-v1": ("four walls and eight things around", _orbit(scene={"walls": 4, "clutter": 8})),
+    "unregistered-v1": (
+        "colour from its own camera, 16 ms late",
+        _orbit(sensor={"color_registered": False, "color_delay_s": 0.016}),
+    ),
+    "drift-v1": ("a given trajectory that drifts 1 %", _orbit(given={"trajectory": "drifting"})),
+    "jump-v1": ("a given trajectory that jumps by 10 cm", _orbit(faults={"jump_m": 0.1})),
+    "foreign-v1": ("ten frames show another scene", _orbit(faults={"foreign_frames": 10})),
+}
+
+
+def preset_spec(name: str, changes: dict[str, Any], overrides: Sequence[str] = ()) -> SimulationSpec:
+    """The spec of a preset, with some of its values changed.
+
+    Args:
+        name: such as "orbit-v1".
+        changes: nested values as in SimulationSpec; they win.
+        overrides: `section.key=value` or `key=value`, the value in YAML; they win over these.
+
+    Raises:
+        SettingsError: there is no such preset, or one line for each wrong value.
+    """
+    values = merged(preset_values(name), changes)
+    return settings_from_options(SimulationSpec, values, overrides, "simulation")
+
+
+def preset_values(name: str) -> dict[str, Any]:
+    """What a preset says, as nested values.
+
+    Raises:
+        SettingsError: there is no such preset; the nearest name is suggested.
+    """
+    if name not in PRESETS:
+        near = difflib.get_close_matches(name, PRESETS, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(PRESETS)}"
+        raise SettingsError(f"preset '{name}': unknown; {hint}")
+    return PRESETS[name][1]
+
+
+def _spec(name: str, frames: int, form: Format, world: WorldFrame) -> SimulationSpec:
+    """A short, small recording: 320x240 at 5 Hz; its noise-free depth is left out to save space.
+
+    Around tables the camera is held low, so that it sees what is under the top too.
+    """
+    low = {"elevation_rad": 0.2} if name.startswith("table") else {}
+    values = {
+        "object": name,
+        "format": form,
+        "world": world,
+        "path": {"frames": frames, "rate_hz": 5.0, **low},
+        "sensor": {"width": 320, "height": 240},
+        "save_depth": False,
+    }
+    return SimulationSpec.model_validate(values)
+
+
+# `kinectbench simulate --samples recordings` makes these two again, bit for bit.
+SAMPLES: dict[str, SimulationSpec] = {
+    "chair_01": _spec("chair:seed=7", 72, "tum", "upright"),
+    "table_01.bag": _spec("table:seed=9", 72, "bag", "first_camera"),
+}
+
+# `kinectbench simulate --demo demo/recordings` makes these four.
+DEMO: dict[str, SimulationSpec] = {
+    "chair_02": _spec("chair:seed=9", 60, "tum", "first_camera"),
+    "table_02.bag": _spec("table:seed=11", 60, "bag", "upright"),
+    "chair_03.bag": _spec("chair:seed=33", 60, "bag", "random"),
+    "table_03": _spec("table:seed=4", 60, "tum", "random"),
+}
+
+
+def simulate_named(
+    out: Path | None,
+    preset: str,
+    changes: dict[str, Any],
+    overrides: Sequence[str],
+    samples: Path | None,
+    demo: Path | None,
+    progress: NamedProgress,
+) -> list[Path]:
+    """Write one recording, or the sample recordings, or the demo's.
+
+    Args:
+        out: one recording: a ROS 1 bag if it ends in .bag, else a TUM folder, if no format is asked for.
+        preset: of that one, such as "orbit-v1".
+        changes: of that one, nested values as in SimulationSpec.
+        overrides: of that one, `section.key=value`.
+        samples: folder for the sample recordings.
+        demo: folder for the demo's recordings.
+        progress: told (recording, done, total).
+
+    Returns:
+        The recordings written.
+
+    Raises:
+        SettingsError: not just one of `out`, `samples` and `demo`; no such preset or furniture; a value out
+            of range.
+        RecordingError: the mesh cannot be used.
+        StorageError: it cannot be written.
+    """
+    if sum(choice is not None for choice in (out, samples, demo)) != 1:
+        raise SettingsError("simulate: give one of OUT, --samples FOLDER and --demo FOLDER")
+    if samples is not None:
+        specs = {samples / name: spec for name, spec in SAMPLES.items()}
+    elif demo is not None:
+        specs = {demo / name: spec for name, spec in DEMO.items()}
+    else:
+        assert out is not None
+        by_name = {"format": "bag"} if out.suffix == ".bag" else {}
+        specs = {out: preset_spec(preset, by_name | changes, overrides)}
+    for path, spec in specs.items():
+        simulate(spec, path, partial(progress, path.name))
+    return list(specs)

@@ -1,0 +1,301 @@
+"""Ray casting of a scene, and how what rays hit looks; which of the surface the cameras ever saw."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, invert_rigid, transform_points
+from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.types import Float64
+from kinectbench.lab.simulate.scene import Scene
+
+# A power of two, so that coordinates wrap by masking bits.
+TEXTURE_PX = 512
+PIXELS_PER_M = 256.0
+BLURS_PX = (1.5, 5.0, 16.0, 50.0)
+AMBIENT = np.float32(0.55)
+# Towards the one far light, a unit vector in the room (own choice).
+LIGHT_ROOM = (np.float32(0.3508), np.float32(0.2506), np.float32(0.9022))
+JOINT_M = 0.012
+JOINT_SHADE = 0.55
+TILE_CONTRAST = 0.25
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Smooth noise in [-1, 1] that repeats every 2 m.
+
+    Attributes:
+        image: (512, 512) float32.
+    """
+
+    image: NDArray[np.float32]
+
+
+def make_texture(rng: np.random.Generator) -> Texture:
+    """Draw the noise: white noise blurred at four scales, each normalised, then summed (own choice).
+
+    Detail at every scale gives a tracker something to hold on to from near and from far.
+    """
+    frequency = np.fft.fftfreq(TEXTURE_PX)
+    squared = frequency[:, None] ** 2 + frequency[None, :] ** 2
+    image = np.zeros((TEXTURE_PX, TEXTURE_PX))
+    for blur_px in BLURS_PX:
+        gain = np.exp(-2 * (np.pi * blur_px) ** 2 * squared)
+        white = rng.standard_normal((TEXTURE_PX, TEXTURE_PX))
+        octave = np.fft.ifft2(np.fft.fft2(white) * gain).real
+        image += octave / octave.std()
+    return Texture(np.clip(image / (2.5 * image.std()), -1, 1).astype(np.float32))
+
+
+class Looks(NamedTuple):
+    """How each item of a scene looks, in the scene's order; the last row is the background.
+
+    Attributes:
+        color_rgb: (n, 3) float32 in [0, 1].
+        contrast: (n,) float32, strength of the noise.
+        tile_m: (n,) float32, size of tiles, 0 for none.
+        albedo: (n,) float32, share of infrared light that is reflected.
+        subject: (n,) bool.
+    """
+
+    color_rgb: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+    tile_m: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    subject: NDArray[np.bool_]
+
+
+class Rendering(NamedTuple):
+    """One noise-free frame.
+
+    Attributes:
+        depth_m: (height, width) float32 along z, 0 where nothing is hit.
+        color_rgb: (height, width, 3) uint8.
+        mask: (height, width) bool, the subject.
+        cos_incidence: (height, width) float32 in [0, 1], between the ray and the surface's normal.
+        albedo: (height, width) float32.
+    """
+
+    depth_m: NDArray[np.float32]
+    color_rgb: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+    cos_incidence: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+
+
+def pixel_rays(camera: Camera, T_room_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Rays (height, width, 6) through integer pixel centres: origin, then direction, frame `room`.
+
+    Directions have z = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole
+    rays pass half a pixel beside integer centres.)
+    """
+    size, lens = (camera.height, camera.width), (camera.fx, camera.fy, camera.cx, camera.cy)
+    return np.asarray(_rays(size, lens, np.ascontiguousarray(T_room_camera, dtype=np.float64)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _rays(size, lens, T_room_camera):  # type: ignore[no-untyped-def]
+    fx, fy, cx, cy = lens
+    rays = np.empty((size[0], size[1], 6), np.float32)
+    for v in range(size[0]):
+        y = (v - cy) / fy
+        for u in range(size[1]):
+            x = (u - cx) / fx
+            for k in range(3):
+                turned = T_room_camera[k, 0] * x + T_room_camera[k, 1] * y + T_room_camera[k, 2]
+                rays[v, u, k] = T_room_camera[k, 3]
+                rays[v, u, 3 + k] = turned
+    return rays
+
+
+def shade(
+    rays: NDArray[np.float32],
+    hit_m: NDArray[np.float32],
+    item: NDArray[np.uint32],
+    normals_room: NDArray[np.float32],
+    looks: Looks,
+    image: NDArray[np.float32],
+) -> Rendering:
+    """Look of every hit: Lambert's law with one far light, times the texture at the point in the room.
+
+    So a point has one colour in every view. Light and texture are own choices.
+
+    Args:
+        rays: (height, width, 6) of `pixel_rays`.
+        hit_m: (height, width) ray parameters, infinite where nothing is hit.
+        item: (height, width), row of `looks` that is hit; any number where nothing is.
+        normals_room: (height, width, 3), unit.
+        looks: of the scene.
+        image: (512, 512) of the `Texture`.
+    """
+    return Rendering(*_shade(rays, hit_m, item, normals_room, looks, image))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
+    # Row by row in short loops without branches, which vectorise; one loop for all takes twice the time.
+    height, width = hit_m.shape
+    depth_m, cosine = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    color, mask = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.bool_)
+    albedo = np.empty((height, width), np.float32)
+    plane_m, light = np.empty((2, width), np.float32), np.empty(width, np.float32)
+    noise, row = np.empty(width, np.float32), np.empty(width, np.int64)
+    for v in range(height):
+        for u in range(width):
+            hit = hit_m[v, u] < np.inf
+            depth_m[v, u] = hit_m[v, u] if hit else np.float32(0)
+            row[u] = item[v, u] if hit else len(looks.albedo) - 1
+        _light_row(rays[v], depth_m[v], normals_room[v], plane_m, light, cosine[v])
+        _noise_row(plane_m, image.ravel(), noise)
+        _tile_row(plane_m, row, looks, image, noise)
+        for u in range(width):
+            hit = depth_m[v, u] > 0
+            mask[v, u], albedo[v, u] = looks.subject[row[u]], looks.albedo[row[u]]
+            cosine[v, u] = cosine[v, u] if hit else np.float32(0)
+            factor = np.float32(255) * (light[u] * noise[u] if hit else np.float32(1))
+            for k in range(3):
+                value = min(factor * looks.color_rgb[row[u], k], np.float32(255))
+                color[v, u, k] = np.uint8(value + np.float32(0.5))
+    return depth_m, color, mask, cosine, albedo
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[no-untyped-def]
+    """Light, incidence, and coordinates along the two room axes that span the surface."""
+    for u in range(len(depth_m)):
+        dx, dy, dz = rays[u, 3], rays[u, 4], rays[u, 5]
+        nx, ny, nz = normals[u, 0], normals[u, 1], normals[u, 2]
+        across = abs(dx * nx + dy * ny + dz * nz) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        cosine[u] = min(across, np.float32(1))
+        x, y = rays[u, 0] + depth_m[u] * dx, rays[u, 1] + depth_m[u] * dy
+        z = rays[u, 2] + depth_m[u] * dz
+        along_x = (abs(nx) >= abs(ny)) & (abs(nx) >= abs(nz))
+        along_y = abs(ny) >= abs(nz)
+        plane_m[0, u] = y if along_x else x
+        plane_m[1, u] = z if along_x | along_y else y
+        lit = max(nx * LIGHT_ROOM[0] + ny * LIGHT_ROOM[1] + nz * LIGHT_ROOM[2], np.float32(0))
+        light[u] = AMBIENT + (np.float32(1) - AMBIENT) * lit
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
+    """The texture between its pixels, bilinear and periodic."""
+    wrap, one = TEXTURE_PX - 1, np.float32(1)
+    for u in range(len(noise)):
+        x, y = plane_m[0, u] * np.float32(PIXELS_PER_M), plane_m[1, u] * np.float32(PIXELS_PER_M)
+        left, top = np.floor(x), np.floor(y)
+        s, t = x - left, y - top
+        i, j = np.int32(left) & wrap, np.int32(top) & wrap
+        right, below = (i + 1) & wrap, ((j + 1) & wrap) * TEXTURE_PX
+        j *= TEXTURE_PX
+        upper = (one - s) * flat[j + i] + s * flat[j + right]
+        lower = (one - s) * flat[below + i] + s * flat[below + right]
+        noise[u] = (one - t) * upper + t * lower
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _tile_row(plane_m, row, looks, image, noise):  # type: ignore[no-untyped-def]
+    """Noise to a factor around 1, with the tiles' dark joints and different shades."""
+    for u in range(len(noise)):
+        factor = np.float32(1) + looks.contrast[row[u]] * noise[u]
+        tile_m = looks.tile_m[row[u]]
+        if tile_m > 0:
+            i, j = np.floor(plane_m[0, u] / tile_m), np.floor(plane_m[1, u] / tile_m)
+            joint = min(plane_m[0, u] - i * tile_m, plane_m[1, u] - j * tile_m) < JOINT_M
+            tint = image[(np.int32(i) * 37) & (TEXTURE_PX - 1), (np.int32(j) * 37) & (TEXTURE_PX - 1)]
+            factor *= np.float32(JOINT_SHADE if joint else 1 + TILE_CONTRAST * tint)
+        noise[u] = factor
+
+
+# What rays see that hit nothing: an overcast sky, or a bright room beyond.
+BACKGROUND_RGB = (0.78, 0.81, 0.84)
+# Rays start this far off the surface, so that they do not hit where they start.
+LIFT_M = 1e-4
+
+
+class Renderer:
+    """A scene made ready for ray casting once, and then rendered from anywhere."""
+
+    def __init__(self, scene: Scene, texture: Texture) -> None:
+        """Build the acceleration structure of the scene (Open3D's, which is Embree)."""
+        self._image = texture.image
+        self._caster, self._tensor = raycaster(*(item.mesh for item in scene.items), threads=1)
+        self._looks = Looks(
+            np.array([item.color_rgb for item in scene.items] + [BACKGROUND_RGB], np.float32),
+            np.array([item.contrast for item in scene.items] + [0], np.float32),
+            np.array([item.tile_m for item in scene.items] + [0], np.float32),
+            np.array([item.albedo for item in scene.items] + [0], np.float32),
+            np.array([item.role == "subject" for item in scene.items] + [False]),
+        )
+
+    def render(self, camera: Camera, T_room_camera: NDArray[np.float64]) -> Rendering:
+        """Render one noise-free frame from a camera at `T_room_camera` (4, 4), on one thread."""
+        rays = pixel_rays(camera, T_room_camera)
+        hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)
+        hit_m, items = hits["t_hit"].numpy(), hits["geometry_ids"].numpy()
+        normals_room = hits["primitive_normals"].numpy()
+        return shade(rays, hit_m, items, normals_room, self._looks, self._image)
+
+
+class Visibility:
+    """A scene made ready for shadow rays."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Build the acceleration structure (Open3D's, which is Embree)."""
+        self._caster, self._tensor = raycaster(*(item.mesh for item in scene.items), threads=1)
+
+    def visible(
+        self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
+    ) -> NDArray[np.bool_]:
+        """Which points of the surface a camera sees: in its image, facing it, with nothing in between.
+
+        Args:
+            points_room: (n, 3), metres.
+            normals_room: (n, 3), unit, outward.
+            camera: intrinsics.
+            T_room_camera: (4, 4).
+
+        Returns:
+            bool (n,).
+        """
+        points_camera = transform_points(invert_rigid(T_room_camera), points_room)
+        ahead = points_camera[:, 2] > 0
+        pixels = camera.project(np.where(ahead[:, None], points_camera, 1.0))
+        inside = (pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)
+        towards = T_room_camera[:3, 3] - points_room
+        seen: NDArray[np.bool_] = ahead & inside.all(axis=1) & (np.sum(towards * normals_room, axis=1) > 0)
+        some = np.flatnonzero(seen)
+        origins = points_room[some] + LIFT_M * normals_room[some]
+        rays = np.concatenate([origins, T_room_camera[:3, 3] - origins], axis=1).astype(np.float32)
+        hidden = self._caster.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0, nthreads=1).numpy()
+        seen[some[hidden]] = False
+        return seen
+
+
+def sample_surface(
+    vertices: Float64, faces: NDArray[np.int32], count: int, rng: np.random.Generator
+) -> tuple[Float64, Float64]:
+    """Points spread evenly by area over a mesh, one in each of `count` equal shares of it (stratified).
+
+    Args:
+        vertices: (v, 3), metres.
+        faces: (f, 3).
+        count: number of points.
+        rng: draws them.
+
+    Returns:
+        Points (count, 3) and their faces' unit normals (count, 3), in the mesh's frame.
+    """
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    crossed = np.cross(b - a, c - a)
+    double_area = np.linalg.norm(crossed, axis=1)
+    reached = np.cumsum(double_area)
+    wanted = (np.arange(count) + rng.random(count)) / count * reached[-1]
+    chosen = np.minimum(np.searchsorted(reached, wanted, side="right"), len(faces) - 1)
+    root, share = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    points = (1 - root) * a[chosen] + root * (1 - share) * b[chosen] + root * share * c[chosen]
+    return points, crossed[chosen] / np.maximum(double_area[chosen, None], 1e-30)

@@ -1,0 +1,174 @@
+"""What stands around the subject: a room or open ground, and clutter that hides nothing of it.
+
+Frame `room`: z up, floor at z = 0, the subject's origin at the room's origin.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from kinectbench.core.geometry import OrientedBox, TriangleMesh
+from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.lab.simulate.objects.joinery import Draw
+from kinectbench.lab.simulate.objects.shapes import Subject, Vector3
+from kinectbench.lab.simulate.spec import SceneSettings
+
+Role = Literal["subject", "floor", "wall", "clutter"]
+
+WALL_HEIGHT_M = 2.6
+WALL_CLEARANCE_M = 0.5
+THICK_M = 0.1
+GROUND_HALF_M = 15.0
+CLEARANCE_M = 0.6
+# A touching neighbour reaches this far into the subject's bounding box.
+TOUCH_M = 0.005
+FLOOR_RGB: tuple[Vector3, ...] = (
+    (0.62, 0.55, 0.46),
+    (0.45, 0.32, 0.22),
+    (0.55, 0.56, 0.58),
+    (0.40, 0.42, 0.40),
+)
+GROUND_RGB: tuple[Vector3, ...] = ((0.50, 0.50, 0.49), (0.36, 0.42, 0.26), (0.58, 0.50, 0.42))
+THING_RGB: tuple[Vector3, ...] = (
+    (0.72, 0.53, 0.34),
+    (0.62, 0.16, 0.15),
+    (0.18, 0.32, 0.55),
+    (0.25, 0.45, 0.28),
+    (0.75, 0.58, 0.20),
+    (0.30, 0.30, 0.33),
+)
+
+
+@dataclass(frozen=True)
+class Item:
+    """One mesh of the scene and how it looks.
+
+    Attributes:
+        role: what it is to the benchmark.
+        mesh: in frame `room`, metres.
+        color_rgb: mean colour, each in [0, 1].
+        contrast: strength of its texture in [0, 1].
+        tile_m: size of tiles with dark joints, metres; 0 for none.
+        albedo: share of infrared light that it reflects, in [0, 1].
+    """
+
+    role: Role
+    mesh: TriangleMesh
+    color_rgb: Vector3
+    contrast: float
+    tile_m: float = 0.0
+    albedo: float = 0.6
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a ray can hit, in frame `room`."""
+
+    items: tuple[Item, ...]
+
+
+def make_scene(
+    subject: Subject, yaw_rad: float, reach_m: float, settings: SceneSettings, rng: np.random.Generator
+) -> Scene:
+    """Put a subject, turned by `yaw_rad` about z, into surroundings drawn by `rng`.
+
+    Near clutter keeps 0.6 m away from the subject and stays low, tall clutter stands behind the camera's
+    path, so that neither hides anything of the subject. Own choices throughout.
+
+    Args:
+        subject: stands at the room's origin.
+        yaw_rad: its turn, radians.
+        reach_m: largest distance of the camera from the vertical through the origin, metres.
+        settings: what there is.
+        rng: draws the rest.
+    """
+    draw = Draw(rng)
+    T_room_object = OrientedBox((0, 0, 0), (1, 1, 1), yaw_rad).T_floor_box
+    mesh_room = subject.mesh.transformed(T_room_object)
+    radius_m = float(np.linalg.norm(mesh_room.vertices[:, :2], axis=1).max())
+    items = [
+        Item("subject", piece.mesh.transformed(T_room_object), piece.color_rgb, 0.25, albedo=piece.albedo)
+        for piece in subject.pieces
+    ]
+    outdoor = settings.place == "outdoor"
+    items.append(_ground(draw) if outdoor else _floor(draw))
+    walls = settings.walls
+    if walls is None:
+        walls = 0 if outdoor else draw.integer(2, 4)
+    wall_m = max(3.0, reach_m + WALL_CLEARANCE_M) + draw.between(0, 0.5)
+    first = draw.integer(0, 4)
+    for k in range(walls):
+        items += _wall((first + k) * np.pi / 2, wall_m, draw)
+    clutter = draw.integer(1, 3) if settings.clutter is None else settings.clutter
+    items += _low_clutter(clutter, radius_m, draw)
+    if settings.touching:
+        items.append(_neighbour(mesh_room, draw))
+    return Scene(tuple(items))
+
+
+def _floor(draw: Draw) -> Item:
+    """An indoor floor: tiles, or a carpet or boards without joints."""
+    tile_m = float(draw.rng.choice([0.28, 0.45, 0.0], p=[0.5, 0.2, 0.3]))
+    mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (16.0, 16.0, THICK_M)))
+    return Item("floor", mesh, _shaded(draw.choose(FLOOR_RGB), draw), 0.45, tile_m)
+
+
+def _ground(draw: Draw) -> Item:
+    """Open ground: paving, lawn or sand."""
+    size = (2 * GROUND_HALF_M, 2 * GROUND_HALF_M, THICK_M)
+    tile_m = float(draw.rng.choice([0.0, 0.4]))
+    return Item(
+        "floor", box_mesh(OrientedBox((0, 0, -THICK_M / 2), size)), draw.choose(GROUND_RGB), 0.6, tile_m
+    )
+
+
+def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
+    """A wall in one direction, with a cabinet or two standing against it."""
+    gray = draw.between(0.7, 0.85)
+    outward = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
+    along = np.array([-outward[1], outward[0], 0.0])
+
+    def box(middle_m: float, aside_m: float, size: Vector3) -> TriangleMesh:
+        x, y, _ = (outward * middle_m + along * aside_m).tolist()
+        return box_mesh(OrientedBox((x, y, size[2] / 2), size, turn_rad))
+
+    wall = box(at_m + THICK_M / 2, 0.0, (THICK_M, 16.0, WALL_HEIGHT_M))
+    items = [Item("wall", wall, (gray, gray, 0.92 * gray), 0.25)]
+    for _ in range(draw.integer(1, 3)):
+        deep, wide, high = draw.between(0.25, 0.4), draw.between(0.5, 1.2), draw.between(0.6, 1.9)
+        mesh = box(at_m - deep / 2, draw.between(-2.2, 2.2), (deep, wide, high))
+        items.append(Item("clutter", mesh, draw.choose(THING_RGB), 0.5))
+    return items
+
+
+def _low_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
+    """Low boxes on the floor around the subject, evenly spread."""
+    items = []
+    start = draw.between(0, 2 * np.pi)
+    for k in range(count):
+        long, deep, high = draw.between(0.15, 0.35), draw.between(0.15, 0.35), draw.between(0.12, 0.3)
+        reach = subject_radius_m + CLEARANCE_M + float(np.hypot(long, deep)) / 2 + draw.between(0.0, 0.3)
+        turn = start + (k + draw.between(-0.3, 0.3)) * 2 * np.pi / count
+        x, y = reach * float(np.cos(turn)), reach * float(np.sin(turn))
+        box = OrientedBox((x, y, high / 2), (long, deep, high), draw.between(0, np.pi))
+        items.append(Item("clutter", box_mesh(box), draw.choose(THING_RGB), 0.5))
+    return items
+
+
+def _neighbour(subject_room: TriangleMesh, draw: Draw) -> Item:
+    """A box that stands against the subject's outermost vertex in a random direction."""
+    turn = draw.between(0, 2 * np.pi)
+    outward = np.array([np.cos(turn), np.sin(turn)])
+    flat = subject_room.vertices[:, :2]
+    reached = flat[np.argmax(flat @ outward)]
+    size = (draw.between(0.2, 0.35), draw.between(0.2, 0.35), 0.0)
+    high = draw.between(0.5, 0.9) * float(subject_room.vertices[:, 2].max())
+    x, y = (reached + outward * (size[0] / 2 - TOUCH_M)).tolist()
+    box = OrientedBox((x, y, high / 2), (size[0], size[1], high), turn)
+    return Item("clutter", box_mesh(box), draw.choose(THING_RGB), 0.5)
+
+
+def _shaded(color: Vector3, draw: Draw) -> Vector3:
+    tint = draw.between(0.8, 1.0)
+    return color[0] * tint, color[1] * tint, color[2] * tint

@@ -1,0 +1,343 @@
+"""A simulated recording: a scene, a way through it, what the sensor records, and the truth beside it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.storage import replaced_file, replaced_folder, sha256_file
+from kinectbench.core.types import Float64, Progress
+from kinectbench.engine.locks import sweep
+from kinectbench.lab.simulate.color import expose, exposure_gains
+from kinectbench.lab.simulate.kinect import Device, draw_device, measure
+from kinectbench.lab.simulate.objects.furniture import make_object, parse_object
+from kinectbench.lab.simulate.objects.shapes import Subject
+from kinectbench.lab.simulate.path import CameraPath, draw_path
+from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
+from kinectbench.lab.simulate.render import Renderer, Rendering, Visibility, make_texture, sample_surface
+from kinectbench.lab.simulate.scene import Scene, make_scene
+from kinectbench.lab.simulate.spec import DEVICE, PATH, SCENE, SENSOR, WORLD, SimulationSpec
+from kinectbench.lab.simulate.truth import (
+    DEPTH_SCALE,
+    SurfaceTruth,
+    Truth,
+    is_truth,
+    truth_folder,
+    write_truth,
+)
+from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, cut, stamp_as_read
+from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
+
+# A foreign frame shows another object in another scene: seeds this much farther on.
+FOREIGN_SEED = 500_000
+SUNLIGHT = {"indoor": 0.0, "outdoor": 0.6}
+SURFACE_SAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Everything about a recording before its frames are rendered.
+
+    Attributes:
+        spec: what was asked for.
+        subject: the object.
+        scene: what a ray can hit, frame `room`.
+        renderer: of the scene.
+        foreign: renderer of another scene, if the plan has frames of one.
+        path: the camera's motion, frame `room`.
+        device: this one sensor's own errors, or None for an ideal one.
+        gains: of colour, one per frame.
+        rig: the cameras that record.
+        T_world_room: (4, 4) float64.
+        T_room_object: (4, 4) float64.
+        frames: what is recorded.
+    """
+
+    spec: SimulationSpec
+    subject: Subject
+    scene: Scene
+    renderer: Renderer
+    foreign: Renderer | None
+    path: CameraPath
+    device: Device | None
+    gains: Float64
+    rig: Rig
+    T_world_room: Float64
+    T_room_object: Float64
+    frames: tuple[PlannedFrame, ...]
+
+    @property
+    def T_world_object(self) -> Float64:
+        """(4, 4) float64: where the object stands."""
+        return np.asarray(self.T_world_room @ self.T_room_object)
+
+    @property
+    def T_world_camera(self) -> Float64:
+        """(n, 4, 4) float64: the true pose of every recorded frame, wherever it looks."""
+        times = np.array([frame.time_s for frame in self.frames])
+        return np.asarray(self.T_world_room @ self.path.poses(times))
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One frame of the recording, and the truth about it.
+
+    Attributes:
+        frame: what the sensor delivers.
+        depth_m: (height, width) float32, noise-free, metres, 0 where no surface is hit.
+        mask: (height, width) bool, the subject's silhouette.
+    """
+
+    frame: RecordedFrame
+    depth_m: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+
+
+def make_subject(spec: SimulationSpec) -> Subject:
+    """The object of a spec: drawn by its family and seed, or read from a mesh file.
+
+    Raises:
+        SettingsError: there is no such family.
+        RecordingError: the mesh cannot be used.
+    """
+    if spec.mesh is None:
+        return make_object(*parse_object(spec.object))
+    from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
+
+    return load_mesh_object(Path(spec.mesh), spec.mesh_up)
+
+
+def prepare(spec: SimulationSpec) -> Simulation:
+    """Draw the object, its surroundings, the camera's path, the sensor, and the plan of the recording.
+
+    Raises:
+        SettingsError, RecordingError: as `make_subject`.
+    """
+    subject = make_subject(spec)
+    path = draw_path(spec.path, subject.mesh, spec.camera, spec.rng(PATH))
+    rng = spec.rng(SCENE)
+    yaw_rad = float(rng.uniform(0, 2 * np.pi))
+    reach_m = path.distance_m * 1.1
+    scene = make_scene(subject, yaw_rad, reach_m, spec.scene, rng)
+    texture = make_texture(rng)
+    walk_s = np.arange(spec.path.frames) / spec.path.rate_hz
+    walk = path.poses(walk_s)
+    T_world_room = _world(spec, walk[0])
+    frames = plan_frames(spec, T_world_room @ walk)
+    frames_s = np.array([frame.time_s for frame in frames])
+    return Simulation(
+        spec=spec,
+        subject=subject,
+        scene=scene,
+        renderer=Renderer(scene, texture),
+        foreign=_foreign(spec, reach_m) if spec.faults.foreign_frames else None,
+        path=path,
+        device=_device(spec),
+        gains=exposure_gains(frames_s, spec.sensor.exposure_drift, spec.rng(DEVICE, 1)),
+        rig=_rig(spec),
+        T_world_room=T_world_room,
+        T_room_object=OrientedBox((0, 0, 0), (1, 1, 1), yaw_rad).T_floor_box,
+        frames=frames,
+    )
+
+
+def record(simulation: Simulation, index: int) -> Recorded:
+    """Render one frame of the recording, and measure it.
+
+    Args:
+        simulation: made by `prepare`.
+        index: position in `simulation.frames`.
+    """
+    spec, plan = simulation.spec, simulation.frames[index]
+    renderer = simulation.foreign if plan.foreign and simulation.foreign else simulation.renderer
+    T_room_camera = simulation.path.poses(np.array([plan.time_s]))[0]
+    exact = renderer.render(spec.camera, T_room_camera)
+    rng = spec.rng(SENSOR, plan.source)
+    depth_m = exact.depth_m
+    if simulation.device is not None:
+        depth_m = measure(exact, spec.camera, simulation.device, rng)
+    color_rgb = _color(simulation, renderer, exact, index, rng)
+    frame = RecordedFrame(
+        stamp_ns=plan.stamp_ns,
+        depth_m=depth_m * np.float32(spec.faults.scale_error),
+        color_stamp_ns=plan.color_stamp_ns,
+        color_rgb=color_rgb,
+        T_world_camera=plan.T_world_given,
+        pose_stamp_ns=spec.stamp_ns(plan.source),
+    )
+    mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
+    return Recorded(frame, exact.depth_m, mask)
+
+
+def _color(
+    simulation: Simulation, renderer: Renderer, exact: Rendering, index: int, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """The colour image of one frame; it is cast anew only if another camera takes it, or at another time."""
+    sensor = simulation.spec.sensor
+    middle_s = simulation.frames[index].time_s + sensor.color_delay_s
+    times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
+    T_depth_color = invert_rigid(simulation.rig.T_color_depth)
+    start, middle, end = simulation.path.poses(times_s) @ T_depth_color
+    if not sensor.color_registered or sensor.color_delay_s:
+        exact = renderer.render(simulation.rig.color, middle)
+    if simulation.device is None:
+        return exact.color_rgb
+    return expose(exact, simulation.rig.color, (start, middle, end), float(simulation.gains[index]), rng)
+
+
+def _device(spec: SimulationSpec) -> Device | None:
+    """The sensor, and the light it works in."""
+    if spec.sensor.model == "ideal":
+        return None
+    sunlight = spec.sensor.sunlight
+    if sunlight is None:
+        sunlight = SUNLIGHT[spec.scene.place]
+    return draw_device(spec.camera, spec.sensor.distortion, sunlight, spec.rng(DEVICE))
+
+
+def _rig(spec: SimulationSpec) -> Rig:
+    """The cameras: colour registered to depth, or beside it."""
+    if spec.sensor.color_registered:
+        return Rig(spec.camera, spec.camera, True, np.eye(4))
+    return Rig(spec.camera, spec.camera, False, rigid(np.eye(3), [-spec.sensor.color_baseline_m, 0.0, 0.0]))
+
+
+def _foreign(spec: SimulationSpec, reach_m: float) -> Renderer:
+    """Another object in other surroundings."""
+    subject = make_object("table" if spec.object.startswith("chair") else "chair", spec.seed)
+    rng = spec.model_copy(update={"seed": spec.seed + FOREIGN_SEED}).rng(SCENE)
+    return Renderer(make_scene(subject, 0.0, reach_m, spec.scene, rng), make_texture(rng))
+
+
+def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
+    """The room in the world, (4, 4)."""
+    if spec.world == "first_camera":
+        return invert_rigid(T_room_first)
+    if spec.world == "random":
+        rng = spec.rng(WORLD)
+        return rigid(rotation_from_quaternion_xyzw(rng.standard_normal(4)), rng.uniform(-2, 2, 3))
+    return np.eye(4)
+
+
+def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, total: None) -> Path:
+    """Write a simulated recording to `out` and its truth beside it; returns the folder of the truth.
+
+    The truth is what `truth.py` says, and `masks/<frame>.png` (255 = subject, from noise-free silhouettes, in
+    depth pixels) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units a metre); `<frame>` is
+    the recorded frame's index in six digits.
+
+    Args:
+        spec: what to simulate.
+        out: a folder, or for the formats that are one file a path with their suffix, such as .bag.
+        progress: told (frames done, frames in all).
+
+    Raises:
+        SettingsError: the path does not fit the format, or something else lies there; no such family.
+        RecordingError: the mesh cannot be used.
+        StorageError: it cannot be written.
+    """
+    _check_place(spec, out)
+    simulation = prepare(spec)
+    folder = truth_folder(out)
+    sweep(out)
+    sweep(folder)
+    writer = WRITERS[spec.format]
+    replaced = replaced_file if spec.format in SUFFIXES else replaced_folder
+    with replaced_folder(folder) as temporary:
+        recorder = _Recorder(simulation, temporary, progress)
+        with replaced(out) as path:
+            writer(path, simulation.rig, recorder.frames())
+            if spec.faults.cut_share > 0:
+                cut(path, spec.faults.cut_share)
+        write_truth(recorder.truth(), _description(spec))
+    return folder
+
+
+class _Recorder:
+    """Renders frame by frame; what belongs to the truth is kept or stored on the way."""
+
+    def __init__(self, simulation: Simulation, folder: Path, progress: Progress) -> None:
+        spec = simulation.spec
+        self._simulation, self._folder, self._progress = simulation, folder, progress
+        mesh = simulation.subject.mesh.transformed(simulation.T_room_object)
+        self._mesh_room = mesh
+        # The samples do not depend on the spec's seed, so that two recordings of one object share them.
+        self._samples = sample_surface(mesh.vertices, mesh.faces, SURFACE_SAMPLES, np.random.default_rng(0))
+        self._visibility = Visibility(simulation.scene)
+        self._frames_seen = np.zeros(SURFACE_SAMPLES, dtype=np.uint16)
+        (folder / "masks").mkdir()
+        if spec.save_depth:
+            (folder / "depth").mkdir()
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """Every frame of the recording."""
+        simulation = self._simulation
+        for index, plan in enumerate(simulation.frames):
+            recorded = record(simulation, index)
+            mask = np.where(recorded.mask, np.uint8(255), np.uint8(0))
+            (self._folder / "masks" / f"{index:06d}.png").write_bytes(png_bytes(mask))
+            if simulation.spec.save_depth:
+                native = np.round(recorded.depth_m.astype(np.float64) * DEPTH_SCALE)
+                depth = np.where(native > 65535, 0, native).astype(np.uint16)
+                (self._folder / "depth" / f"{index:06d}.png").write_bytes(png_bytes(depth))
+            if not plan.foreign:
+                T_room_camera = simulation.path.poses(np.array([plan.time_s]))[0]
+                seen = self._visibility.visible(*self._samples, simulation.spec.camera, T_room_camera)
+                self._frames_seen += seen.astype(np.uint16)
+            yield recorded.frame
+            self._progress(index + 1, len(simulation.frames))
+
+    def truth(self) -> Truth:
+        """The truth of the frames rendered so far."""
+        simulation = self._simulation
+        spec, R_world_room = simulation.spec, simulation.T_world_room[:3, :3]
+        points, normals = self._samples
+        points_world = points @ R_world_room.T + simulation.T_world_room[:3, 3]
+        poses = simulation.T_world_camera
+        poses[[plan.foreign for plan in simulation.frames]] = np.nan
+        stamps = [stamp_as_read(spec.format, i, plan.stamp_ns) for i, plan in enumerate(simulation.frames)]
+        return Truth(
+            folder=self._folder,
+            subject=simulation.subject.name,
+            origin=simulation.subject.origin,
+            mesh_world=simulation.subject.mesh.transformed(simulation.T_world_object),
+            T_world_object=simulation.T_world_object,
+            camera=spec.camera,
+            stamps_ns=np.array(stamps, dtype=np.int64),
+            T_world_camera=poses,
+            surface=SurfaceTruth(points_world, normals @ R_world_room.T, self._frames_seen),
+        )
+
+
+def _check_place(spec: SimulationSpec, out: Path) -> None:
+    """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
+    suffix = SUFFIXES.get(spec.format, "")
+    foreign = {*SUFFIXES.values(), ".truth"} - {suffix}
+    if not out.name or (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:
+        said = f"of this format is a file that ends in {suffix}" if suffix else "of this format is a folder"
+        raise SettingsError(f"{out}: a recording {said}; no other name may end so, and none in .truth")
+    truth = truth_folder(out)
+    for path in (out, truth):
+        if (path.exists() or path.is_symlink()) and not (_is_empty(path) or is_truth(truth)):
+            raise SettingsError(
+                f"{path}: exists and is no simulated recording; choose another name or remove it"
+            )
+    other = out.with_suffix("") if suffix == ".bag" else out.with_name(f"{out.name}.bag")
+    if other.exists():
+        raise SettingsError(f"{other}: is there already, and would share {truth}; choose another name")
+
+
+def _is_empty(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
+
+
+def _description(spec: SimulationSpec) -> dict[str, object]:
+    """The spec as JSON values; a mesh file by its name and hash, not by its place on this machine."""
+    values = spec.model_dump(mode="json")
+    if spec.mesh is not None:
+        values["mesh"] = {"name": Path(spec.mesh).name, "sha256": sha256_file(Path(spec.mesh))}
+    return {"spec": values}

@@ -1,0 +1,111 @@
+"""What to simulate: every choice with its default, range and unit. Same spec, same bytes."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from kinectbench.core.geometry import Camera
+from kinectbench.lab.simulate import Format
+from kinectbench.settings.models import Settings
+
+WorldFrame = Literal["upright", "first_camera", "random"]
+
+FIRST_STAMP_NS = 1_400_000_000 * 10**9
+# One random stream for each thing that is drawn, so that a new one changes none of the others.
+SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
+
+
+class PathSettings(Settings):
+    """How the camera is carried around the object."""
+
+    frames: int = Field(300, ge=1, le=100_000, description="number of frames")
+    rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frames per second")
+    arc_rad: float = Field(2.2 * np.pi, ge=0, le=100, description="angle walked around the object")
+    distance_m: float | None = Field(None, gt=0.2, le=10, description="to the object; default: it fits")
+    elevation_rad: float = Field(0.44, ge=-0.2, le=1.4, description="mean height of the camera as an angle")
+    swing_rad: float = Field(0.33, ge=0, le=1, description="the elevation rises and falls by this")
+    swings: float = Field(1.6, ge=0, le=100, description="how often it does over the recording")
+    shake_m: float = Field(0.006, ge=0, le=0.2, description="standard deviation of the hand's shake")
+    shake_rad: float = Field(0.008, ge=0, le=0.5, description="standard deviation of the hand's shake")
+    speed_variation: float = Field(0.3, ge=0, le=0.9, description="the walking speed varies by this share")
+    pause_s: float = Field(0.0, ge=0, le=1000, description="a pause, half-way, in which only the hand shakes")
+    jolt_m: float = Field(0.0, ge=0, le=1, description="a sudden knock, at two thirds of the way")
+    jolt_rad: float = Field(0.0, ge=0, le=1, description="turn that comes with the knock")
+
+
+class SceneSettings(Settings):
+    """What stands around the object."""
+
+    place: Literal["indoor", "outdoor"] = Field("indoor", description="outdoor: no walls, strong sun")
+    walls: int | None = Field(None, ge=0, le=4, description="default: two or three, none outdoors")
+    clutter: int | None = Field(None, ge=0, le=20, description="things around it; default: one or two")
+    touching: bool = Field(False, description="a box stands against the object")
+
+
+class SensorSettings(Settings):
+    """The camera and its noise."""
+
+    model: Literal["kinect_v1", "ideal"] = Field("kinect_v1", description="ideal: exact depth and colour")
+    width: int = Field(640, ge=16, le=4096, description="of the images, pixels")
+    height: int = Field(480, ge=16, le=4096, description="of the images, pixels")
+    distortion: float = Field(1.0, ge=0, le=10, description="depth distortion, 1 = a typical device")
+    sunlight: float | None = Field(None, ge=0, le=1, description="default: 0 indoors, 0.6 outdoors")
+    exposure_s: float = Field(0.0, ge=0, le=0.2, description="of colour: motion blur")
+    exposure_drift: float = Field(0.0, ge=0, le=0.9, description="automatic exposure varies by this share")
+    color_registered: bool = Field(True, description="colour is delivered in depth pixels")
+    color_baseline_m: float = Field(0.025, ge=0, le=0.5, description="colour camera beside the depth camera")
+    color_delay_s: float = Field(0.0, ge=-0.5, le=0.5, description="colour is taken this much after depth")
+
+
+class FaultSettings(Settings):
+    """What goes wrong, for tests."""
+
+    drop_share: float = Field(0.0, ge=0, le=0.9, description="share of frames that are missing")
+    stamp_jitter_s: float = Field(0.0, ge=0, le=10, description="standard deviation of errors in the stamps")
+    swapped_stamps: int = Field(0, ge=0, le=1000, description="neighbouring frames whose stamps are swapped")
+    foreign_frames: int = Field(0, ge=0, le=1000, description="frames in the middle from another scene")
+    jump_m: float = Field(0.0, ge=0, le=10, description="the given trajectory jumps by this, half-way")
+    scale_error: float = Field(1.0, ge=0.1, le=10, description="recorded depth is multiplied by this")
+    cut_share: float = Field(0.0, ge=0, le=0.99, description="this share of the last file or bag is missing")
+
+
+class GivenSettings(Settings):
+    """The trajectory that is recorded with the frames."""
+
+    trajectory: Literal["true", "noisy", "drifting", "none"] = Field("true", description="how good it is")
+    noise_m: float = Field(0.005, ge=0, le=1, description="noisy: standard deviation per axis and frame")
+    noise_rad: float = Field(0.002, ge=0, le=1, description="noisy: standard deviation per axis and frame")
+    drift_m_per_m: float = Field(0.01, ge=0, le=1, description="drifting: error per metre of path")
+
+
+class SimulationSpec(Settings):
+    """What to simulate. Same spec, same bytes (on one machine with the pinned packages)."""
+
+    object: str = Field("chair:seed=0", description="family and seed, such as chair:seed=3")
+    mesh: str | None = Field(None, description="a mesh file in metres, instead of `object`")
+    mesh_up: Literal["y", "z"] = Field("z", description="the axis of `mesh` that points up")
+    seed: int = Field(0, ge=0, le=10**9, description="draws everything but the object")
+    format: Format = Field("tum", description="of the recording")
+    world: WorldFrame = Field("upright", description="upright: z up, floor at 0; or first_camera, or random")
+    path: PathSettings = PathSettings()
+    scene: SceneSettings = SceneSettings()
+    sensor: SensorSettings = SensorSettings()
+    faults: FaultSettings = FaultSettings()
+    given: GivenSettings = GivenSettings()
+    save_depth: bool = Field(True, description="noise-free depth goes to the truth")
+
+    @property
+    def camera(self) -> Camera:
+        """The depth camera: a Kinect's (525 px at 640 pixels' width) scaled to this size, centred."""
+        width, height = self.sensor.width, self.sensor.height
+        focal_px = 525.0 * width / 640
+        return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+
+    def rng(self, stream: int, index: int = 0) -> np.random.Generator:
+        """The random numbers of one stream (and one frame)."""
+        return np.random.default_rng([self.seed, stream, index])
+
+    def stamp_ns(self, index: int) -> int:
+        """True time of one frame in nanoseconds, whole microseconds."""
+        return FIRST_STAMP_NS + round(index * 10**6 / self.path.rate_hz) * 1000

@@ -1,0 +1,215 @@
+"""The truth of a simulated recording: written beside it, read back, and sampled on any grid."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench._version import __version__
+from kinectbench.core.errors import KinectBenchError, RecordingError
+from kinectbench.core.geometry import Camera, Grid, TriangleMesh
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.storage import pretty_json
+
+FORMAT_VERSION = 2
+# Noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.
+DEPTH_SCALE = 5000.0
+
+
+@dataclass(frozen=True)
+class SurfaceTruth:
+    """Samples spread evenly over the object's surface, and how often the cameras saw them.
+
+    Attributes:
+        points_world: (m, 3) float64, metres.
+        normals_world: (m, 3) float64, unit, outward.
+        frames_seen: (m,) uint16, number of frames in which the point was in view and not hidden;
+            0 = the camera never saw it.
+    """
+
+    points_world: NDArray[np.float64]
+    normals_world: NDArray[np.float64]
+    frames_seen: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Everything that is known of a simulated recording. Frames count as in the recording that was written.
+
+    Attributes:
+        folder: where masks and depth lie.
+        subject: name of the object, such as "chair:seed=3".
+        origin: where its solid comes from and how it was closed.
+        mesh_world: the solid's surface: watertight, outward; world frame, metres.
+        T_world_object: (4, 4) float64; frame `object` has z up, the floor at z = 0.
+        camera: the depth camera.
+        stamps_ns: (n,) int64, the recorded depth stamps, in the order of the frames.
+        T_world_camera: (n, 4, 4) float64; NaN where a frame shows another scene.
+        surface: samples of the object's surface.
+    """
+
+    folder: Path
+    subject: str
+    origin: str
+    mesh_world: TriangleMesh
+    T_world_object: NDArray[np.float64]
+    camera: Camera
+    stamps_ns: NDArray[np.int64]
+    T_world_camera: NDArray[np.float64]
+    surface: SurfaceTruth
+
+    @property
+    def floor_plane_world(self) -> NDArray[np.float64]:
+        """The floor [a, b, c, d] with unit normal upwards: `a x + b y + c z + d` is the height in metres."""
+        return floor_plane(self.T_world_object)
+
+    def mask(self, index: int) -> NDArray[np.bool_]:
+        """The object's silhouette in a frame's depth image: (height, width) bool.
+
+        Raises:
+            RecordingError: it is missing or damaged.
+        """
+        return np.asarray(_image(self.folder / "masks" / f"{index:06d}.png") > 0)
+
+    def depth_m(self, index: int) -> NDArray[np.float32] | None:
+        """Noise-free depth of a frame in metres, 0 = none: (height, width) float32; None if none is stored.
+
+        Raises:
+            RecordingError: it is damaged.
+        """
+        if not (self.folder / "depth").is_dir():
+            return None
+        return _image(self.folder / "depth" / f"{index:06d}.png").astype(np.float32) / np.float32(DEPTH_SCALE)
+
+
+def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The plane z = 0 of frame `object` (4, 4) as [a, b, c, d] in the world, unit normal upwards."""
+    up = T_world_object[:3, 2]
+    return np.append(up, -up @ T_world_object[:3, 3])
+
+
+def truth_folder(recording: Path) -> Path:
+    """Where the truth of a recording lies: beside it, `<name without .bag>.truth`."""
+    return recording.with_name(f"{recording.name.removesuffix('.bag')}.truth")
+
+
+def is_truth(folder: Path) -> bool:
+    """Whether a folder holds the truth of a simulated recording, of whatever format version."""
+    try:
+        record = json.loads((folder / "truth.json").read_text())
+        return {"format_version", "package_version", "T_world_object", "spec"} <= set(record)
+    except (OSError, ValueError, TypeError):
+        return False
+
+
+def write_truth(truth: Truth, description: dict[str, Any]) -> None:
+    """Write all but the images into the truth's folder, which exists.
+
+    truth.json (with `description` in it), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the
+    same as TUM text, without frames of another scene), floor.json, object.ply (world frame), surface.npz
+    (`points_world`, `normals_world`, `frames_seen`).
+    """
+    from kinectbench.core.geometry.mesh import write_ply
+    from kinectbench.core.trajectory.trajectory_file import trajectory_text
+    from kinectbench.core.voxels.npz import npz_bytes
+
+    known = np.isfinite(truth.T_world_camera).all(axis=(1, 2))
+    record = {
+        "format_version": FORMAT_VERSION,
+        "package_version": __version__,
+        "subject": truth.subject,
+        "origin": truth.origin,
+        "camera": asdict(truth.camera),
+        "depth_scale": DEPTH_SCALE,
+        "T_world_object": truth.T_world_object.tolist(),
+        "frames": len(truth.stamps_ns),
+        "foreign_frames": np.flatnonzero(~known).tolist(),
+        **description,
+    }
+    folder = truth.folder
+    (folder / "truth.json").write_text(pretty_json(record))
+    frames = {"stamps_ns": truth.stamps_ns, "T_world_camera": truth.T_world_camera}
+    (folder / "frames.npz").write_bytes(npz_bytes(frames))
+    posed = GivenTrajectory(truth.stamps_ns[known], truth.T_world_camera[known])
+    (folder / "trajectory.txt").write_text(trajectory_text(posed))
+    (folder / "floor.json").write_text(pretty_json({"plane_world": truth.floor_plane_world.tolist()}))
+    write_ply(truth.mesh_world, folder / "object.ply")
+    surface: dict[str, NDArray[Any]] = {
+        "points_world": truth.surface.points_world.astype(np.float32),
+        "normals_world": truth.surface.normals_world.astype(np.float32),
+        "frames_seen": truth.surface.frames_seen,
+    }
+    (folder / "surface.npz").write_bytes(npz_bytes(surface, level=6))
+
+
+def read_truth(folder: Path) -> Truth:
+    """Read the truth that was written beside a simulated recording.
+
+    Raises:
+        RecordingError: there is none, it is damaged, or it has another format version.
+    """
+    from kinectbench.core.geometry.mesh import read_ply
+    from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
+
+    path = folder / "truth.json"
+    try:
+        record = json.loads(path.read_text())
+        if record["format_version"] != FORMAT_VERSION:
+            raise RecordingError(
+                f"{path}: format version {record['format_version']}; this package reads {FORMAT_VERSION}; "
+                "simulate the recording again"
+            )
+        frames, surface = load_arrays(folder / "frames.npz"), load_arrays(folder / "surface.npz")
+        return Truth(
+            folder=folder,
+            subject=str(record["subject"]),
+            origin=str(record["origin"]),
+            mesh_world=read_ply(folder / "object.ply"),
+            T_world_object=np.array(record["T_world_object"], dtype=np.float64).reshape(4, 4),
+            camera=Camera(**record["camera"]),
+            stamps_ns=frames["stamps_ns"].astype(np.int64),
+            T_world_camera=frames["T_world_camera"].astype(np.float64).reshape(-1, 4, 4),
+            surface=SurfaceTruth(
+                surface["points_world"].astype(np.float64),
+                surface["normals_world"].astype(np.float64),
+                surface["frames_seen"],
+            ),
+        )
+    except RecordingError:
+        raise
+    except (KinectBenchError, OSError, ValueError, KeyError, TypeError, IndexError, *UNREADABLE) as error:
+        raise RecordingError(f"{path}: no readable truth ({error}); simulate the recording again") from error
+
+
+def truth_occupancy(truth: Truth, grid: Grid) -> NDArray[np.bool_]:
+    """Which cell centres of a grid lie inside the true object: bool (grid.shape).
+
+    The grid's last side must be a multiple of 8.
+    """
+    return mesh_occupancy(truth.mesh_world, grid)
+
+
+def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
+    """Which cell centres of a grid lie inside a closed mesh (world frame): bool (grid.shape).
+
+    The grid's last side must be a multiple of 8.
+    """
+    from kinectbench.core.voxels.pair_file import unpack
+    from kinectbench.core.voxels.solid import voxelize_solid
+
+    return unpack(voxelize_solid(mesh_world.vertices, mesh_world.faces, grid))
+
+
+def _image(path: Path) -> NDArray[np.uint16] | NDArray[np.uint8]:
+    import cv2
+
+    try:
+        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except (OSError, cv2.error) as error:
+        raise RecordingError(f"{path}: missing or damaged; simulate the recording again") from error
+    if image is None:
+        raise RecordingError(f"{path}: damaged; simulate the recording again")
+    return np.asarray(image)

@@ -1,0 +1,113 @@
+"""Writers of recordings: a function for each format, and one line here.
+
+A writer gets where to write, the cameras and the frames, and writes them; it never sees the truth.
+"""
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.lab.simulate import Format
+from kinectbench.lab.simulate.writers.bags import (
+    write_rosbag1,
+    write_rosbag1_compressed,
+    write_rosbag2_mcap,
+    write_rosbag2_sqlite,
+)
+from kinectbench.lab.simulate.writers.binary_logs import write_klg, write_sens
+from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig
+from kinectbench.lab.simulate.writers.image_folders import (
+    write_bop,
+    write_folder,
+    write_redwood,
+    write_seven_scenes,
+    write_tum,
+)
+from kinectbench.lab.simulate.writers.phones import write_scanner_app, write_stray
+from kinectbench.lab.simulate.writers.realsense import write_realsense, write_realsense_old
+
+Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
+
+# A writer fills an empty folder; those of SUFFIXES make a file that does not exist yet.
+WRITERS: dict[Format, Writer] = {
+    "tum": write_tum,
+    "7scenes": write_seven_scenes,
+    "folder": write_folder,
+    "redwood": write_redwood,
+    "bag": write_rosbag1,
+    "bag_compressed": write_rosbag1_compressed,
+    "ros2_sqlite": write_rosbag2_sqlite,
+    "ros2_mcap": write_rosbag2_mcap,
+    "realsense": write_realsense,
+    "realsense_old": write_realsense_old,
+    "klg": write_klg,
+    "sens": write_sens,
+    "stray": write_stray,
+    "scanner_app": write_scanner_app,
+    "bop": write_bop,
+}
+# The formats that are one file, and what its name ends in.
+SUFFIXES: dict[Format, str] = {
+    "bag": ".bag",
+    "bag_compressed": ".bag",
+    "realsense": ".bag",
+    "realsense_old": ".bag",
+    "klg": ".klg",
+    "sens": ".sens",
+}
+# Where `cut` looks for the image that comes last, and the formats whose stamps are microseconds.
+DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png")
+MICROSECONDS = ("tum", "klg", "sens", "stray")
+
+__all__ = ["SUFFIXES", "WRITERS", "RecordedFrame", "Rig", "Writer", "cut", "stamp_as_read"]
+
+
+def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
+    """The stamp in nanoseconds under which a reader finds a frame (own rule).
+
+    Bags keep stamps, TUM folders, .klg and .sens keep microseconds, Redwood's names twelve digits of them.
+    7-Scenes, plain folders and BOP scenes have none: there a frame's number counts seconds. 3D Scanner App
+    has seconds as a float.
+
+    Args:
+        file_format: of the recording.
+        index: the frame's place among those that were written, from 0.
+        stamp_ns: of the frame as written, nanoseconds.
+    """
+    if file_format in ("7scenes", "folder", "bop"):
+        return index * NS_PER_S
+    if file_format == "scanner_app":
+        return round(stamp_ns / NS_PER_S * NS_PER_S)
+    if file_format == "redwood":
+        return stamp_ns // 1000 % 10**12 * 1000
+    return stamp_ns // 1000 * 1000 if file_format in MICROSECONDS else stamp_ns
+
+
+def cut(path: Path, share: float) -> None:
+    """Take the end off a finished recording.
+
+    A file loses its last bytes, a bag its index with them. In a folder the bag, or else the depth image whose
+    name comes last, loses them; every other file stays, lists that name it too (own rule).
+
+    Args:
+        path: the recording.
+        share: of the bytes that go, 0 to below 1.
+
+    Raises:
+        RecordingError: a folder without depth images.
+    """
+    assert 0 <= share < 1
+    file = path if path.is_file() else _last_file(path)
+    os.truncate(file, round(file.stat().st_size * (1 - share)))
+
+
+def _last_file(folder: Path) -> Path:
+    bags = sorted([*folder.glob("*.db3"), *folder.glob("*.mcap")])
+    if bags:
+        return bags[-1]
+    images = sorted(image for pattern in DEPTH_IMAGES for image in folder.glob(pattern))
+    if not images:
+        raise RecordingError(f"{folder}: has no depth image to cut off; record more frames, or cut nothing")
+    return images[-1]

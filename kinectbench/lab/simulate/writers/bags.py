@@ -1,0 +1,220 @@
+"""ROS bags as an OpenNI driver records them: depth in mm, JPEG colour, CameraInfo of both, poses.
+
+Messages are those of `MessageMaker`, in the order of the frames. Same frames, same bytes.
+"""
+
+import shutil
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, quaternion_xyzw_from_rotation
+from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
+from kinectbench.stages.ingest.bags.rvl import encode_rvl
+
+DepthCode = Literal["raw", "png", "rvl"]
+
+COLOR_FRAME_ID = "camera_rgb_optical_frame"
+DEPTH_FRAME_ID = "camera_depth_optical_frame"
+INFO = "sensor_msgs/msg/CameraInfo"
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+# image_transport's ConfigHeader: int32 format, two float32 that only 32FC1 uses.
+COMPRESSED_DEPTH_HEADER = struct.pack("<iff", 0, 0.0, 0.0)
+
+
+class MessageMaker:
+    """Makes the messages of one frame after another.
+
+    Depth that colour is registered to lies under /camera/depth_registered in the frame of colour, other
+    depth under /camera/depth in its own frame. Header stamps are those of depth, or of colour for colour and
+    its CameraInfo. PoseStamped holds the depth camera in frame `world`, optical axes; a frame without a pose
+    has none.
+    """
+
+    def __init__(self, types: Any, rig: Rig, depth_code: DepthCode, *, ros2: bool) -> None:
+        """Make messages of a type store's `types`."""
+        self._types, self._rig, self._code, self._ros2 = types, rig, depth_code, ros2
+        self._depth_folder = "/camera/depth_registered" if rig.color_registered else "/camera/depth"
+        self._depth_frame_id = COLOR_FRAME_ID if rig.color_registered else DEPTH_FRAME_ID
+
+    def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Any]]:
+        """Topic, type and message of everything that belongs to a frame."""
+        depth_header = self.header(index, frame.stamp_ns, self._depth_frame_id)
+        color_header = self.header(index, frame.color_stamp_ns, COLOR_FRAME_ID)
+        color = self._types[COMPRESSED_IMAGE](
+            header=color_header, format="jpeg", data=np.frombuffer(frame.color_jpeg(), np.uint8)
+        )
+        found = [
+            (f"{self._depth_folder}/camera_info", INFO, self.camera_info(depth_header, self._rig.depth)),
+            self._depth(depth_header, frame.depth_native()),
+            ("/camera/rgb/camera_info", INFO, self.camera_info(color_header, self._rig.color)),
+            ("/camera/rgb/image_color/compressed", COMPRESSED_IMAGE, color),
+        ]
+        if frame.T_world_camera is not None:
+            pose = self._pose(self.header(index, frame.given_ns, "world"), frame.T_world_camera)
+            found.append(("/camera/pose", POSE, pose))
+        return found
+
+    def header(self, index: int, stamp_ns: int, frame_id: str) -> Any:
+        """A std_msgs/Header; ROS 2's has no number."""
+        stamp = self._types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+        number = {} if self._ros2 else {"seq": index}
+        return self._types["std_msgs/msg/Header"](**number, stamp=stamp, frame_id=frame_id)
+
+    def image(self, header: Any, pixels: NDArray[Any], encoding: str) -> Any:
+        """A sensor_msgs/Image of (height, width) or (height, width, channels), little-endian."""
+        height, width = pixels.shape[:2]
+        data = np.frombuffer(pixels.astype(pixels.dtype.newbyteorder("<")).tobytes(), np.uint8)
+        return self._types[IMAGE](
+            header=header,
+            height=height,
+            width=width,
+            encoding=encoding,
+            is_bigendian=0,
+            step=data.size // height,
+            data=data,
+        )
+
+    def camera_info(self, header: Any, camera: Camera) -> Any:
+        """The CameraInfo of an undistorted camera."""
+        matrices = {
+            "D": np.zeros(5),
+            "K": camera.K.ravel(),
+            "R": np.eye(3).ravel(),
+            "P": np.column_stack([camera.K, np.zeros(3)]).ravel(),
+        }
+        named = {name.lower(): value for name, value in matrices.items()} if self._ros2 else matrices
+        return self._types[INFO](
+            header=header,
+            height=camera.height,
+            width=camera.width,
+            distortion_model="plumb_bob",
+            **named,
+            binning_x=0,
+            binning_y=0,
+            roi=self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
+        )
+
+    def transform(self, T_parent_child: NDArray[np.float64]) -> Any:
+        """A geometry_msgs/Transform."""
+        quaternion_xyzw = quaternion_xyzw_from_rotation(T_parent_child[:3, :3])
+        return self._types["geometry_msgs/msg/Transform"](
+            self._types["geometry_msgs/msg/Vector3"](*T_parent_child[:3, 3].tolist()),
+            self._types["geometry_msgs/msg/Quaternion"](*quaternion_xyzw.tolist()),
+        )
+
+    def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Any]]:
+        """How the colour camera lies to the depth camera, on /tf_static; nothing where they are one."""
+        if self._rig.color_registered:
+            return []
+        header = self.header(0, stamp_ns, COLOR_FRAME_ID)
+        stamped = self._types["geometry_msgs/msg/TransformStamped"](
+            header, DEPTH_FRAME_ID, self.transform(self._rig.T_color_depth)
+        )
+        return [("/tf_static", TF, self._types[TF]([stamped]))]
+
+    def _depth(self, header: Any, depth: NDArray[np.uint16]) -> tuple[str, str, Any]:
+        topic = f"{self._depth_folder}/image_raw"
+        if self._code == "raw":
+            return topic, IMAGE, self.image(header, depth, "16UC1")
+        code = png_bytes(depth) if self._code == "png" else encode_rvl(depth)
+        data = np.frombuffer(COMPRESSED_DEPTH_HEADER + code, np.uint8)
+        message = self._types[COMPRESSED_IMAGE](header, f"16UC1; compressedDepth {self._code}", data)
+        return f"{topic}/compressedDepth", COMPRESSED_IMAGE, message
+
+    def _pose(self, header: Any, T_world_camera: NDArray[np.float64]) -> Any:
+        quaternion_xyzw = quaternion_xyzw_from_rotation(T_world_camera[:3, :3])
+        position = self._types["geometry_msgs/msg/Point"](*T_world_camera[:3, 3].tolist())
+        orientation = self._types["geometry_msgs/msg/Quaternion"](*quaternion_xyzw.tolist())
+        return self._types[POSE](header, self._types["geometry_msgs/msg/Pose"](position, orientation))
+
+
+NAME = "recording"
+
+# Topic, type, time in nanoseconds at which it is logged, and message.
+Messages = Iterator[tuple[str, str, int, Any]]
+
+
+def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a ROS 1 bag that does not exist yet, with raw 16UC1 depth in bz2 chunks.
+
+    Messages are logged at the stamps of their headers.
+    """
+    _write_rosbag1(path, rig, frames, "raw")
+
+
+def write_rosbag1_compressed(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a recording as `write_rosbag1` does, but with depth as compressedDepth PNG and plain chunks."""
+    _write_rosbag1(path, rig, frames, "png")
+
+
+def write_rosbag2_sqlite(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a ROS 2 bag into an empty folder: metadata.yaml and recording.db3, with raw 16UC1 depth.
+
+    Where colour is not registered, /tf_static says how its camera lies.
+    """
+    _write_rosbag2(folder, rig, frames, "raw", mcap=False)
+
+
+def write_rosbag2_mcap(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a recording as `write_rosbag2_sqlite` does, but to recording.mcap with compressedDepth RVL."""
+    _write_rosbag2(folder, rig, frames, "rvl", mcap=True)
+
+
+def log_messages(writer: Any, store: Any, messages: Messages, *, ros2: bool = False) -> None:
+    """Write messages to a bag that is open, each topic's connection with its first message."""
+    serialize = store.serialize_cdr if ros2 else store.serialize_ros1
+    connections: dict[str, Any] = {}
+    for topic, kind, stamp_ns, message in messages:
+        if topic not in connections:
+            connections[topic] = writer.add_connection(topic, kind, typestore=store)
+        writer.write(connections[topic], stamp_ns, serialize(message, kind))
+
+
+def _write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], depth_code: DepthCode) -> None:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = Writer(path)
+    if depth_code == "raw":  # PNG and JPEG would not shrink
+        writer.set_compression(Writer.CompressionFormat.BZ2)
+    maker = MessageMaker(store.types, rig, depth_code, ros2=False)
+
+    def messages() -> Messages:
+        for index, frame in enumerate(frames):
+            for topic, kind, message in maker.messages(frame, index):
+                stamp = message.header.stamp
+                yield topic, kind, stamp.sec * 10**9 + stamp.nanosec, message
+
+    with writer:
+        log_messages(writer, store, messages())
+
+
+def _write_rosbag2(
+    folder: Path, rig: Rig, frames: Iterable[RecordedFrame], depth_code: DepthCode, *, mcap: bool
+) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+    maker = MessageMaker(store.types, rig, depth_code, ros2=True)
+
+    def messages() -> Messages:
+        for index, frame in enumerate(frames):
+            static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
+            for topic, kind, message in maker.messages(frame, index) + static:
+                yield topic, kind, frame.color_stamp_ns if "/rgb/" in topic else frame.stamp_ns, message
+
+    with Writer(folder / NAME, version=8, storage_plugin=plugin) as writer:
+        log_messages(writer, store, messages(), ros2=True)
+    # The library makes a folder of its own; its files belong into the given one.
+    for file in (folder / NAME).iterdir():
+        shutil.move(file, folder / file.name)
+    (folder / NAME).rmdir()

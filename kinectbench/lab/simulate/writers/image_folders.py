@@ -1,0 +1,179 @@
+"""Folders of images: TUM RGB-D, 7-Scenes, plain ones as Open3D uses them, Redwood's scans, BOP scenes."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.geometry import quaternion_xyzw_from_rotation
+from kinectbench.core.storage import pretty_json
+from kinectbench.core.trajectory.stamps import format_stamp
+from kinectbench.core.types import Float64
+from kinectbench.lab.simulate.writers.frame import (
+    DEPTH_SCALE,
+    RecordedFrame,
+    Rig,
+    color_json,
+    matrix_rows,
+    png_bytes,
+)
+
+TUM_DEPTH_SCALE = 5000.0
+TUM_HEADERS = {
+    "rgb": "# timestamp filename",
+    "depth": "# timestamp filename",
+    "groundtruth": "# timestamp tx ty tz qx qy qz qw",
+}
+SEVEN_SCENES_INVALID = 65535
+MM_PER_M = 1000.0
+
+
+def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a recording into an empty folder: rgb.txt, depth.txt, groundtruth.txt, camera.json, rgb/, depth/.
+
+    Depth is PNG at 5000 units per metre, colour JPEG. The lists are in the order of the frames, colour with
+    its own stamps. A frame without a pose has no row in groundtruth.txt, which is not there at all if no
+    frame has one. `camera.json` holds what TUM folders by themselves do not say: width, height, fx, fy, cx,
+    cy, depth_scale, and what `color_json` says of colour.
+    """
+    _make_folders(folder, "rgb", "depth")
+    rows = {name: [header] for name, header in TUM_HEADERS.items()}
+    for frame in frames:
+        depth = frame.depth_png(TUM_DEPTH_SCALE)
+        rows["depth"].append(_add_stamped(folder, "depth", frame.stamp_ns, ".png", depth))
+        rows["rgb"].append(_add_stamped(folder, "rgb", frame.color_stamp_ns, ".jpg", frame.color_jpeg()))
+        if frame.T_world_camera is not None:
+            rows["groundtruth"].append(tum_line(frame.given_ns, frame.T_world_camera))
+    if len(rows["groundtruth"]) == 1:
+        del rows["groundtruth"]
+    for name, lines in rows.items():
+        _write_lines(folder / f"{name}.txt", lines)
+    camera = asdict(rig.depth) | {"depth_scale": TUM_DEPTH_SCALE} | color_json(rig)
+    (folder / "camera.json").write_text(pretty_json(camera))
+
+
+def write_seven_scenes(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a recording into an empty folder: frame-XXXXXX.{depth.png,color.png,pose.txt}.
+
+    Depth is PNG in mm with 65535 for none, colour PNG. Frames are numbered from 0 in their order; a frame
+    without a pose has no pose.txt. `camera-intrinsics.txt` holds the 3x3 matrix of depth. The layout has no
+    place for stamps, for the colour camera, or to say that colour is registered: it is read as not
+    registered.
+    """
+    for index, frame in enumerate(frames):
+        stem = f"frame-{index:06d}"
+        depth = frame.depth_native()
+        depth[depth == 0] = SEVEN_SCENES_INVALID
+        (folder / f"{stem}.depth.png").write_bytes(png_bytes(depth))
+        bgr = np.ascontiguousarray(frame.color_rgb[..., ::-1])
+        (folder / f"{stem}.color.png").write_bytes(png_bytes(bgr))
+        if frame.T_world_camera is not None:
+            _write_lines(folder / f"{stem}.pose.txt", matrix_rows(frame.T_world_camera))
+    _write_lines(folder / "camera-intrinsics.txt", matrix_rows(rig.depth.K))
+
+
+def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a recording into an empty folder: depth/XXXXXX.png, color/XXXXXX.jpg, intrinsics, trajectory.
+
+    Depth is in mm. Frames are numbered from 0 in their order; the layout has no stamps.
+    `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with depth_scale and what `color_json`
+    says beside it, which Open3D passes over. `trajectory.log` is not there if no frame has a pose.
+    """
+    _make_folders(folder, "depth", "color")
+    log: list[str] = []
+    for index, frame in enumerate(frames):
+        (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
+        (folder / "color" / f"{index:06d}.jpg").write_bytes(frame.color_jpeg())
+        log += _log_rows(index, frame)
+    if log:
+        _write_lines(folder / "trajectory.log", log)
+    camera = {
+        "width": rig.depth.width,
+        "height": rig.depth.height,
+        "intrinsic_matrix": rig.depth.K.T.ravel().tolist(),
+        "depth_scale": DEPTH_SCALE,
+    }
+    (folder / "camera_intrinsic.json").write_text(pretty_json(camera | color_json(rig)))
+
+
+def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a recording into an empty folder: depth/ and rgb/NUMBER-MICROSECONDS, NAME.log, camera.json.
+
+    Depth is in mm. Frames are numbered from 1, depth and colour each with stamps of their own. The layout
+    does not say its intrinsics; `camera.json` does, unlike in the data set.
+    """
+    _make_folders(folder, "depth", "rgb")
+    log: list[str] = []
+    for index, frame in enumerate(frames):
+        depth_name, color_name = (
+            f"{index + 1:07d}-{stamp_ns // 1000 % 10**12:012d}"
+            for stamp_ns in (frame.stamp_ns, frame.color_stamp_ns)
+        )
+        (folder / "depth" / f"{depth_name}.png").write_bytes(frame.depth_png())
+        (folder / "rgb" / f"{color_name}.jpg").write_bytes(frame.color_jpeg())
+        log += _log_rows(index, frame)
+    if log:
+        _write_lines(folder / "scan.log", log)
+    (folder / "camera.json").write_text(pretty_json(asdict(rig.depth) | color_json(rig)))
+
+
+def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a BOP scene into an empty folder: depth/, rgb/, scene_camera.json.
+
+    Poses are world to camera, translation in mm. The layout has no stamps. A writer does not see the truth:
+    there are no masks. Colour that is not registered is left out, as the format has one camera.
+    """
+    _make_folders(folder, "depth", "rgb")
+    cameras: dict[str, dict[str, Any]] = {}
+    for index, frame in enumerate(frames):
+        (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
+        if rig.color_registered:
+            (folder / "rgb" / f"{index:06d}.jpg").write_bytes(frame.color_jpeg())
+        camera = {"cam_K": rig.depth.K.ravel().tolist(), "depth_scale": MM_PER_M / DEPTH_SCALE}
+        if frame.T_world_camera is not None:
+            T_camera_world = np.linalg.inv(frame.T_world_camera)
+            camera["cam_R_w2c"] = T_camera_world[:3, :3].ravel().tolist()
+            camera["cam_t_w2c"] = (T_camera_world[:3, 3] * MM_PER_M).tolist()
+        cameras[str(index)] = camera
+    (folder / "scene_camera.json").write_text(pretty_json(cameras))
+
+
+def seconds(stamp_ns: int) -> str:
+    """A time stamp in seconds with six decimals, as TUM writes it; what is below 1 µs is cut off."""
+    return format_stamp(stamp_ns // 1000 * 1000)[:-3]
+
+
+def tum_line(stamp_ns: int, T_world_camera: Float64) -> str:
+    """One pose as `t tx ty tz qx qy qz qw`, seconds and metres, camera to world."""
+    quaternion_xyzw = quaternion_xyzw_from_rotation(T_world_camera[:3, :3])
+    numbers = [*T_world_camera[:3, 3], *quaternion_xyzw]
+    return " ".join([seconds(stamp_ns), *(f"{value:.9f}" for value in numbers)])
+
+
+def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: bytes) -> str:
+    """Write one image into `folder / name`, named by its stamp; its row of the list, `stamp file`."""
+    stamp = seconds(stamp_ns)
+    file, copies = folder / name / f"{stamp}{suffix}", 1
+    while file.exists():  # stamps may repeat, and every frame is kept
+        copies += 1
+        file = folder / name / f"{stamp}_{copies}{suffix}"
+    file.write_bytes(data)
+    return f"{stamp} {name}/{file.name}"
+
+
+def _log_rows(index: int, frame: RecordedFrame) -> Iterator[str]:
+    """A frame in Redwood's trajectory log: `i i i+1` and four rows, camera to world; none without a pose."""
+    if frame.T_world_camera is not None:
+        yield f"{index} {index} {index + 1}"
+        yield from matrix_rows(frame.T_world_camera)
+
+
+def _make_folders(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).mkdir()
+
+
+def _write_lines(path: Path, lines: Sequence[str]) -> None:
+    path.write_text("\n".join(lines) + "\n")

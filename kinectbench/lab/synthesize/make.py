@@ -1,0 +1,150 @@
+"""Everything that is written of one model: one artefact, which a killed run leaves whole or not at all."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.artefacts.object import SynthesisedQualityFile
+from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry.mesh import write_ply
+from kinectbench.core.storage import pretty_json, sha256_file, sha256_text
+from kinectbench.core.voxels.pair_file import pair_bytes
+from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.versions import VERSIONS
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
+from kinectbench.lab.synthesize.models import Model, SynthesisSettings
+from kinectbench.lab.synthesize.pair import MadePair, make_pair, recgan_bytes, recgan_path
+from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
+
+FILES = "files"
+MADE = "made.json"
+# What an artefact does not depend on: the rest of a run.
+ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "validation", "test"}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One model to be made.
+
+    Attributes:
+        model: which.
+        split: "train", "validation" or "test".
+        settings: of the run.
+        work: folder of all artefacts.
+    """
+
+    model: Model
+    split: str
+    settings: SynthesisSettings
+    work: Path
+
+    @property
+    def groups(self) -> dict[str, int]:
+        """Name of a group of views -> steps in a turn: cross viewing is for validation and test (paper)."""
+        sv, cv = {"sv": self.settings.sv_steps}, {"cv": self.settings.cv_steps}
+        return sv if self.split == "train" else sv | cv
+
+    @property
+    def folder(self) -> Path:
+        """Of the artefact."""
+        return self.work / self.model.name
+
+    def artefact(self) -> Artefact:
+        """The artefact, with the mesh file's bytes among its inputs."""
+        source = sha256_file(Path(self.model.path)) if self.model.path else sha256_text(str(self.model.seed))
+        settings = self.settings.model_dump(mode="json", exclude=ELSEWHERE)
+        own = {"split": self.split, "category": self.model.category, "model": self.model.name}
+        inputs = {"mesh": source}
+        return Artefact(self.folder, "synthesize", VERSIONS["synthesize"], settings | own, inputs)
+
+    def made(self) -> dict[str, Any]:
+        """What `make_model` wrote of itself."""
+        content: dict[str, Any] = json.loads((self.folder / MADE).read_text())
+        return content
+
+
+def make_model(task: Task) -> None:
+    """Write all pairs of one model into its artefact, unless they are there already.
+
+    Raises:
+        ShapeError: the mesh cannot be used.
+        StorageError: the disk is full or read-only.
+    """
+    artefact = task.artefact()
+    if artefact.is_current():
+        return
+    settings = task.settings
+    checked = load_model(task.model, settings.max_faces)
+    eye = DepthCamera(checked.mesh, virtual_camera(settings.image_px))
+    with artefact.write() as folder:
+        groups = {}
+        for name, steps in task.groups.items():
+            views = all_views(steps)
+            pairs = ((view, make_pair(checked, eye, view, settings)) for view in views)
+            write = _write_recgan if settings.layout == "recgan" else _write_release
+            groups[name] = write(task, name, folder / FILES, checked, eye.camera, pairs)
+        made = {"split": task.split, "quality": _quality(task.model, checked).json_value(), "groups": groups}
+        (folder / MADE).write_text(pretty_json(made))
+
+
+def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:
+    """What benchmark.json says of the truth of a model."""
+    return SynthesisedQualityFile(
+        verdict="good",
+        method=checked.rule,
+        source=Path(model.path).name if model.path else f"{model.category}:seed={model.seed}",
+        faces=len(checked.mesh.faces),
+        warnings=checked.notes,
+    )
+
+
+Pairs = Iterator[tuple[ViewAngles, MadePair]]
+
+
+def _write_release(
+    task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
+) -> dict[str, Any]:
+    """Pairs, views and object of one recording; returns its views and refusals."""
+    recording = f"{task.model.name}-{group}"
+    for name in ("pairs", "views", "objects"):
+        (files / name / recording).mkdir(parents=True)
+    rows, refused = [], []
+    for index, (view, made) in enumerate(pairs):
+        row = {"view": f"{index:03d}", "steps": view.steps, "angles_rad": view.angles_rad}
+        if made.refused:
+            refused.append(row | {"reason": made.refused})
+            continue
+        (files / "pairs" / recording / f"{index:03d}.npz").write_bytes(pair_bytes(made.pair))
+        rows.append(row | {"T_world_camera": made.pair.T_world_camera.tolist()})
+    content = {
+        "format_version": 1,
+        "order": "roll, pitch, yaw",
+        "steps_per_turn": task.groups[group],
+        "camera": asdict(camera),
+        "views": rows,
+        "refused": refused,
+    }
+    (files / "views" / recording / "views.json").write_text(pretty_json(content))
+    write_ply(checked.mesh, files / "objects" / recording / "mesh.ply")
+    _quality(task.model, checked).write(files / "objects" / recording)
+    return {"views": [row["view"] for row in rows], "refused": [row["reason"] for row in refused]}
+
+
+def _write_recgan(
+    task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
+) -> dict[str, Any]:
+    """The authors' two files of each pair; returns the views and refusals."""
+    model, names, refused = task.model, [], []
+    for view, made in pairs:
+        if made.refused:
+            refused.append(made.refused)
+            continue
+        seen, full = recgan_bytes(made.pair)
+        for kind, content in (("25d", seen), ("3d", full)):
+            path = files / recgan_path(kind, model.category, task.split, model.name, view)  # type: ignore[arg-type]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        names.append(view.name)
+    return {"views": names, "refused": refused}

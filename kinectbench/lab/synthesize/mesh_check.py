@@ -1,0 +1,141 @@
+"""Loading a model's mesh, and what is wrong with it: bad meshes are named, not used."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import ShapeError
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.lab.synthesize.models import Model
+
+
+@dataclass(frozen=True)
+class CheckedMesh:
+    """A mesh that pairs can be made of.
+
+    Attributes:
+        mesh: in the model's own frame and unit, without doubled vertices and collapsed triangles.
+        rule: "winding" if it is closed, else "six-rays".
+        notes: what a user may want to know, one line each.
+    """
+
+    mesh: TriangleMesh
+    rule: str
+    notes: tuple[str, ...] = ()
+
+
+def load_model(model: Model, max_faces: int) -> CheckedMesh:
+    """Load, clean and check a model.
+
+    Raises:
+        ShapeError: why it cannot be used, in a few words without its name.
+    """
+    if not model.path:
+        from kinectbench.lab.simulate.objects.furniture import make_object
+
+        return check_mesh(make_object(model.category, model.seed).mesh, max_faces)
+    path = Path(model.path)
+    notes = missing_materials(path) if path.suffix.lower() == ".obj" else ()
+    checked = check_mesh(_load(path), max_faces)
+    return CheckedMesh(checked.mesh, checked.rule, (*checked.notes, *notes))
+
+
+def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
+    """Clean a mesh and say by which rule it is filled.
+
+    Vertices at one place become one; triangles that collapse thereby go. A mesh is closed if every edge is
+    run along as often in one direction as in the other, no triangle occurs twice, and its volume is
+    positive: the winding number then counts how many bodies a point is in. Own rule.
+
+    Args:
+        mesh: any triangles.
+        max_faces: meshes with more are refused.
+
+    Raises:
+        ShapeError: it is empty, too large, not finite, or inside out.
+    """
+    if len(mesh.faces) > max_faces:
+        raise ShapeError(f"{len(mesh.faces)} faces, more than {max_faces}")
+    if len(mesh.faces) == 0:
+        raise ShapeError("it is empty: not a single triangle")
+    used = np.unique(mesh.faces)
+    if used[0] < 0 or used[-1] >= len(mesh.vertices):
+        raise ShapeError("a triangle names a vertex that is not there")
+    if not np.isfinite(mesh.vertices[used]).all():
+        raise ShapeError("a vertex is not a finite number (NaN or infinite)")
+    used_only = mesh.keep_faces(np.ones(len(mesh.faces), dtype=bool))
+    clean = _cleaned(used_only)
+    dropped = len(mesh.faces) - len(clean.faces)
+    if not _has_area(clean):
+        raise ShapeError("no triangle has an area")
+    notes = (f"{dropped} triangles with two corners at one place left out",) if dropped else ()
+    if not _is_closed(clean.faces):
+        return CheckedMesh(clean, "six-rays", notes)
+    volume = clean.volume_m3
+    if volume < 0:
+        raise ShapeError("it is inside out: its volume is negative")
+    return CheckedMesh(clean, "winding" if volume > 0 else "six-rays", notes)
+
+
+def missing_materials(path: Path) -> tuple[str, ...]:
+    """A note for each material library of an OBJ file, and each texture of these, that is missing."""
+    notes = []
+    for library in _named(path, "mtllib"):
+        if not library.is_file():
+            notes.append(f"material {library.name} is missing; the shape is whole")
+            continue
+        textures = {texture for texture in _named(library, "map_") if not texture.is_file()}
+        notes += [f"texture {texture.name} is missing; the shape is whole" for texture in sorted(textures)]
+    return tuple(notes)
+
+
+def _named(path: Path, keyword: str) -> list[Path]:
+    """Files that lines beginning with a keyword name, relative to the file they stand in."""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    values = [line.split(maxsplit=1) for line in lines if line.lower().startswith(keyword)]
+    return [path.parent / value[1].strip().replace("\\", "/") for value in values if len(value) == 2]
+
+
+def _load(path: Path) -> TriangleMesh:
+    """All the triangles of a mesh file, its scene's transforms applied."""
+    import trimesh
+
+    try:
+        loaded = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+        return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3))
+    except Exception as error:  # readers raise whatever a damaged file leads them to
+        text = " ".join(str(error).split())[:120]
+        raise ShapeError(f"cannot be read ({type(error).__name__}: {text})") from error
+
+
+def _cleaned(mesh: TriangleMesh) -> TriangleMesh:
+    """One vertex at each place, and only triangles with three different corners.
+
+    A triangle whose corners lie on one line stays: without it, its neighbours' edges would not meet.
+    """
+    places, which = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = which.reshape(-1)[mesh.faces]
+    # Neighbours in space become neighbours in memory: voxelising a large mesh is twice as fast.
+    faces = faces[np.argsort(faces.min(axis=1), kind="stable")]
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return TriangleMesh(places, np.asarray(faces, dtype=np.int32)).keep_faces(distinct)
+
+
+def _has_area(mesh: TriangleMesh) -> bool:
+    """Whether any triangle has an area."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    return bool(np.cross(b - a, c - a).any())
+
+
+def _is_closed(faces: NDArray[np.int32]) -> bool:
+    """Whether every edge is run along as often forwards as backwards, and no triangle occurs twice."""
+    if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
+        return False
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    forwards = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+    low, high = edges.min(axis=1), edges.max(axis=1)
+    _, which = np.unique(low * (int(faces.max()) + 1) + high, return_inverse=True)
+    return not np.bincount(which.reshape(-1), weights=forwards).any()

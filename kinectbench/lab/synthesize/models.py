@@ -1,0 +1,241 @@
+"""Settings of `synthesize`, which models there are, which of them are used, and in which split."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import NAME
+from kinectbench.release.exchange.layouts import SYNSETS
+from kinectbench.settings.models import Settings, check_name
+
+Layout = Literal["release", "recgan"]
+Categories = Annotated[tuple[str, ...], Field(strict=False)]
+
+
+class SynthesisSettings(Settings):
+    """What to synthesise. Same settings and meshes, same bytes."""
+
+    name: str = Field("synthetic", description="name of the benchmark")
+    license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
+    models: str | None = Field(None, description="folder of CAD meshes; default: parametric furniture")
+    categories: Categories = Field((), description="only these; default: all there are")
+    seed: int = Field(0, ge=0, le=10**9, description="draws the models of each split")
+    train: int = Field(220, ge=0, le=100_000, description="training models per category (paper)")
+    validation: int = Field(12, ge=0, le=100_000, description="validation models per category (paper)")
+    test: int = Field(40, ge=0, le=100_000, description="test models per category (paper)")
+    sv_steps: int = Field(5, ge=1, le=10, description="angles of roll, of pitch and of yaw, same viewing")
+    cv_steps: int = Field(6, ge=1, le=10, description="the same, cross viewing")
+    up: Literal["y", "z"] | None = Field(
+        None,
+        description="axis that points up; default: y in mesh files (ShapeNet), z in parametric furniture",
+    )
+    image_px: int = Field(320, ge=64, le=2048, description="width and height of the virtual depth image")
+    max_faces: int = Field(1_000_000, ge=1, description="meshes with more are left out")
+    min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
+    layout: Layout = Field("release", description="release, or recgan: the paper authors' files")
+
+    _name = field_validator("name")(check_name)
+
+    @field_validator("categories")
+    @classmethod
+    def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(check_name(name) for name in names)
+
+    @property
+    def up_axis(self) -> Literal["y", "z"]:
+        """The axis of the models that points up."""
+        return self.up or ("z" if self.models is None else "y")
+
+    @property
+    def wanted(self) -> dict[str, int]:
+        """Split -> models per category, in the order in which they are dealt."""
+        return {"train": self.train, "validation": self.validation, "test": self.test}
+
+
+# Where ShapeNet v2 and v1 keep a model's mesh, in the model's folder.
+MESHES = ("models/model_normalized.obj", "model_normalized.obj", "model.obj")
+SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb")
+# `<model>-sv` and `<model>-cv` are names of recordings.
+LONGEST_NAME = 77
+
+
+@dataclass(frozen=True, order=True)
+class Model:
+    """One thing to be seen from everywhere.
+
+    Attributes:
+        category: such as "chair".
+        name: unique among all; a name for files.
+        path: its mesh file; "" if it is parametric.
+        seed: of the parametric family `category`; -1 if it is a file.
+    """
+
+    category: str
+    name: str
+    path: str = ""
+    seed: int = -1
+
+    @property
+    def label(self) -> str:
+        """`<category>/<name>`, what messages call it."""
+        return f"{self.category}/{self.name}"
+
+
+@dataclass(frozen=True, order=True)
+class LeftOut:
+    """A model that is not used, and why, in a few words."""
+
+    model: str
+    reason: str
+
+
+def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
+    """Parametric furniture: seeds 0 to count - 1 of every family.
+
+    Raises:
+        SettingsError: there is no such family.
+    """
+    from kinectbench.lab.simulate.objects.furniture import FAMILIES, check_family
+
+    names = sorted(check_family(name) for name in categories or FAMILIES)
+    return tuple(Model(name, f"{name}-{seed:05d}", seed=seed) for name in names for seed in range(count))
+
+
+def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
+    """The models in a folder, sorted, and what is left out at first sight.
+
+    Layouts: `<synset>/<model>/models/model_normalized.obj` (ShapeNet v2), `<synset>/<model>/model.obj` (v1),
+    `<category>/<name>.obj` (or .ply, .stl, .off, .glb); any of them with a synset or a category's name.
+
+    Raises:
+        SettingsError: no folder there, no category in it, or not those asked for.
+    """
+    if not folder.is_dir():
+        raise SettingsError(f"{folder}: no folder of models there; give one with --models")
+    found = {SYNSETS.get(path.name, path.name): path for path in sorted(folder.iterdir()) if path.is_dir()}
+    missing = [name for name in categories if name not in found]
+    if missing or not found:
+        there = ", ".join(found) or "no category's folder"
+        raise SettingsError(f"{folder}: no {', '.join(missing) or 'models'} there; it holds {there}")
+    models: dict[str, Model] = {}
+    left_out = []
+    for category in sorted(categories or found):
+        for entry in _entries(category, found[category]):
+            if isinstance(entry, LeftOut):
+                left_out.append(entry)
+            elif entry.name in models:
+                other = models[entry.name].category
+                left_out.append(LeftOut(entry.label, f"the same name as a model of {other}"))
+            else:
+                models[entry.name] = entry
+    return tuple(sorted(models.values())), tuple(left_out)
+
+
+def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
+    """The models of one category's folder."""
+    if not NAME.fullmatch(category):
+        yield LeftOut(folder.name, "a category needs a name of letters, digits, '.', '_' and '-'")
+        return
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            mesh = next((path / name for name in MESHES if (path / name).is_file()), None)
+            model = Model(category, path.name, str(mesh or ""))
+        elif path.suffix.lower() in SUFFIXES:
+            model = Model(category, path.stem, str(path))
+        else:
+            continue  # materials, textures, lists
+        if not NAME.fullmatch(model.name) or len(model.name) > LONGEST_NAME:
+            yield LeftOut(
+                replace(model, name=path.name).label, "its name is not made of letters, digits, '.', '_', '-'"
+            )
+        else:
+            yield model if model.path else LeftOut(model.label, "no mesh file in its folder")
+
+
+@dataclass(frozen=True)
+class Dealt:
+    """The models of one category.
+
+    Attributes:
+        split_of: model -> "train", "validation" or "test".
+        left_out: models that were tried and are bad.
+        unused: good ones or untried ones that nobody asked for.
+    """
+
+    split_of: dict[Model, str]
+    left_out: tuple[LeftOut, ...]
+    unused: int
+
+
+# Who gets a model while there are fewer than splits.
+PRIORITY = ("test", "train", "validation")
+
+Check = Callable[[Sequence[Model]], Sequence[str | None]]
+
+
+def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> dict[str, Dealt]:
+    """Draw models and deal them to the splits, each category for itself.
+
+    The models are shuffled by the seed and tried in that order until enough are good. With fewer good ones
+    than asked for, every split shrinks in proportion. Own rule; the paper says "randomly selected".
+
+    Args:
+        models: sorted.
+        settings: `seed` and the counts, which are per category.
+        check: models -> why each cannot be used, or None.
+
+    Returns:
+        Category -> its models, sorted by category.
+    """
+    wanted = sum(settings.wanted.values())
+    waiting = {name: _shuffled(models, name, settings.seed) for name in sorted({m.category for m in models})}
+    good: dict[str, list[Model]] = {category: [] for category in waiting}
+    bad: dict[str, list[LeftOut]] = {category: [] for category in waiting}
+    while batch := [m for name, order in waiting.items() for m in order[: wanted - len(good[name])]]:
+        for model, reason in zip(batch, check(batch), strict=True):
+            waiting[model.category].remove(model)
+            if reason is None:
+                good[model.category].append(model)
+            else:
+                bad[model.category].append(LeftOut(model.label, reason))
+    return {
+        name: Dealt(_split(good[name], settings), tuple(sorted(bad[name])), len(waiting[name]))
+        for name in waiting
+    }
+
+
+def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
+    """The models of one category in the order in which they are tried."""
+    here = [model for model in models if model.category == category]
+    return [here[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(here))]
+
+
+def _split(good: Sequence[Model], settings: SynthesisSettings) -> dict[Model, str]:
+    counts = shares(settings.wanted, len(good))
+    splits = [split for split, count in counts.items() for _ in range(count)]
+    return dict(zip(good, splits, strict=True))
+
+
+def shares(wanted: dict[str, int], available: int) -> dict[str, int]:
+    """Split -> number of models: what is wanted, or in proportion if there are too few, but one at least.
+
+    With fewer models than splits, test comes before train before validation.
+    """
+    total = sum(wanted.values())
+    if available >= total:
+        return dict(wanted)
+    asked = [split for split in PRIORITY if wanted[split]]
+    if available < len(asked):
+        return {split: int(split in asked[:available]) for split in wanted}
+    exact = {split: available * count / total for split, count in wanted.items()}
+    counts = {split: max(int(exact[split]), min(1, wanted[split])) for split in wanted}
+    while sum(counts.values()) < available:
+        counts[max(asked, key=lambda split: exact[split] - counts[split])] += 1
+    while sum(counts.values()) > available:
+        counts[max((s for s in asked if counts[s] > 1), key=lambda split: counts[split] - exact[split])] -= 1
+    return counts

@@ -1,0 +1,109 @@
+"""One synthetic pair: depth by a virtual camera, the whole shape as it stands, and the authors' files."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from kinectbench.core.voxels.morphology import packed_containment, packed_shell
+from kinectbench.core.voxels.open_mesh import voxelize_open
+from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.core.voxels.recgan_file import recgan_file_bytes
+from kinectbench.core.voxels.seen_cells import seen_cells
+from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.view_grids import object_cube, partial_grids
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh
+from kinectbench.lab.synthesize.models import SynthesisSettings
+from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose
+from kinectbench.release.exchange.layouts import SPLIT_NAMES, synset_of
+
+VOXELIZERS = {"winding": voxelize_solid, "six-rays": voxelize_open}
+
+
+@dataclass(frozen=True)
+class MadePair:
+    """A pair, and why it must not be used, or None."""
+
+    pair: Pair
+    refused: str | None
+
+
+def make_pair(
+    checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings
+) -> MadePair:
+    """See a model from one side, and voxelise what is seen and all of it in one cube.
+
+    The cube is the paper's: around the full shape's box in the view's axes. The world's frame is the
+    model's own, and its unit stands for a metre. All cells are known, and the surface is exact.
+
+    Args:
+        checked: the model.
+        eye: the virtual camera before it.
+        view: the orientation.
+        settings: `up_axis` and `min_containment` count.
+    """
+    mesh, camera = checked.mesh, eye.camera
+    T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
+    depth_m = eye.depth_m(T_world_camera)
+    grid = object_cube(eye.corners_world, T_world_camera)
+    full = VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, grid)
+    partial_256, partial = partial_grids(depth_m, camera, T_world_camera, grid)
+    pair = Pair(
+        partial=partial,
+        partial_256=partial_256,
+        full=full,
+        shell=packed_shell(full),
+        known=np.full_like(full, 255),
+        seen=seen_cells(depth_m, camera, T_world_camera, grid, noisy=False),
+        T_world_grid=grid.T_world_grid,
+        T_world_camera=T_world_camera,
+        K=camera.K,
+        voxel_size_m=grid.voxel_size_m,
+        surface_sigma_m=0.0,
+        framing="object",
+        partial_rule="any",
+        occupancy_rule=checked.rule,
+    )
+    return MadePair(pair, _reason(pair, settings.min_containment))
+
+
+def _reason(pair: Pair, min_containment: float) -> str | None:
+    """Why a pair must not be used, or None."""
+    if not pair.full.any():
+        return "no cell's centre lies in the shape: its walls are thinner than a cell"
+    if not pair.partial.any():
+        return "the camera sees nothing of the shape"
+    inside = packed_containment(pair.partial, pair.full)
+    if inside < min_containment:
+        return f"containment is {inside:.3f}, below {min_containment}"
+    return None
+
+
+def recgan_path(kind: Literal["25d", "3d"], category: str, split: str, model: str, view: ViewAngles) -> str:
+    """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<model>_<roll>_<pitch>_<yaw>.npz`.
+
+    Args:
+        kind: "25d", what is seen, or "3d", the full shape.
+        category: such as "chair".
+        split: "train", "validation" or "test".
+        model: its name.
+        view: of a group of n^3 views.
+    """
+    group = f"{SPLIT_NAMES[split]}_{view.n**3}_{kind}_vox256"
+    return f"P1_{synset_of(category)}_{category}/{group}/{model}_{view.name}.npz"
+
+
+def recgan_bytes(pair: Pair) -> tuple[bytes, bytes]:
+    """The two files of a pair, what is seen and the full shape, both at 256^3 cells.
+
+    Both are cropped alike to the box of the full shape (and of surface cells that lie just beyond it, since
+    their centre is outside the solid). Key `arr_0`, int8, (x, y, z, 1), with x to the left and y up: their
+    back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y reversed.
+    """
+    seen, full = unpack(pair.partial_256), unpack(pair.full)
+    occupied = seen | full
+    box = tuple(
+        slice(int(used[0]), int(used[-1]) + 1)
+        for used in (np.flatnonzero(occupied.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1)))
+    )
+    return recgan_file_bytes(seen[box]), recgan_file_bytes(full[box])

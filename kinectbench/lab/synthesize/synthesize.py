@@ -1,0 +1,309 @@
+"""`synthesize`: find models, check and deal them, make every pair, and put all into one folder."""
+
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
+from kinectbench.core.errors import KinectBenchError, PairError, SettingsError, ShapeError, StorageError
+from kinectbench.core.storage import pretty_json, replaced_folder, sha256_file
+from kinectbench.core.types import NamedProgress, Split
+from kinectbench.engine.locks import locked, sweep
+from kinectbench.lab.synthesize.make import FILES, Task, make_model
+from kinectbench.lab.synthesize.mesh_check import load_model
+from kinectbench.lab.synthesize.models import (
+    Dealt,
+    LeftOut,
+    Model,
+    SynthesisSettings,
+    deal,
+    family_models,
+    folder_models,
+)
+from kinectbench.release.contents import read_text, release_files
+from kinectbench.release.publish.card import CardTexts
+from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.release.release import Target
+from kinectbench.scoring.workers import run_tasks
+from kinectbench.settings.models import PairSettings
+
+SYNTHESIS_JSON = "synthesis.json"
+TEXTS = CardTexts(
+    "meshes seen by a virtual camera",
+    "The\nangles of the views are in `views/`, the meshes in `objects/`. `occupancy_rule` says how `full` "
+    "was filled: `winding`,\nexact, for a closed mesh; `six-rays`, the rule of the paper's authors, for one "
+    "that is not. `known` is set everywhere.\nA mesh's own unit stands for a metre.",
+)
+# So many models are checked sooner than other processes have started.
+FEW = 40
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """What lies in the folder: number of pairs, and the release's identity or ""."""
+
+    pairs: int
+    benchmark_sha256: str
+
+
+def assemble(tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: Sequence[str]) -> Assembled:
+    """Put the artefacts of all tasks into `out`, in place of what was there, whole or not at all.
+
+    Files are linked, not copied, where the disk can.
+
+    Args:
+        tasks: all made.
+        settings: what the run was made with, without paths.
+        out: the folder.
+        lines: the report, for the card or synthesis.json.
+
+    Raises:
+        StorageError: the disk is full or read-only, or an artefact is gone.
+    """
+    with replaced_folder(out) as folder:
+        for task in tasks:
+            _link(task.folder / FILES, folder)
+        made = [task.made() for task in tasks]
+        pairs = sum(len(group["views"]) for content in made for group in content["groups"].values())
+        if not pairs:
+            first = next(
+                reason for content in made for g in content["groups"].values() for reason in g["refused"]
+            )
+            raise PairError(f"{out}: every single pair was refused, the first because {first}")
+        if settings["layout"] == "recgan":
+            content = {"package_version": __version__, "settings": settings, "report": list(lines)}
+            content["models"] = {task.model.name: row for task, row in zip(tasks, made, strict=True)}
+            (folder / SYNTHESIS_JSON).write_text(pretty_json(content))
+            return Assembled(pairs, "")
+        return Assembled(pairs, _complete(tasks, made, settings, folder, lines))
+
+
+def _complete(
+    tasks: Sequence[Task],
+    made: Sequence[dict[str, Any]],
+    settings: dict[str, Any],
+    folder: Path,
+    lines: Sequence[str],
+) -> str:
+    """Write the small files of a release; returns its identity."""
+    targets: list[Target] = []
+    infos: dict[str, RecordingInfo] = {}
+    for task, content in zip(tasks, made, strict=True):
+        for group, views in content["groups"].items():
+            recording = f"{task.model.name}-{group}"
+            files = {view: f"pairs/{recording}/{view}.npz" for view in views["views"]}
+            targets += [
+                Target(
+                    recording=recording,
+                    object=task.model.name,
+                    view=view,
+                    category=task.model.category,
+                    split=task.split,
+                    file=file,
+                    sha256=sha256_file(folder / file),
+                )
+                for view, file in files.items()
+            ]
+            if files:
+                infos[recording] = _info(task, content, len(files), len(views["refused"]))
+    pair_settings = PairSettings(min_containment=settings["min_containment"]).model_dump(mode="json")
+    public = {"pairs": pair_settings, "synthesis": settings}
+    head = Head(settings["name"], settings["license"], "object", "any", public, TEXTS)
+    return write_small_files(head, folder, tuple(sorted(targets)), infos, lines)
+
+
+def _info(task: Task, content: dict[str, Any], pairs: int, refused: int) -> RecordingInfo:
+    split = next(name for name in get_args(Split) if name == task.split)
+    return RecordingInfo(
+        object=task.model.name,
+        category=task.model.category,
+        split=split,
+        pairs=pairs,
+        refused=refused,
+        quality=QualityFile.model_validate(content["quality"]),
+    )
+
+
+def _link(source: Path, target: Path) -> None:
+    """Make every file below `source` appear below `target`."""
+    if not source.is_dir():
+        raise StorageError(f"{source}: gone while it was needed; run the command again")
+    for path in sorted(source.rglob("*")):
+        if path.is_file():
+            there = target / path.relative_to(source)
+            there.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(path, there)
+            except OSError:  # another disk, or one without links
+                shutil.copyfile(path, there)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was synthesised.
+
+    Attributes:
+        folder: where it lies.
+        models: number of models used.
+        pairs: number of pairs.
+        left_out: models that could not be used, and why.
+        benchmark_sha256: the release's identity; "" for layout recgan.
+        lines: all of it in words: counts per category, rules, notes, what was left out.
+    """
+
+    folder: Path
+    models: int
+    pairs: int
+    left_out: tuple[LeftOut, ...]
+    benchmark_sha256: str
+    lines: tuple[str, ...]
+
+
+def synthesize(
+    settings: SynthesisSettings, out: Path, jobs: int = 1, progress: NamedProgress | None = None
+) -> Report:
+    """Make the paper's synthetic pairs (Sec. 4.1) of a folder of meshes or of parametric furniture.
+
+    Finished models are kept in `<out>.work/` until the whole is done, so that a run that was stopped goes on
+    where it was. The result does not depend on that, nor on `jobs`.
+
+    Args:
+        settings: what to make; `models` is relative to the current folder.
+        out: a new folder, or one that this wrote before: it is replaced.
+        jobs: number of processes.
+        progress: called with ("checking" or "making", models done, models in all).
+
+    Raises:
+        SettingsError: no such models, or `out` holds something else.
+        KinectBenchError: not a single model can be used, or a process was killed.
+        StorageError: the disk is full or read-only.
+    """
+    tell = progress or (lambda what, done, total: None)
+    _check_target(out)
+    models, left_out = _models(settings)
+    work = out.absolute().with_name(f"{out.absolute().name}.work")
+    _check_work(work)
+    with _kept_if_used(work), locked(work):
+        sweep(out)
+        check = partial(_check_all, max_faces=settings.max_faces, jobs=jobs, progress=tell)
+        dealt = deal(models, settings, check)
+        tasks = [
+            Task(model, split, settings, work)
+            for here in dealt.values()
+            for model, split in sorted(here.split_of.items())
+        ]
+        left_out += tuple(bad for here in dealt.values() for bad in here.left_out)
+        if not tasks:
+            reason = f": {left_out[0].model}: {left_out[0].reason}" if left_out else ""
+            raise KinectBenchError(f"{settings.models or 'families'}: not one model can be used{reason}")
+        run_tasks(make_model, tasks, jobs, partial(tell, "making"))
+        lines = tuple(_lines(settings, dealt, tasks, left_out))
+        public = settings.model_dump(mode="json", exclude={"models"})
+        public["source"] = "meshes" if settings.models else "families"
+        assembled = assemble(tasks, public, out, lines)
+        shutil.rmtree(work, ignore_errors=True)
+    return Report(out, len(tasks), assembled.pairs, left_out, assembled.benchmark_sha256, lines)
+
+
+def _check_target(out: Path) -> None:
+    """Nothing but what `synthesize` wrote may be replaced."""
+    if not out.exists() and not out.is_symlink():
+        return
+    if not out.is_dir() or (any(out.iterdir()) and not _is_ours(out)):
+        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+
+
+def _is_ours(out: Path) -> bool:
+    """Whether a folder holds what `synthesize` wrote, and nothing else."""
+    if (out / SYNTHESIS_JSON).is_file():
+        return all(path.name == SYNTHESIS_JSON or path.name.startswith("P1_") for path in out.iterdir())
+    if not (out / BENCHMARK_JSON).is_file() or not (out / SHA256SUMS).is_file():
+        return False
+    sums = parse_sums(read_text(out / SHA256SUMS), str(out / SHA256SUMS))
+    return all(path.relative_to(out).as_posix() in sums for path in release_files(out))
+
+
+def _check_work(work: Path) -> None:
+    """A folder of that name that is not an unfinished run's is somebody's."""
+    if work.exists() and not (work.is_dir() and ((work / ".lock").is_file() or not any(work.iterdir()))):
+        raise SettingsError(f"{work}: holds something else, and is needed for unfinished work; move it away")
+
+
+@contextmanager
+def _kept_if_used(work: Path) -> Iterator[None]:
+    """Remove the folder of unfinished work if the block leaves no finished model in it."""
+    try:
+        yield
+    finally:
+        if work.is_dir() and all(path.name == ".lock" for path in work.iterdir()):
+            shutil.rmtree(work, ignore_errors=True)
+
+
+def _models(settings: SynthesisSettings) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
+    if settings.models is not None:
+        return folder_models(Path(settings.models), settings.categories)
+    return family_models(settings.categories, sum(settings.wanted.values())), ()
+
+
+def _check_all(
+    models: Sequence[Model], max_faces: int, jobs: int, progress: NamedProgress
+) -> list[str | None]:
+    """Why each model cannot be used, or None."""
+    jobs = jobs if len(models) > FEW else 1
+    return run_tasks(partial(_reason, max_faces=max_faces), models, jobs, partial(progress, "checking"))
+
+
+def _reason(model: Model, max_faces: int) -> str | None:
+    try:
+        load_model(model, max_faces)
+    except ShapeError as error:
+        return str(error)
+    return None
+
+
+def _lines(
+    settings: SynthesisSettings, dealt: dict[str, Dealt], tasks: Sequence[Task], left_out: Sequence[LeftOut]
+) -> Iterator[str]:
+    """The report."""
+    made = {task.model: task.made() for task in tasks}
+    for category, models in dealt.items():
+        counts = Counter(models.split_of.values())
+        rules = Counter(made[model]["quality"]["method"] for model in models.split_of)
+        pairs: Counter[str] = Counter()
+        refused = 0
+        for model, split in models.split_of.items():
+            for group in made[model]["groups"].values():
+                pairs[split] += len(group["views"])
+                refused += len(group["refused"])
+        parts = [
+            f"{sum(number.values())} {what} ({', '.join(f'{number[s]} {s}' for s in settings.wanted)})"
+            for what, number in (("models", counts), ("pairs", pairs))
+        ]
+        parts += [f"{count} by {rule}" for rule, count in sorted(rules.items())]
+        yield f"{category}: {', '.join(parts)}" + (f", {refused} pairs refused" if refused else "")
+        if len(models.split_of) < sum(settings.wanted.values()):
+            asked = ", ".join(f"{count} {split}" for split, count in settings.wanted.items())
+            yield f"{category}: {len(models.split_of)} models for the {asked} asked for: dealt in proportion"
+        if models.unused:
+            yield f"{category}: {models.unused} more models were not needed"
+    yield from _model_lines(tasks, made)
+    yield from (f"left out: {bad.model}: {bad.reason}" for bad in left_out)
+
+
+def _model_lines(tasks: Sequence[Task], made: dict[Model, dict[str, object]]) -> Iterator[str]:
+    """What is to be said of single models: those filled by the authors' rule, and notes."""
+    for task in tasks:
+        quality = made[task.model]["quality"]
+        assert isinstance(quality, dict)
+        if quality["method"] != "winding":
+            yield f"{task.model.label}: not watertight: filled by the rule {quality['method']}"
+        yield from (f"{task.model.label}: {note}" for note in quality["warnings"])

@@ -1,0 +1,145 @@
+"""The virtual camera: its viewing angles, where it stands, and its noise-free depth."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, TriangleMesh, rigid
+from kinectbench.core.geometry.mesh import raycaster
+
+FIELD_OF_VIEW_RAD = float(np.radians(49.124))
+# The upright frame (x right, y away, z up) as seen by an optical camera that looks along +y.
+CAMERA_UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+UPRIGHT_MODEL = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
+
+
+@dataclass(frozen=True)
+class ViewAngles:
+    """One orientation of the object, as steps of 2 pi / n.
+
+    Attributes:
+        steps: of roll, pitch and yaw, each from 0 to n - 1.
+        n: steps in a full turn.
+    """
+
+    steps: tuple[int, int, int]
+    n: int
+
+    @property
+    def angles_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch, yaw."""
+        roll, pitch, yaw = (2 * np.pi * step / self.n for step in self.steps)
+        return roll, pitch, yaw
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """(3, 3), turns the upright object: Rz(yaw) Ry(pitch) Rx(roll), about fixed axes, own choice."""
+        roll, pitch, yaw = self.angles_rad
+        return _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+
+    @property
+    def name(self) -> str:
+        """`<roll>_<pitch>_<yaw>`, as the authors' file names end."""
+        return "_".join(map(str, self.steps))
+
+
+def all_views(n: int) -> tuple[ViewAngles, ...]:
+    """The n^3 orientations of a group of views, yaw running fastest (paper, Sec. 4.1: n = 5 and 6)."""
+    return tuple(
+        ViewAngles((roll, pitch, yaw), n) for roll, pitch, yaw in product(range(n), range(n), range(n))
+    )
+
+
+def virtual_camera(image_px: int) -> Camera:
+    """The authors' camera: field of view 49.124 degrees, principal point at half the width."""
+    focal_px = image_px / (2 * np.tan(FIELD_OF_VIEW_RAD / 2))
+    return Camera(image_px, image_px, focal_px, focal_px, image_px / 2, image_px / 2)
+
+
+def camera_pose(
+    vertices_world: NDArray[np.float64], view: ViewAngles, camera: Camera, up: Literal["y", "z"]
+) -> NDArray[np.float64]:
+    """Where the camera stands for a view: T_world_camera (4, 4), in the model's own frame.
+
+    The camera is turned instead of the object, about the centre of the object's box. Its distance is the
+    one at which the ball around the box's centre that holds all vertices just fits into the image, so that
+    the object fits in every orientation; it is the same for all views of a model. Own rule.
+
+    Args:
+        vertices_world: (n, 3), the model, or just the corners of its convex hull.
+        view: its orientation.
+        camera: the virtual camera.
+        up: axis of the model that points up in the view 0_0_0.
+    """
+    centre = (vertices_world.min(axis=0) + vertices_world.max(axis=0)) / 2
+    radius_m = float(np.linalg.norm(vertices_world - centre, axis=1).max())
+    # The principal point lies half a pixel off the middle: the nearer borders decide.
+    border_px = camera.width - 0.5 - camera.cx
+    distance_m = radius_m / np.sin(np.arctan2(border_px, camera.fx))
+    rotation_world_camera = (CAMERA_UPRIGHT @ view.rotation @ UPRIGHT_MODEL[up]).T
+    return rigid(rotation_world_camera, centre - rotation_world_camera @ [0.0, 0.0, distance_m])
+
+
+def hull_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The vertices (k, 3) of (n, 3) that a box in any orientation can touch."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(vertices[ConvexHull(vertices).vertices])
+    except (QhullError, ValueError):  # flat, or hardly any
+        return vertices
+
+
+def _about(axis: int, angle_rad: float) -> NDArray[np.float64]:
+    """The (3, 3) rotation about a coordinate axis, by the right-hand rule."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    rotation = np.eye(3)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    rotation[j, j], rotation[j, k], rotation[k, j], rotation[k, k] = c, -s, s, c
+    return rotation
+
+
+class DepthCamera:
+    """A virtual camera before a mesh, made ready once and then used from anywhere.
+
+    Attributes:
+        camera: its intrinsics.
+        corners_world: (k, 3) corners of the mesh's convex hull.
+    """
+
+    def __init__(self, mesh: TriangleMesh, camera: Camera) -> None:
+        """Build the acceleration structure of the mesh (Open3D's, which is Embree)."""
+        self.camera = camera
+        self.corners_world = hull_corners(mesh.vertices)
+        self._caster, self._tensor = raycaster(mesh, threads=1)
+        self._x = (np.arange(camera.width) - camera.cx) / camera.fx
+        self._y = (np.arange(camera.height) - camera.cy) / camera.fy
+
+    def depth_m(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Depth along z (height, width) float32 through integer pixel centres, 0 where nothing is hit.
+
+        The rays are turned, not the mesh. Only those that can hit it are cast.
+        """
+        rows, columns = self._window(T_world_camera)
+        x_axis, y_axis, z_axis = T_world_camera[:3, :3].T
+        x, y = self._x[columns, None], self._y[rows, None, None]
+        rays = np.empty((y.shape[0], x.shape[0], 6), np.float32)
+        rays[..., :3] = T_world_camera[:3, 3]
+        rays[..., 3:] = (x * x_axis + z_axis) + y * y_axis
+        # Directions have z = 1 in the camera, so a hit's ray parameter is its depth.
+        hit_m = self._caster.cast_rays(self._tensor(rays), nthreads=1)["t_hit"].numpy()
+        depth_m = np.zeros((self.camera.height, self.camera.width), np.float32)
+        depth_m[rows, columns] = np.where(np.isfinite(hit_m), hit_m, 0)
+        return depth_m
+
+    def _window(self, T_world_camera: NDArray[np.float64]) -> tuple[slice, slice]:
+        """The rows and columns that the mesh lies in."""
+        camera = self.camera
+        points_camera = (self.corners_world - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+        pixels = camera.project(points_camera)
+        low = np.maximum(np.floor(pixels.min(axis=0)), 0).astype(int)
+        high = np.minimum(np.ceil(pixels.max(axis=0)), [camera.width - 1, camera.height - 1]).astype(int)
+        return slice(low[1], high[1] + 1), slice(low[0], high[0] + 1)

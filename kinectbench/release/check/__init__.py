@@ -1,0 +1,1 @@
+"""Checking every byte and every pair of a release."""

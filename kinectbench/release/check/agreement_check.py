@@ -1,0 +1,179 @@
+"""Check what a release says for people and other programs against benchmark.json and targets.csv."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.targets import SHA256SUMS, SPLITS, TARGETS_CSV, Target, targets_text
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.errors import ReleaseError, StorageError
+from kinectbench.release.contents import (
+    CARD,
+    CITATION,
+    CROISSANT,
+    LICENSE,
+    SPLIT_TARGETS,
+    Contents,
+    strict_json,
+)
+from kinectbench.release.publish.attribution import Origin, common_license
+from kinectbench.release.publish.card import counts_table
+from kinectbench.release.publish.held_back import VIEW_KEYS
+from kinectbench.release.publish.schemas import schema_problems
+
+# Of an object whose truth is held back.
+PUBLIC_OF_OBJECT = ("floor.json",)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What the other files must agree with.
+
+    Attributes:
+        targets: targets.csv.
+        metadata: benchmark.json.
+        sums: SHA256SUMS.
+    """
+
+    targets: tuple[Target, ...]
+    metadata: ReleaseInfo
+    sums: Mapping[str, str]
+
+
+# Yields a clause for each thing that a file's text says otherwise.
+Check = Callable[[str, Stated], Iterator[str]]
+
+
+def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str, str]) -> Iterator[str]:
+    """Yield a line for each file that says otherwise than benchmark.json and targets.csv.
+
+    Every JSON file is checked against its schema. A file that is not there is no problem here, for earlier
+    versions and other commands write releases with fewer files; one that is damaged is not looked at.
+
+    Args:
+        contents: the release.
+        stated: what the files must agree with.
+        damaged: files that are not the published ones, by name.
+    """
+    whole = [name for name in sorted(contents.entries) if name not in damaged]
+    for name in whole:
+        if name.endswith(".json") and name != BENCHMARK_JSON:
+            yield from _json_problems(contents, name)
+    checks: dict[str, Check] = {
+        CARD: _card_problems,
+        LICENSE: _license_problems,
+        CITATION: _citation_problems,
+        CROISSANT: _croissant_problems,
+        LINEAGE_JSON: _lineage_problems,
+    }
+    checks |= {f"{SPLIT_TARGETS}/{split}.csv": _split_problems(split) for split in SPLITS}
+    checks |= {f"views/{name}/views.json": _views_problems(name) for name in stated.metadata.recordings}
+    for name, check in checks.items():
+        if name in whole:
+            try:
+                yield from (f"{name}: {fault}" for fault in check(contents.text(name), stated))
+            except ReleaseError as error:
+                yield str(error)
+            except (StorageError, KeyError, TypeError, AttributeError, ValueError):
+                yield f"{name}: does not have the keys that it should"
+    yield from _told_truth(contents, stated.metadata)
+
+
+def _json_problems(contents: Contents, name: str) -> Iterator[str]:
+    """Whether a file is JSON, and as its schema says."""
+    try:
+        text = contents.text(name)
+        strict_json(text, name)
+    except ReleaseError as error:
+        yield str(error)
+        return
+    yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
+
+
+def _license(metadata: ReleaseInfo) -> str:
+    """The licence of all recordings; one that does not say, as in earlier releases, has the benchmark's."""
+    origins = {
+        name: Origin(metadata.license if info.license == UNSPECIFIED else info.license, info.source)
+        for name, info in metadata.recordings.items()
+    }
+    return common_license(origins, metadata.license)
+
+
+def _card_problems(text: str, stated: Stated) -> Iterator[str]:
+    for what, said in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
+        if said not in text:
+            yield f"does not state the {what} '{said}' of {BENCHMARK_JSON}"
+    for row in counts_table(stated.targets).splitlines():
+        if row not in text:
+            yield f"does not have the row '{row}', which {TARGETS_CSV} counts"
+
+
+def _license_problems(text: str, stated: Stated) -> Iterator[str]:
+    for name, info in stated.metadata.recordings.items():
+        said = f"{name}\n  licence: {info.license}\n  source: {' '.join(info.source.split())}\n"
+        if said not in text:
+            yield f"does not state licence and source of {name} as {BENCHMARK_JSON} does"
+
+
+def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
+    import yaml
+
+    said = yaml.safe_load(text)
+    if stated.metadata.version is not None and str(said["version"]) != stated.metadata.version:
+        yield f"version '{said['version']}' where {BENCHMARK_JSON} has '{stated.metadata.version}'"
+
+
+def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
+    said = strict_json(text, CROISSANT)
+    if said["name"] != stated.metadata.name:
+        yield f"name '{said['name']}' where {BENCHMARK_JSON} has '{stated.metadata.name}'"
+    for file in said["distribution"]:
+        name = file.get("contentUrl")
+        if "sha256" in file and file["sha256"] != stated.sums.get(name):
+            yield f"another SHA-256 for {name} than in {SHA256SUMS}"
+
+
+def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
+    recordings = Lineage.parse(text, LINEAGE_JSON).recordings
+    for name in sorted(set(recordings) ^ set(stated.metadata.recordings)):
+        yield f"{'has no' if name in stated.metadata.recordings else 'has a'} recording {name}"
+    for name, row in recordings.items():
+        here = {target.view for target in stated.targets if target.recording == name}
+        if row.views is not None and {view.view for view in row.views} != here:
+            yield f"other views of {name} than in {TARGETS_CSV}"
+
+
+def _split_problems(split: str) -> Check:
+    def check(text: str, stated: Stated) -> Iterator[str]:
+        if text != targets_text(tuple(target for target in stated.targets if target.split == split)):
+            yield f"not the lines of {TARGETS_CSV} whose split is {split}"
+
+    return check
+
+
+def _views_problems(recording: str) -> Check:
+    """Whether views.json has the views that have pairs, and of held-back ones nothing of the truth."""
+
+    def check(text: str, stated: Stated) -> Iterator[str]:
+        """What is wrong with a views.json, line by line."""
+        rows = ViewsFile.parse(text, ViewsFile.FILE).views
+        listed = {row.view for row in rows if row.pair is not False}
+        here = {target.view for target in stated.targets if target.recording == recording}
+        if here - listed or (listed - here and any(row.pair is not None for row in rows)):
+            yield f"other views with a pair than in {TARGETS_CSV}"
+        told = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
+        if stated.metadata.recordings[recording].split in stated.metadata.held_back and told:
+            yield f"holds {', '.join(sorted(told))}, which is held back"
+
+    return check
+
+
+def _told_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
+    """Files of objects whose truth is held back."""
+    for name in contents.entries:
+        parts = name.split("/")
+        if parts[0] == "objects" and len(parts) > 2 and parts[2] not in PUBLIC_OF_OBJECT:
+            info = metadata.recordings.get(parts[1])
+            if info is not None and info.split in metadata.held_back:
+                yield f"{name}: truth of a split that is held back"

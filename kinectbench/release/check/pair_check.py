@@ -1,0 +1,95 @@
+"""Re-check one published pair: that its grids and matrices are what the format page says."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.morphology import packed_containment, packed_count, packed_shell
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, PairInput, pack, unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+
+ORTHONORMAL_TOLERANCE = 1e-6
+LEAST_TRUSTED_SHARE = 0.5
+
+
+def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_rule: str) -> Iterator[str]:
+    """Yield what is wrong with a pair, a clause each, without the file's name.
+
+    Args:
+        pair: read by `read_pair`, which has checked keys, shapes and dtypes.
+        min_containment: least share of the partial inside the shape, as the benchmark's settings say.
+        framing: the benchmark's.
+        partial_rule: the benchmark's.
+    """
+    yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
+    if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
+        yield f"surface_sigma_m is {pair.surface_sigma_m}, not a standard deviation"
+    if not pair.full.any():
+        yield "'full' is empty"
+    wrong = packed_count(pair.shell ^ packed_shell(pair.full))
+    if wrong:
+        yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
+    yield from _trust_problems(pair, "known", pair.known)
+    # Before the partial rule thins the cells out; those that fell outside the cube are not in the file.
+    touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
+    inside = packed_containment(touched, pair.full)
+    if inside < min_containment:
+        yield f"containment is {inside:.3f}, below {min_containment}"
+
+
+def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
+    """Yield what is wrong with the input of a pair, as `pair_problems` does."""
+    for name in ("T_world_grid", "T_world_camera"):
+        if not _is_rigid(getattr(pair, name)):
+            yield f"{name} is not a rotation and a shift"
+    if not np.allclose(pair.T_world_grid[:3, :3], pair.T_world_camera[:3, :3], atol=ORTHONORMAL_TOLERANCE):
+        yield "the grid's axes are not the view's"
+    if not (pair.K[0, 0] > 0 and pair.K[1, 1] > 0):
+        yield "the focal lengths in K are not positive"
+    if not (np.isfinite(pair.voxel_size_m) and pair.voxel_size_m > 0):
+        yield f"voxel_size_m is {pair.voxel_size_m}, not positive"
+    for name, expected in (("framing", framing), ("partial_rule", partial_rule)):
+        if getattr(pair, name) != expected:
+            yield f"{name} is '{getattr(pair, name)}' where the benchmark has '{expected}'"
+    if not pair.partial.any():
+        yield "'partial' is empty"
+    if pair.partial_rule in ("any", "majority"):
+        reduced = pack(reduce_blocks(unpack(pair.partial_256), pair.partial_rule))
+        differ = packed_count(reduced ^ pair.partial)
+        if differ:
+            yield f"{differ} cells of 'partial' are not 'partial_256' reduced by '{pair.partial_rule}'"
+    yield from _trust_problems(pair, "seen", pair.seen)
+    yield from _behind_problems(pair)
+
+
+def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator[str]:
+    """What cannot be right with `known` and `seen`, which the files of a release do not determine.
+
+    A view's depth is of surface that was fused, so it is known, and of what that view sees: nearly all
+    of `partial_256` must be both. Half allows for every recording that can be used at all (own rule).
+    """
+    cells, inside = packed_count(pair.partial_256), packed_count(pair.partial_256 & grid)
+    if inside < LEAST_TRUSTED_SHARE * cells:
+        yield f"only {inside} of the {cells} cells of 'partial_256' are '{name}'"
+
+
+def _behind_problems(pair: Pair | PairInput) -> Iterator[str]:
+    """Whether `seen` holds cells behind the camera."""
+    if pair.voxel_size_m > 0:
+        corner_z_m = float(
+            (pair.T_world_grid[:3, 3] - pair.T_world_camera[:3, 3]) @ pair.T_world_camera[:3, 2]
+        )
+        behind = int(np.clip(np.floor(0.5 - corner_z_m / pair.voxel_size_m), 0, FULL_CELLS))
+        if unpack(pair.seen)[:, :, :behind].any():
+            yield "'seen' holds cells behind the camera"
+
+
+def _is_rigid(T: Float64) -> bool:
+    """Whether a (4, 4) matrix is a rotation (orthonormal, determinant +1) and a shift."""
+    R = T[:3, :3]
+    return bool(
+        np.allclose(R @ R.T, np.eye(3), rtol=0, atol=ORTHONORMAL_TOLERANCE)
+        and np.linalg.det(R) > 0
+        and np.array_equal(T[3], [0, 0, 0, 1])
+    )

@@ -1,0 +1,253 @@
+"""Re-make a release's pairs from its recordings: the settings to do it with, and what differs."""
+
+import io
+import json
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.manifest import Sources
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, parse_targets
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.voxels.morphology import packed_count
+from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
+from kinectbench.core.voxels.pair_file import PACKED_SHAPES
+from kinectbench.engine.versions import VERSIONS
+from kinectbench.release.contents import Contents
+from kinectbench.release.publish.small_files import package_versions
+from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.models import BenchmarkSettings
+
+OBJECT_FILES = ("mesh.ply", "volume.npz")
+VIEW_IMAGES = (".depth.png", ".mask.png")
+AGAIN = "differs when made again"
+# Files of a recording that a line names.
+SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a recording lies on this machine.
+
+    Attributes:
+        path: of the recording.
+        masks: folder of a person's masks, or None.
+    """
+
+    path: Path
+    masks: Path | None = None
+
+
+@dataclass(frozen=True)
+class RebuildPlan:
+    """What is to be made again.
+
+    Attributes:
+        settings: those that the release states, with this machine's paths.
+        targets: the pairs to compare.
+        notes: one line each: what cannot be compared, and versions that differ.
+    """
+
+    settings: BenchmarkSettings
+    targets: tuple[Target, ...]
+    notes: tuple[str, ...]
+
+
+def find_sources(path: Path) -> dict[str, Source]:
+    """Where recordings lie: as a benchmark.yaml says, or else by their ids in a folder.
+
+    Args:
+        path: a benchmark.yaml, a folder that holds one, or a folder with `<id>/`, `<id>.bag` and so on.
+
+    Raises:
+        SettingsError: there is no such folder.
+    """
+    config = path / "benchmark.yaml" if path.is_dir() else path
+    if config.is_file():
+        settings = load_benchmark(config, ())
+        root = config.parent
+        return {
+            r.id: Source(root / r.path, None if r.masks is None else root / r.masks)
+            for r in settings.recordings
+        }
+    if not path.is_dir():
+        raise SettingsError(f"{path}: no such benchmark.yaml or folder of recordings")
+    found = {entry.stem: Source(entry) for entry in sorted(path.iterdir()) if not entry.name.startswith(".")}
+    return found | {entry.name: Source(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
+
+
+def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPlan:
+    """How to make a release's pairs again.
+
+    Args:
+        contents: the release.
+        sources: recording -> where it lies.
+
+    Raises:
+        ReleaseError: the release was not made from recordings, or by a version with other settings.
+        SettingsError: a recording is not there; it names all that are missing.
+    """
+    metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+    targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
+    held_back = metadata.held_back
+    kept = tuple(target for target in targets if target.split not in held_back)
+    wanted = {target.recording for target in kept}
+    missing = sorted(name for name in wanted if name not in sources or not sources[name].path.exists())
+    if missing:
+        raise SettingsError(f"no recording here for {', '.join(missing)}; give the folder that holds them")
+    if not wanted:
+        raise ReleaseError("all truth is held back: only the private part can be made again")
+    notes = [*version_notes(metadata), *stage_notes(contents, wanted)]
+    if held_back:
+        notes.append(f"the truth of {', '.join(held_back)} is held back: its pairs are not compared")
+    return RebuildPlan(_settings(metadata, sources, wanted), kept, tuple(notes))
+
+
+def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[str]) -> BenchmarkSettings:
+    """The release's settings with the paths of this machine."""
+    values = metadata.settings.json_value()
+    if not values.get("recordings"):
+        raise ReleaseError(f"{BENCHMARK_JSON}: this release was not made from recordings")
+    rows = [dict(row) for row in values["recordings"] if row.get("id") in wanted]
+    for row in rows:
+        source = sources[row["id"]]
+        row["path"] = str(source.path.resolve())
+        row["masks"] = None if source.masks is None else str(source.masks.resolve())
+    values |= {"name": metadata.name, "license": metadata.license, "recordings": rows}
+    try:
+        return BenchmarkSettings.model_validate_json(json.dumps(values))
+    except ValidationError as error:
+        key = ".".join(str(part) for part in error.errors()[0]["loc"])
+        raise ReleaseError(
+            f"{BENCHMARK_JSON}: this version does not know the setting '{key}' as it is there; install "
+            f"kinectbench {metadata.package_version}, which made the release"
+        ) from error
+
+
+def version_notes(metadata: ReleaseInfo) -> list[str]:
+    """One line for each package whose version here is not the one that made the release."""
+    made = {"kinectbench": metadata.package_version, **metadata.packages}
+    here = {"kinectbench": __version__, **package_versions()}
+    return [
+        f"made with {name} {version}, here is {here.get(name, 'none')}: results may differ"
+        for name, version in made.items()
+        if here.get(name) != version
+    ]
+
+
+def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
+    """One line for each stage that is of another version here than the one that made these recordings."""
+    if LINEAGE_JSON not in contents.entries:
+        return []
+    lineage = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+    made = {
+        (stage, row.stage_version)
+        for name in recordings
+        if name in lineage
+        for stage, row in lineage[name].stages.items()
+        if row.stage_version is not None  # older releases do not say
+    }
+    return [
+        f"made with version {version} of {stage}, here is {VERSIONS.get(stage, 'none')}: results will differ"
+        for stage, version in sorted(made)
+        if VERSIONS.get(stage) != version
+    ]
+
+
+def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
+    """Yield where what was made again is not what was published, to the byte: a line each.
+
+    Args:
+        contents: the release.
+        plan: of the rebuild.
+        build: holds a folder per recording that was built.
+    """
+    for recording in sorted({target.recording for target in plan.targets}):
+        targets = [target for target in plan.targets if target.recording == recording]
+        here = build / recording
+        if not (here / "pairs" / "pairs.json").is_file():
+            yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"
+            continue
+        # In the order they were made: the first tells where the difference begins.
+        yield from _source_difference(contents, recording, here)
+        for file in OBJECT_FILES:
+            yield from _file_difference(contents, f"objects/{recording}/{file}", here / "object" / file)
+        for target in targets:
+            for suffix in VIEW_IMAGES:
+                image = f"{target.view}{suffix}"
+                yield from _file_difference(contents, f"views/{recording}/{image}", here / "views" / image)
+            yield from _pair_difference(contents, target, here / "pairs" / f"{target.view}.npz")
+        published = {target.view for target in targets}
+        for made in sorted((here / "pairs").glob("*.npz")):
+            if made.stem not in published:
+                yield f"{recording}/{made.stem}: made again, but there is no such pair in the release"
+
+
+def _source_difference(contents: Contents, recording: str, build: Path) -> Iterator[str]:
+    """Whether the recording is the one that lineage.json knows by the hashes of its files."""
+    made = Sources.read_if_there(build)
+    if LINEAGE_JSON not in contents.entries or made is None:
+        return
+    rows = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+    published = rows[recording].files if recording in rows else {}
+    here = made.sha256
+    if set(here) == {""}:  # a recording that is one file, whatever it is called here
+        here = dict.fromkeys(published, here[""])
+    names = [name for name in {**published, **here} if published.get(name) != here.get(name)]
+    if published and names:
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        yield f"{recording}: not the recording that was published: {', '.join(names[:SHOWN])}{more} differ"
+
+
+def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]:
+    if name not in contents.entries:
+        return  # releases from elsewhere have no such files
+    if not made.is_file():
+        yield f"{name}: was not made again"
+    elif contents.read(name) != made.read_bytes():
+        yield f"{name}: {AGAIN}"
+
+
+def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator[str]:
+    """Whether a pair is the same, and in which of its keys it is not."""
+    if not made.is_file():
+        yield f"{target.file}: was not made again: its view was refused, or another was drawn"
+        return
+    published, again = contents.read(target.file), made.read_bytes()
+    if published == again:
+        return
+    try:
+        old, new = arrays_of(io.BytesIO(published)), arrays_of(io.BytesIO(again))
+    except UNREADABLE as error:
+        yield f"{target.file}: cannot be read as a pair file ({error})"
+        return
+    words = [
+        word
+        for key in dict.fromkeys((*old, *new))
+        if (word := _key_difference(key, old.get(key), new.get(key)))
+    ]
+    yield f"{target.file}: {AGAIN}: {', '.join(words) or 'the same values, but packed otherwise'}"
+
+
+def _key_difference(key: str, old: NDArray[Any] | None, new: NDArray[Any] | None) -> str | None:
+    """How a key's values differ, or None."""
+    if old is None or new is None:
+        return f"{key} only in {'the release' if new is None else 'the new one'}"
+    # Texts of another length have another dtype.
+    if old.shape != new.shape or (old.dtype != new.dtype and old.dtype.kind != "U"):
+        return f"{key} has another shape or type"
+    if np.array_equal(old, new):
+        return None
+    if key in PACKED_SHAPES:
+        return f"{key} in {packed_count(np.ascontiguousarray(old ^ new))} cells"
+    if old.dtype.kind == "f":
+        return f"{key} by {np.abs(old - new).max():.3g}"
+    return f"{key} ({old} there, {new} here)"

@@ -1,0 +1,205 @@
+"""Check a release, every byte and every pair of it, in a folder or in an archive."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.targets import (
+    SHA256SUMS,
+    SPLITS_JSON,
+    TARGETS_CSV,
+    Splits,
+    Target,
+    benchmark_sha256,
+    check_splits,
+    parse_sums,
+    parse_targets,
+)
+from kinectbench.core.errors import PairError, ReleaseError
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
+from kinectbench.release.check.agreement_check import Stated, agreement_problems
+from kinectbench.release.check.pair_check import input_problems, pair_problems
+from kinectbench.release.contents import Contents
+from kinectbench.release.opening import open_contents
+
+VIEW_FILES = (".depth.png", ".mask.png")
+FIRST_LINE = 2  # of targets.csv that holds a target
+
+
+def verify(path: Path, progress: Progress | None = None) -> list[str]:
+    """Say everything that is wrong with a release.
+
+    One file at a time is in memory; an archive is not unpacked.
+
+    Args:
+        path: the release's folder, or a .zip, .tar or .tar.gz of it.
+        progress: called with (files and pairs done, files and pairs in all).
+
+    Returns:
+        One line per problem, each naming a file relative to the release; empty if all is well. A file that
+        is not the published one is named once and looked at no further, but the lines of targets.csv.
+
+    Raises:
+        ReleaseError: there is no release at all, or its archive is cut off or not to be trusted.
+    """
+    with open_contents(path) as contents:
+        try:
+            text = contents.text(SHA256SUMS)
+            sums = parse_sums(text, SHA256SUMS)
+        except ReleaseError as error:
+            return [*contents.problems, str(error)]
+        pairs = [name for name in sums if name.startswith("pairs/")]
+        total = len(sums) + len(pairs)
+        damaged: dict[str, str] = {}
+        for done, name in enumerate(sums, start=1):
+            problem = _byte_problem(contents, name, sums[name])
+            if problem:
+                damaged[name] = problem
+            if progress:
+                progress(done, total)
+        lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
+        metadata, found = check_small_files(contents, text, sums, damaged)
+        lines += found
+        for done, name in enumerate(pairs, start=len(sums) + 1):
+            if metadata and name not in damaged:
+                lines += _pair_lines(contents, name, metadata)
+            if progress:
+                progress(done, total)
+    return lines
+
+
+def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
+    """A line about the bytes of one file, or None."""
+    entry = contents.entries.get(name)
+    if entry is None:
+        return f"{name}: missing"
+    if entry.problem:
+        return f"{name}: {entry.problem}"
+    try:
+        with contents.stream(name) as file:
+            digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
+    except ReleaseError as error:
+        return str(error)
+    return None if digest == sha256 else f"{name}: changed since it was published (SHA-256 differs)"
+
+
+def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
+    """Files that were not published."""
+    for name in contents.entries:
+        if name not in sums and name != SHA256SUMS:
+            yield f"{name}: not part of the release"
+
+
+def _pair_lines(contents: Contents, name: str, metadata: ReleaseInfo) -> list[str]:
+    """What is wrong with one pair."""
+    rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
+    try:
+        values = pair_values(contents.read(name), name)
+        if not held_back(name, metadata):
+            least = metadata.settings.pairs.min_containment
+            problems = pair_problems(checked_pair(Pair, values, name), min_containment=least, **rules)
+            return [f"{name}: {problem}" for problem in problems]
+        told = [key for key in values if key in TRUTH_KEYS]
+        lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []
+        problems = input_problems(checked_pair(PairInput, values, name), **rules)
+        return [*lines, *(f"{name}: {problem}" for problem in problems)]
+    except (PairError, ReleaseError) as error:
+        return [str(error)]
+
+
+def check_small_files(
+    contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
+) -> tuple[ReleaseInfo | None, list[str]]:
+    """Check what the small files say, of themselves and of each other.
+
+    Args:
+        contents: the release.
+        sums_text: SHA256SUMS.
+        sums: the same, parsed.
+        damaged: files that are not the published ones, by name. They are still read if they can be, but
+            their faults are not named a second time, except for the lines of targets.csv.
+
+    Returns:
+        benchmark.json, None if it cannot be read; and one line per problem.
+    """
+    lines: list[str] = []
+    metadata: ReleaseInfo | None = None
+    targets: tuple[Target, ...] = ()
+    try:
+        metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+        if metadata.benchmark_sha256 != benchmark_sha256(sums_text) and BENCHMARK_JSON not in damaged:
+            lines.append(f"{SHA256SUMS}: not the list that {BENCHMARK_JSON} names")
+    except ReleaseError as error:
+        lines += [] if BENCHMARK_JSON in damaged else [str(error)]
+    try:
+        targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
+        check_splits(targets, TARGETS_CSV)
+    except ReleaseError as error:
+        known = TARGETS_CSV in damaged and TARGETS_CSV not in contents.entries
+        lines += [] if known else [str(error)]
+    if not targets:
+        return metadata, lines
+    lines += _file_problems(targets, sums)
+    if metadata and BENCHMARK_JSON not in damaged:
+        lines += _recording_problems(targets, metadata)
+    if SPLITS_JSON not in damaged and TARGETS_CSV not in damaged:
+        lines += _split_problems(contents, targets)
+    if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
+        lines += agreement_problems(contents, Stated(targets, metadata, sums), damaged)
+    return metadata, lines
+
+
+def held_back(pair_file: str, metadata: ReleaseInfo) -> bool:
+    """Whether the truth of `pairs/<recording>/<view>.npz` is held back."""
+    info = metadata.recordings.get(pair_file.split("/")[1])
+    return info is not None and info.split in metadata.held_back
+
+
+def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
+    """Lines of targets.csv without their files, pair files without a line, and other hashes."""
+    # Synthesised views have no images.
+    folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
+    for line, target in enumerate(targets, start=FIRST_LINE):
+        if target.file not in sums:
+            yield f"{TARGETS_CSV}, line {line}: {target.file} is not part of the release"
+        elif sums[target.file] != target.sha256:
+            yield f"{TARGETS_CSV}, line {line}: another SHA-256 for {target.file} than in {SHA256SUMS}"
+        if f"views/{target.recording}" in folders:
+            for suffix in VIEW_FILES:
+                image = f"views/{target.recording}/{target.view}{suffix}"
+                if image not in sums:
+                    yield f"{image}: missing, {TARGETS_CSV} has its pair in line {line}"
+    listed = {target.file for target in targets}
+    for name in sums:
+        if name.startswith("pairs/") and name not in listed:
+            yield f"{TARGETS_CSV}: no line for {name}"
+
+
+def _recording_problems(targets: tuple[Target, ...], metadata: ReleaseInfo) -> Iterator[str]:
+    """Where targets.csv and benchmark.json disagree."""
+    for line, target in enumerate(targets, start=FIRST_LINE):
+        info = metadata.recordings.get(target.recording)
+        if info is None:
+            yield f"{TARGETS_CSV}, line {line}: {BENCHMARK_JSON} has no recording {target.recording}"
+            continue
+        for key in ("object", "category", "split"):
+            said, wanted = getattr(target, key), getattr(info, key)
+            if said != wanted:
+                yield f"{TARGETS_CSV}, line {line}: {key} '{said}' where {BENCHMARK_JSON} has '{wanted}'"
+    for name, info in metadata.recordings.items():
+        count = sum(target.recording == name for target in targets)
+        if count != info.pairs:
+            yield f"{TARGETS_CSV}: {count} pairs of {name} where {BENCHMARK_JSON} has {info.pairs}"
+
+
+def _split_problems(contents: Contents, targets: tuple[Target, ...]) -> Iterator[str]:
+    try:
+        splits = Splits.parse(contents.text(SPLITS_JSON), SPLITS_JSON)
+    except ReleaseError as error:
+        yield str(error)
+        return
+    if splits.json_value() != Splits.of(targets).json_value():
+        yield f"{SPLITS_JSON}: does not agree with {TARGETS_CSV}"

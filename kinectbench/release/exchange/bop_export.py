@@ -1,0 +1,244 @@
+"""A release as a BOP data set: a scene and an object model per recording, in millimetres."""
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.geometry import Camera, invert_rigid
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.storage import pretty_json
+from kinectbench.core.types import Bools, Float64, Progress
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.release.exchange.bop_object import (
+    MM_PER_M,
+    BopModel,
+    ObjectInView,
+    model_info,
+    model_ply,
+    object_in_view,
+    read_model,
+)
+from kinectbench.release.exchange.layouts import SPLIT_NAMES, export_folder, write_export_json
+from kinectbench.release.release import Release
+
+DATASET_INFO = """# {name}
+
+Made by kinectbench of the release {identity}; licence of the data: {license}.
+
+- A scene is a recording, an image one of its views; depth is in millimetres (`depth_scale` 1).
+- Each recording has an object model of its own, fused from it: `obj_id` is the number of the scene, and
+  `export.json` says which recording, object and category it is.
+- Model frame: the floor's axes, z up, the origin in the middle of the model's box; millimetres.
+- Masks and scene_gt_info.json are by BOP's own rule (the model against the view's depth, 15 mm, missing depth
+  counts as visible). The masks that the pairs were made with are in the release.
+- A scene without scene_gt.json has its truth held back.
+"""
+
+
+def export_bop(release: Release, out: Path, progress: Progress | None = None) -> int:
+    """Write a release as a BOP data set.
+
+    Args:
+        release: opened.
+        out: a new folder, or an earlier export, which is replaced.
+        progress: called with (images done, images in all).
+
+    Returns:
+        The number of images.
+
+    Raises:
+        SettingsError: `out` holds something else.
+        ReleaseError: the release has no depth images, or a file of it is missing or damaged.
+        StorageError: the disk is full or read-only.
+
+    Source: the format page of the BOP benchmark (Hodan et al., ECCV 2018).
+    """
+    done, infos, scenes = 0, dict[str, Any](), list[dict[str, Any]]()
+    camera: Camera | None = None
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done, len(release.targets))
+
+    with export_folder(out) as folder:
+        (folder / "models").mkdir()
+        for number, recording in enumerate(sorted({t.recording for t in release.targets}), start=1):
+            targets = [target for target in release.targets if target.recording == recording]
+            split = SPLIT_NAMES[targets[0].split]
+            model = None if _held_back(release, recording) else read_model(release, recording)
+            if model is not None:
+                infos[str(number)] = _write_model(model, folder / "models" / f"obj_{number:06d}.ply")
+            scene = folder / split / f"{number:06d}"
+            last = write_scene(release, targets, scene, number, model, step)
+            camera = camera or last
+            scenes.append(
+                {
+                    "scene_id": number,
+                    "split": split,
+                    "obj_id": None if model is None else number,
+                    **{name: getattr(targets[0], name) for name in ("recording", "object", "category")},
+                    "images": [int(target.view) for target in targets],
+                }
+            )
+        _write_dataset_files(release, folder, scenes, infos, camera)
+    return done
+
+
+def _held_back(release: Release, recording: str) -> bool:
+    """Whether a recording's truth is not in the release, and should not be."""
+    return release.metadata.recordings[recording].split in release.metadata.held_back
+
+
+def _write_model(model: BopModel, path: Path) -> dict[str, float]:
+    """Write the model's PLY; returns its row of models_info.json."""
+    mesh_mm = model.mesh_mm
+    path.write_bytes(model_ply(mesh_mm))
+    return model_info(mesh_mm)
+
+
+def _write_dataset_files(
+    release: Release,
+    folder: Path,
+    scenes: list[dict[str, Any]],
+    infos: dict[str, Any],
+    camera: Camera | None,
+) -> None:
+    """Write what belongs to all scenes."""
+    if camera is None:
+        raise ReleaseError(f"{release.folder}: no pair, so there is no image to export")
+    targets = [
+        {"im_id": image, "inst_count": 1, "obj_id": scene["scene_id"], "scene_id": scene["scene_id"]}
+        for scene in scenes
+        if scene["split"] == "test"
+        for image in scene["images"]
+    ]
+    nominal = {key: getattr(camera, key) for key in ("cx", "cy", "fx", "fy", "height", "width")}
+    (folder / "models" / "models_info.json").write_text(pretty_json(infos))
+    (folder / "test_targets_bop19.json").write_text(pretty_json(targets))
+    (folder / "camera.json").write_text(pretty_json({**nominal, "depth_scale": 1.0}))
+    info = release.metadata
+    text = DATASET_INFO.format(name=info.name, identity=release.benchmark_sha256, license=info.license)
+    (folder / "dataset_info.md").write_text(text)
+    write_export_json(folder, release, {"layout": "bop", "scenes": scenes})
+
+
+def write_scene(
+    release: Release,
+    targets: Sequence[Target],
+    folder: Path,
+    obj_id: int,
+    model: BopModel | None,
+    step: Callable[[], None],
+) -> Camera:
+    """Write one scene: depth/, rgb/ if colour lies on depth, masks, and its JSON files.
+
+    Args:
+        release: opened.
+        targets: the pairs of one recording; the image's number is the view's.
+        folder: of the scene, to be made.
+        obj_id: of the recording's object.
+        model: the object, or None if its truth is held back: then there is no ground truth.
+        step: called after each view.
+
+    Returns:
+        The camera of the last view.
+
+    Raises:
+        ReleaseError: a file of the release is missing or damaged.
+    """
+    renderer = None if model is None else DepthRenderer(model.mesh)
+    colored = _color_registered(release, targets[0].recording)
+    cameras: dict[str, Any] = {}
+    poses: dict[str, Any] = {}
+    infos: dict[str, Any] = {}
+    for target in targets:
+        image = int(target.view)
+        source = f"views/{target.recording}/{target.view}"
+        png = release.content(f"{source}.depth.png")
+        _write(folder / "depth" / f"{image:06d}.png", png)
+        if colored and f"{source}.color.jpg" in release.sums:
+            _write(folder / "rgb" / f"{image:06d}.jpg", release.content(f"{source}.color.jpg"))
+        K, T_world_camera = _camera(release, target)
+        depth_mm = _depth_mm(png, f"{source}.depth.png")
+        camera = Camera(depth_mm.shape[1], depth_mm.shape[0], K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        cameras[str(image)] = {"cam_K": K.ravel().tolist(), "depth_scale": 1.0}
+        if model is not None and renderer is not None:
+            cameras[str(image)] |= _rigid_mm(invert_rigid(T_world_camera), "w2c")
+            T_camera_model = invert_rigid(T_world_camera) @ model.T_world_model
+            poses[str(image)] = [{**_rigid_mm(T_camera_model, "m2c"), "obj_id": obj_id}]
+            seen = object_in_view(depth_mm, camera, T_world_camera, model.mesh, renderer)
+            infos[str(image)] = [_info(seen)]
+            for name, mask in (("mask", seen.mask), ("mask_visib", seen.mask_visib)):
+                _write(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
+        step()
+    (folder / "scene_camera.json").write_text(pretty_json(cameras))
+    if model is not None:
+        (folder / "scene_gt.json").write_text(pretty_json(poses))
+        (folder / "scene_gt_info.json").write_text(pretty_json(infos))
+    return camera
+
+
+def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
+    """A rigid transform in metres as BOP writes it: rotation row by row, translation in millimetres."""
+    return {
+        f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
+        f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
+    }
+
+
+def _info(seen: ObjectInView) -> Mapping[str, Any]:
+    """A row of scene_gt_info.json."""
+    return {
+        "bbox_obj": list(seen.bbox_obj),
+        "bbox_visib": list(seen.bbox_visib),
+        "px_count_all": seen.px_count_all,
+        "px_count_valid": seen.px_count_valid,
+        "px_count_visib": seen.px_count_visib,
+        "visib_fract": seen.visib_fract,
+    }
+
+
+def _camera(release: Release, target: Target) -> tuple[Float64, Float64]:
+    """K and T_world_camera of a pair; its grids are not unpacked."""
+    try:
+        with np.load(io.BytesIO(release.content(target.file)), allow_pickle=False) as pair:
+            return pair["K"].reshape(3, 3), pair["T_world_camera"].reshape(4, 4)
+    except UNREADABLE as error:
+        raise ReleaseError(f"{release.pair_path(target)}: cannot be read as a pair ({error})") from error
+
+
+def _color_registered(release: Release, recording: str) -> bool:
+    """Whether the recording's colour lies on the pixels of depth, as BOP asks."""
+    name = f"views/{recording}/views.json"
+    if name not in release.sums:
+        raise ReleaseError(f"{release.folder / name}: missing; BOP needs the depth images of the views")
+    return bool(ViewsFile.parse(release.content(name).decode(), name).color_registered)
+
+
+def _depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 2 or image.dtype != np.uint16:
+        raise ReleaseError(f"{where}: not a PNG of 16-bit depth")
+    return np.asarray(image, dtype=np.uint16)
+
+
+def _mask_png(mask: Bools) -> bytes:
+    import cv2
+
+    return bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes())
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)

@@ -1,0 +1,187 @@
+"""An object as the BOP benchmark has it: its model in millimetres, and its silhouette in a view."""
+
+import io
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.errors import ReleaseError, StorageError
+from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, transform_points
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.mesh import parse_ply
+from kinectbench.core.types import Bools, Float64
+from kinectbench.release.release import Release
+
+MM_PER_M = 1000.0
+# Rows of distances that are held at once.
+CHUNK = 512
+# A surface counts as seen if it lies no deeper behind the measured one (BOP: delta).
+DELTA_MM = 15.0
+NO_BOX = (-1, -1, -1, -1)
+Box = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class BopModel:
+    """An object in the world, and BOP's model frame in it.
+
+    Attributes:
+        mesh: closed, world frame, metres.
+        T_world_model: (4, 4); the model frame has the floor's axes, z up, and its origin in the middle of
+            the mesh's box in them; metres.
+    """
+
+    mesh: TriangleMesh
+    T_world_model: Float64
+
+    @property
+    def mesh_mm(self) -> TriangleMesh:
+        """The mesh in the model frame, millimetres."""
+        mesh = self.mesh.transformed(invert_rigid(self.T_world_model))
+        return TriangleMesh(mesh.vertices * MM_PER_M, mesh.faces)
+
+
+def read_model(release: Release, recording: str) -> BopModel:
+    """The object of a recording.
+
+    Raises:
+        ReleaseError: its files are missing or damaged.
+    """
+    folder = f"objects/{recording}"
+    try:
+        mesh = parse_ply(io.BytesIO(release.content(f"{folder}/mesh.ply")))
+        floor = FloorFile.parse(release.content(f"{folder}/{FloorFile.FILE}").decode(), FloorFile.FILE)
+    except (StorageError, ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
+        raise ReleaseError(f"{release.folder / folder}: the object cannot be read ({error})") from error
+    vertices_floor = mesh.transformed(floor.T_floor_world).vertices
+    middle = (vertices_floor.min(axis=0) + vertices_floor.max(axis=0)) / 2
+    return BopModel(mesh, invert_rigid(floor.T_floor_world) @ rigid(np.eye(3), middle))
+
+
+def model_ply(mesh: TriangleMesh) -> bytes:
+    """A binary PLY file with vertex normals, float and int as the toolkit's reader knows them."""
+    import trimesh
+
+    shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    return bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=True))
+
+
+def model_info(mesh: TriangleMesh) -> dict[str, float]:
+    """A row of models_info.json: the largest distance between two vertices, and the box; the mesh's unit."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    info = {"diameter": _diameter(mesh.vertices)}
+    info |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
+    return info | {f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)}
+
+
+def _diameter(vertices: Float64) -> float:
+    """The largest distance between two of the points, which are corners of the convex hull."""
+    from scipy.spatial import ConvexHull
+    from scipy.spatial.distance import cdist
+
+    corners = vertices[ConvexHull(vertices).vertices]
+    return max(float(cdist(corners[i : i + CHUNK], corners).max()) for i in range(0, len(corners), CHUNK))
+
+
+@dataclass(frozen=True)
+class ObjectInView:
+    """A row of scene_gt_info.json and its two masks.
+
+    Attributes:
+        mask: (height, width) bool, the silhouette within the image.
+        mask_visib: (height, width) bool, the visible part of it.
+        px_count_all: pixels of the silhouette, beyond the image too.
+        px_count_valid: of `mask`, those with a measured depth.
+        px_count_visib: of `mask_visib`.
+        bbox_obj: x, y, width, height of the silhouette, beyond the image too; -1 if nothing is visible.
+        bbox_visib: of `mask_visib`.
+    """
+
+    mask: Bools
+    mask_visib: Bools
+    px_count_all: int
+    px_count_valid: int
+    px_count_visib: int
+    bbox_obj: Box
+    bbox_visib: Box
+
+    @property
+    def visib_fract(self) -> float:
+        """The visible share of the silhouette."""
+        return self.px_count_visib / self.px_count_all if self.px_count_all else 0.0
+
+
+def object_in_view(
+    depth_mm: NDArray[np.uint16],
+    camera: Camera,
+    T_world_camera: Float64,
+    mesh: TriangleMesh,
+    renderer: DepthRenderer,
+) -> ObjectInView:
+    """Silhouette, visible part and their figures.
+
+    Args:
+        depth_mm: (height, width) uint16, measured, 0 = none.
+        camera: of the image.
+        T_world_camera: (4, 4).
+        mesh: of the object, world frame, metres.
+        renderer: of the same mesh.
+
+    Source: the BOP format page and its definition of visibility, mode `bop19`: a pixel of the silhouette is
+    visible if the model lies at most 15 mm behind the measurement, along the ray, or there is none. The
+    silhouette is looked for in an image three times as wide and high, the camera's own in its middle.
+    """
+    wide, left, top = _wide_camera(camera, T_world_camera, mesh)
+    wide_m = renderer.depth_m(wide, T_world_camera)
+    model_m = wide_m[top : top + camera.height, left : left + camera.width]
+    mask = model_m > 0
+    ray_lengths = np.linalg.norm(camera.rays(), axis=-1)
+    behind_mm = (model_m * 1000.0 - depth_mm) * ray_lengths
+    mask_visib = mask & ((behind_mm <= DELTA_MM) | (depth_mm == 0))
+    visible = bool(mask_visib.any())
+    return ObjectInView(
+        mask=mask,
+        mask_visib=mask_visib,
+        px_count_all=int((wide_m > 0).sum()),
+        px_count_valid=int((depth_mm[mask] > 0).sum()),
+        px_count_visib=int(mask_visib.sum()),
+        bbox_obj=_box(wide_m > 0, left, top) if visible else NO_BOX,
+        bbox_visib=_box(mask_visib, 0, 0) if visible else NO_BOX,
+    )
+
+
+def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) -> tuple[Camera, int, int]:
+    """A camera whose image holds the whole object, at most three times the size; and where the own begins."""
+    points_camera = transform_points(invert_rigid(T_world_camera), mesh.vertices)
+    left, right, top, bottom = camera.width, camera.width, camera.height, camera.height
+    if points_camera[:, 2].min() > 0:
+        u, v = np.moveaxis(camera.project(points_camera), -1, 0)
+        left, right = _margins(u, camera.width)
+        top, bottom = _margins(v, camera.height)
+    wide = replace(
+        camera,
+        width=camera.width + left + right,
+        height=camera.height + top + bottom,
+        cx=camera.cx + left,
+        cy=camera.cy + top,
+    )
+    return wide, left, top
+
+
+def _margins(pixels: Float64, size: int) -> tuple[int, int]:
+    """Pixels needed before and after an image's side, each at most the side itself."""
+    before, after = np.ceil([-pixels.min(), pixels.max() - (size - 1)])
+    return int(np.clip(before, 0, size)), int(np.clip(after, 0, size))
+
+
+def _box(mask: Bools, left: int, top: int) -> Box:
+    """The box around a mask as BOP writes it: the first pixel, and the way from there to the last."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return (
+        int(columns[0]) - left,
+        int(rows[0]) - top,
+        int(columns[-1] - columns[0]),
+        int(rows[-1] - rows[0]),
+    )

@@ -1,0 +1,63 @@
+"""What the layouts of others share: export.json, and the names of splits, categories and values in them."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from kinectbench._version import __version__
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import pretty_json, replaced_folder
+from kinectbench.release.release import Release
+
+EXPORT_JSON = "export.json"
+# The categories of the paper, by their ShapeNet synsets; ShapeNet's sofa is the paper's couch.
+SYNSETS = {
+    "02828884": "bench",
+    "03001627": "chair",
+    "04256520": "couch",
+    "04379243": "table",
+    "02958343": "car",
+    "03325088": "faucet",
+    "04090263": "firearm",
+    "03467517": "guitar",
+    "03211117": "monitor",
+    "02691156": "plane",
+}
+NO_SYNSET = "00000000"
+# What a pair holds beside its grids.
+NUMBERS = ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule", "occupancy_rule")
+MATRICES = ("T_world_grid", "T_world_camera", "K")
+# Split → what BOP and the paper's authors call it.
+SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
+
+
+@contextmanager
+def export_folder(out: Path) -> Iterator[Path]:
+    """Yield an empty folder that takes `out`'s place when the block ends well.
+
+    Raises:
+        SettingsError: `out` holds something else than an earlier export.
+        StorageError: the disk is full or read-only.
+    """
+    if out.exists() and not (out.is_dir() and ((out / EXPORT_JSON).is_file() or not any(out.iterdir()))):
+        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+    with replaced_folder(out) as folder:
+        yield folder
+
+
+def write_export_json(folder: Path, release: Release, rows: Mapping[str, Any]) -> None:
+    """Write export.json: which release it is from, and what the exported files do not say."""
+    content = {
+        "format_version": 1,
+        "package_version": __version__,
+        "benchmark_sha256": release.benchmark_sha256,
+        "name": release.metadata.name,
+        "license": release.metadata.license,
+    }
+    (folder / EXPORT_JSON).write_text(pretty_json(content | dict(rows)))
+
+
+def synset_of(category: str) -> str:
+    """The ShapeNet synset of a category; "00000000" if it is none of the paper's."""
+    return next((synset for synset, name in SYNSETS.items() if name == category), NO_SYNSET)

@@ -1,0 +1,179 @@
+"""Files of the paper's authors as a release, so that predictions for them can be scored."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.storage import NAME, replaced_folder, sha256_file
+from kinectbench.core.types import Progress, Split
+from kinectbench.core.voxels.morphology import packed_shell
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Pair, pack, pair_bytes
+from kinectbench.core.voxels.recgan_file import read_recgan_file
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.release.contents import read_text, strict_json
+from kinectbench.release.exchange.layouts import EXPORT_JSON, MATRICES, NUMBERS, SPLIT_NAMES, SYNSETS
+from kinectbench.release.publish.card import CardTexts
+from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.settings.models import PairSettings
+
+SPLITS = {theirs: split for split, theirs in SPLIT_NAMES.items()}
+PATH = re.compile(
+    r"P1_(\d{8})_([A-Za-z0-9._-]+)/(train|val|test)_(\d+)_25d_vox256/(.+)_(\d+)_(\d+)_(\d+)\.npz"
+)
+TEXTS = CardTexts(
+    "files of the authors of 3D-RecGAN++",
+    "The files say nothing of what was\nseen or known: `known` is set everywhere, `seen` where the view "
+    "measured a surface. Do not use the\nprotocols `known` and `occluded`. Where no transform was exported "
+    "with them, the cube's edge\nstands for a metre.",
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One pair of files: where it belongs, and what is known of it beyond its grids."""
+
+    target: Target
+    file_25d: Path
+    file_3d: Path
+    values: dict[str, Any]
+
+
+def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> int:
+    """Write a release of all pairs of files in a folder of the authors' layout.
+
+    Files of `kinectbench export` get their names and transforms back. Of others a recording is
+    `<model>-<views>`, its views are counted in the order of their names.
+
+    Args:
+        folder: holds `P1_<synset>_<category>/`.
+        out: a new folder, or a release, which is replaced.
+        progress: called with (pairs done, pairs in all).
+
+    Returns:
+        The number of pairs.
+
+    Raises:
+        SettingsError: no such files there, or `out` holds something else.
+        PairError: a file is damaged, or lacks its counterpart.
+        StorageError: the disk is full or read-only.
+    """
+    if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
+        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+    exported = folder / EXPORT_JSON
+    content = strict_json(read_text(exported), str(exported)) if exported.is_file() else {}
+    found = _exported(folder, content) if content else _theirs(folder)
+    if not found:
+        raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
+    with replaced_folder(out) as temporary:
+        targets = []
+        for done, one in enumerate(found, start=1):
+            path = temporary / one.target.file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(pair_bytes(_pair(one)))
+            targets.append(Target(**{**vars(one.target), "sha256": sha256_file(path)}))
+            if progress:
+                progress(done, len(found))
+        first = found[0].values
+        head = Head(
+            content.get("name", folder.resolve().name or "imported"),
+            content.get("license", "unspecified"),
+            first.get("framing", "object"),
+            first.get("partial_rule", "any"),
+            {"pairs": PairSettings(min_containment=0.0).model_dump(mode="json")},
+            TEXTS,
+        )
+        write_small_files(head, temporary, tuple(sorted(targets)), _infos(targets), [])
+    return len(targets)
+
+
+def _exported(folder: Path, content: dict[str, Any]) -> list[Found]:
+    """The pairs that export.json lists."""
+    found = []
+    for row in content.get("pairs", []):
+        try:
+            names = {key: row[key] for key in ("recording", "object", "view", "category", "split")}
+            files = [folder / row[key] for key in ("file_25d", "file_3d")]
+            values: dict[str, Any] = {key: row[key] for key in NUMBERS}
+            values |= {key: np.array(row[key], dtype=np.float64) for key in MATRICES}
+        except (KeyError, TypeError, ValueError) as error:
+            raise PairError(f"{folder / EXPORT_JSON}: a row is damaged ({error}); export again") from error
+        if not all(NAME.fullmatch(str(name)) for name in names.values()):
+            raise PairError(f"{folder / EXPORT_JSON}: a name is not safe as a file's; export again")
+        found.append(Found(_target(**names), files[0], files[1], values))
+    return found
+
+
+def _theirs(folder: Path) -> list[Found]:
+    """The pairs of the authors' own files, in the order of their names."""
+    rows = []
+    for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
+        match = PATH.fullmatch(path.relative_to(folder).as_posix())
+        if not match or not NAME.fullmatch(f"{match[5]}-{match[4]}"):
+            raise PairError(f"{path}: not named <model>_<roll>_<pitch>_<yaw>.npz in a folder of the layout")
+        rows.append((match[2], match[3], match[5], match[4], tuple(map(int, match.group(6, 7, 8))), path))
+    counts: dict[str, int] = {}
+    found = []
+    for category, split, model, views, _, path in sorted(rows):
+        recording = f"{model}-{views}"
+        view = counts[recording] = counts.get(recording, -1) + 1
+        target = _target(recording, model, f"{view:03d}", SYNSETS.get(category, category), SPLITS[split])
+        counterpart = path.parents[1] / path.parent.name.replace("_25d_", "_3d_") / path.name
+        found.append(Found(target, path, counterpart, {}))
+    return found
+
+
+def _target(recording: str, object: str, view: str, category: str, split: str) -> Target:
+    return Target(recording, object, view, category, split, f"pairs/{recording}/{view}.npz", "")
+
+
+def _pair(found: Found) -> Pair:
+    """A pair of two files; what they do not say is filled in as the card tells."""
+    for path in (found.file_25d, found.file_3d):
+        if not path.is_file():
+            raise PairError(f"{path}: missing; every file of 25d needs its counterpart of 3d")
+    seen, full = read_recgan_file(found.file_25d), pack(read_recgan_file(found.file_3d))
+    unknown: dict[str, Any] = {
+        "T_world_grid": np.eye(4),
+        "T_world_camera": np.eye(4),
+        "K": np.eye(3),
+        "voxel_size_m": 1 / FULL_CELLS,
+        "surface_sigma_m": 0.0,
+        "framing": "object",
+        "partial_rule": "any",
+        "occupancy_rule": "six-rays",
+    }
+    values = unknown | found.values
+    return Pair(
+        partial=pack(reduce_blocks(seen, values["partial_rule"])),
+        partial_256=pack(seen),
+        full=full,
+        shell=packed_shell(full),
+        known=np.full_like(full, 255),
+        seen=pack(seen),
+        **values,
+    )
+
+
+def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
+    """What benchmark.json says of each recording."""
+    recordings = {target.recording: target for target in targets}
+    return {
+        name: RecordingInfo(
+            object=target.object,
+            category=target.category,
+            split=cast(Split, target.split),
+            pairs=sum(other.recording == name for other in targets),
+            refused=0,
+            quality=QualityFile(
+                verdict="unknown", warnings=("imported: nothing is known of how good it is",)
+            ),
+        )
+        for name, target in recordings.items()
+    }

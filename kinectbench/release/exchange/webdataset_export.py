@@ -1,0 +1,118 @@
+"""A release as WebDataset shards: tar files that training reads from beginning to end."""
+
+import io
+import json
+import tarfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.artefacts.targets import SPLITS, Target
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pair_values
+from kinectbench.release.exchange.layouts import MATRICES, NUMBERS, export_folder, write_export_json
+from kinectbench.release.release import Release
+
+# At 6.3 MB a pair a shard has about 630 MB.
+PAIRS_PER_SHARD = 100
+GRIDS = ("partial", "full", "known", "seen")
+
+
+def export_webdataset(
+    release: Release,
+    out: Path,
+    progress: Progress | None = None,
+    pairs_per_shard: int = PAIRS_PER_SHARD,
+) -> int:
+    """Write the pairs of each split as `<split>-000000.tar` and so on, the same bytes every time.
+
+    A sample is `<recording>_<view>` with `partial.npy`, `full.npy`, `known.npy` and `seen.npy`, packed along
+    the last axis as in pair files, and `json`: names, transforms and numbers. A dot in a recording's name
+    becomes `-`, for WebDataset's keys end at the first dot. Where the truth is held back there are only the
+    inputs.
+
+    Args:
+        release: opened.
+        out: a new folder, or an earlier export, which is replaced.
+        progress: called with (pairs done, pairs in all).
+        pairs_per_shard: at most so many in one file.
+
+    Returns:
+        The number of pairs.
+
+    Raises:
+        SettingsError: `out` holds something else, or two recordings would get the same keys.
+        ReleaseError, PairError: a pair is missing or damaged.
+        StorageError: the disk is full or read-only.
+    """
+    _check_keys(release.targets)
+    shards: dict[str, int] = {}
+    done = 0
+    with export_folder(out) as folder:
+        for name, targets in _shards(release, pairs_per_shard):
+            with tarfile.open(folder / name, "w", format=tarfile.USTAR_FORMAT) as shard:
+                for target in targets:
+                    for extension, content in _sample(target, _read(release, target)):
+                        _add(shard, f"{sample_key(target)}.{extension}", content)
+                    done += 1
+                    if progress:
+                        progress(done, len(release.targets))
+            shards[name] = len(targets)
+        write_export_json(folder, release, {"layout": "webdataset", "shards": shards})
+    return done
+
+
+def sample_key(target: Target) -> str:
+    """What a pair is called in a shard."""
+    return f"{target.recording.replace('.', '-')}_{target.view}"
+
+
+def _check_keys(targets: Sequence[Target]) -> None:
+    """Refuse recordings whose names differ by dots and hyphens only."""
+    recordings: dict[str, str] = {}
+    for target in targets:
+        first = recordings.setdefault(sample_key(target), target.recording)
+        if first != target.recording:
+            raise SettingsError(
+                f"'{first}' and '{target.recording}' would have the same keys in WebDataset; rename one"
+            )
+
+
+def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ...]]]:
+    """The name and the pairs of each shard, in the order of targets.csv."""
+    for split in SPLITS:
+        targets = release.split(split)
+        for number, first in enumerate(range(0, len(targets), size)):
+            yield f"{split}-{number:06d}.tar", targets[first : first + size]
+
+
+def _read(release: Release, target: Target) -> Pair | PairInput:
+    """A pair, or its input where its truth is held back."""
+    values = pair_values(release.content(target.file), target.file)
+    if target.split in release.metadata.held_back:
+        return checked_pair(PairInput, values, target.file)
+    return checked_pair(Pair, values, target.file)
+
+
+def _sample(target: Target, pair: Pair | PairInput) -> Iterator[tuple[str, bytes]]:
+    """The files of one sample: extension and content."""
+    for name in (name for name in GRIDS if hasattr(pair, name)):
+        buffer = io.BytesIO()
+        np.lib.format.write_array(buffer, np.ascontiguousarray(getattr(pair, name)), allow_pickle=False)
+        yield f"{name}.npy", buffer.getvalue()
+    row: dict[str, Any] = {
+        name: getattr(target, name) for name in ("recording", "object", "view", "category", "split")
+    }
+    row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}
+    row |= {name: getattr(pair, name).tolist() for name in MATRICES}
+    yield "json", json.dumps(row, allow_nan=False).encode()
+
+
+def _add(shard: tarfile.TarFile, name: str, content: bytes) -> None:
+    """Add a file whose owner and time are nobody's."""
+    entry = tarfile.TarInfo(name)
+    entry.size, entry.mode = len(content), 0o644
+    shard.addfile(entry, io.BytesIO(content))

@@ -1,0 +1,94 @@
+"""Deterministic archives of a release: the same folder gives the same bytes, whenever and wherever."""
+
+import shutil
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
+from kinectbench.core.artefacts.targets import SHA256SUMS
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.storage import replaced_file, sha256_file
+from kinectbench.release.contents import release_files
+from kinectbench.release.publish.attribution import Origin, reasons_against_distribution
+from kinectbench.settings.models import BenchmarkSettings
+
+# Compressed already.
+STORED = (".npz", ".png", ".jpg")
+MIDNIGHT = (1980, 1, 1, 0, 0, 0)
+REGULAR_0644 = 0o100644 << 16
+DEFLATE_LEVEL = 9
+
+
+def archive_stem(info: ReleaseInfo) -> str:
+    """`<name>-<version>`, or `<name>-<first 8 digits of benchmark_sha256>` of a release without a version.
+
+    The private part of a benchmark that is held back adds `-private`.
+    """
+    private = "-private" if info.public_benchmark_sha256 else ""
+    return f"{info.name}-{info.version or info.benchmark_sha256[:8]}{private}"
+
+
+def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> None:
+    """Refuse archives of what must not be given away, before anything is built.
+
+    Args:
+        settings: the benchmark's.
+        ids: recordings that are to be published; None: all.
+
+    Raises:
+        ReleaseError: licence or source of a recording is not stated.
+    """
+    origins = {
+        recording.id: Origin(settings.license_of(recording), settings.source_of(recording))
+        for recording in settings.recordings
+        if not ids or recording.id in ids
+    }
+    _refuse(reasons_against_distribution(origins))
+
+
+def _refuse(reasons: Sequence[str]) -> None:
+    if reasons:
+        raise ReleaseError(f"no archive is made: {'; and '.join(reasons)}")
+
+
+def write_archive(release: Path, out: Path) -> Path:
+    """Pack a release as `out/<stem>.zip`, with `<stem>.zip.sha256` beside it, as `sha256sum -c` reads it.
+
+    Entries are sorted, without times, with the same permissions; npz and pictures are stored, the rest is
+    deflated.
+
+    Args:
+        release: its folder.
+        out: is made if it is not there.
+
+    Raises:
+        ReleaseError: no release there, or it must not be given away.
+        StorageError: the disk is full or read-only.
+    """
+    info = ReleaseInfo.read(release)
+    _refuse(info.distribution.reasons if info.distribution else ())
+    stem = archive_stem(info)
+    path = out / f"{stem}.zip"
+    with replaced_file(path) as temporary:
+        with zipfile.ZipFile(temporary, "w") as archive:
+            files = [*release_files(release), release / SHA256SUMS]
+            for name in sorted(file.relative_to(release).as_posix() for file in files):
+                _add(archive, release / name, f"{stem}/{name}")
+        sha256 = sha256_file(temporary)
+    with replaced_file(path.with_name(f"{path.name}.sha256")) as temporary:
+        temporary.write_text(f"{sha256}  {path.name}\n")
+    return path
+
+
+def _add(archive: zipfile.ZipFile, file: Path, name: str) -> None:
+    """Add one file in streaming."""
+    entry = zipfile.ZipInfo(name, MIDNIGHT)
+    entry.create_system = 3  # Unix, on every system
+    entry.external_attr = REGULAR_0644
+    if file.suffix not in STORED:
+        entry.compress_type = zipfile.ZIP_DEFLATED
+        entry._compresslevel = DEFLATE_LEVEL  # type: ignore[attr-defined]
+    entry.file_size = file.stat().st_size
+    with file.open("rb") as source, archive.open(entry, "w") as target:
+        shutil.copyfileobj(source, target, 1 << 20)

@@ -1,0 +1,153 @@
+"""Licence and source of every recording, how to cite them, and what changed from version to version."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from kinectbench.settings.models import ChangeSettings, CitationSettings
+
+UNSPECIFIED = "unspecified"
+# SPDX identifier -> what Hugging Face calls it.
+HUGGING_FACE = {
+    "Apache-2.0": "apache-2.0",
+    "CC-BY-3.0": "cc-by-3.0",
+    "CC-BY-4.0": "cc-by-4.0",
+    "CC-BY-NC-4.0": "cc-by-nc-4.0",
+    "CC-BY-NC-ND-4.0": "cc-by-nc-nd-4.0",
+    "CC-BY-NC-SA-4.0": "cc-by-nc-sa-4.0",
+    "CC-BY-SA-4.0": "cc-by-sa-4.0",
+    "CC0-1.0": "cc0-1.0",
+    "CDLA-Permissive-2.0": "cdla-permissive-2.0",
+    "MIT": "mit",
+    "ODC-By-1.0": "odc-by",
+    "ODbL-1.0": "odbl",
+    "PDDL-1.0": "pddl",
+}
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the data of a recording is from.
+
+    Attributes:
+        license: SPDX identifier or other words; "unspecified" if nobody said.
+        source: who recorded it, or where it is from; "unspecified" if nobody said.
+    """
+
+    license: str
+    source: str
+
+
+def reasons_against_distribution(origins: Mapping[str, Origin]) -> tuple[str, ...]:
+    """Why the data must not be given away, one line each; empty if it may.
+
+    Args:
+        origins: by recording.
+    """
+    reasons = []
+    for key, word in (("license", "licence"), ("source", "source")):
+        silent = [name for name, origin in sorted(origins.items()) if getattr(origin, key) == UNSPECIFIED]
+        if silent:
+            which = "every recording" if len(silent) == len(origins) else ", ".join(silent)
+            reasons.append(
+                f"no {word} is stated: set `{key}` in benchmark.yaml ({which}); until then the release is "
+                "not for distribution"
+            )
+    return tuple(reasons)
+
+
+def common_license(origins: Mapping[str, Origin], otherwise: str) -> str:
+    """The licence of all recordings if they have the same one, else `otherwise`."""
+    licenses = {origin.license for origin in origins.values()}
+    return licenses.pop() if len(licenses) == 1 else otherwise
+
+
+def license_url(license: str) -> str | None:
+    """Where the text of a licence with an SPDX identifier is; None for other words."""
+    return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
+
+
+def license_text(name: str, license: str, origins: Mapping[str, Origin]) -> str:
+    """LICENSE: the licence, and of each recording its licence and source.
+
+    Args:
+        name: of the benchmark.
+        license: of the benchmark.
+        origins: by recording.
+    """
+    head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
+    lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
+    if url := license_url(license):
+        lines.append(f"Its text: {url}")
+    lines += ["", "Each recording, and all that was made from it, is under its own licence:", ""]
+    for recording, origin in sorted(origins.items()):
+        lines += [recording, f"  licence: {origin.license}", f"  source: {' '.join(origin.source.split())}"]
+    reasons = reasons_against_distribution(origins)
+    if reasons:
+        lines += ["", "NOT FOR DISTRIBUTION", *(f"- {reason}" for reason in reasons)]
+    return "\n".join(lines) + "\n"
+
+
+def citation_text(citation: CitationSettings, name: str, license: str) -> str:
+    """CITATION.cff (Citation File Format 1.2.0) of a dataset.
+
+    Args:
+        citation: the benchmark's; its name stands for what is not said.
+        name: of the benchmark.
+        license: left out where it is no SPDX identifier, as the format asks for.
+    """
+    content: dict[str, Any] = {
+        "cff-version": "1.2.0",
+        "message": "If you use this benchmark, please cite it.",
+        "type": "dataset",
+        "title": citation.title or name,
+        "authors": [_author(author) for author in authors(citation, name)],
+    }
+    for key, value in (
+        ("version", citation.version),
+        ("doi", citation.doi),
+        ("url", citation.url),
+        ("date-released", citation.date_released),
+        ("license", license if license in HUGGING_FACE else None),
+    ):
+        if value is not None:
+            content[key] = value
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=10**9)
+
+
+def authors(citation: CitationSettings, name: str) -> list[str]:
+    """The authors, or words for those of a benchmark that does not name them."""
+    return citation.authors or [f"The makers of {name}"]
+
+
+def citation_line(citation: CitationSettings, name: str) -> str:
+    """One line that cites the release."""
+    parts = [", ".join(authors(citation, name))]
+    if citation.date_released:
+        parts[0] += f" ({citation.date_released[:4]})"
+    parts.append(citation.title or name)
+    if citation.version:
+        parts[1] += f", version {citation.version}"
+    if citation.doi:
+        parts.append(f"https://doi.org/{citation.doi}")
+    elif citation.url:
+        parts.append(citation.url)
+    return ". ".join(parts) + "."
+
+
+def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
+    """CHANGELOG.md, newest first, as given."""
+    lines = [f"# Changes of {name}", ""]
+    for change in changes or []:
+        lines += [f"## {change.version}", "", *(f"- {' '.join(line.split())}" for line in change.changes), ""]
+    if not changes:
+        lines += ["Nothing is recorded.", ""]
+    return "\n".join(lines[:-1]) + "\n"
+
+
+def _author(author: str) -> dict[str, str]:
+    """`Family, Given` is a person, anything else a group."""
+    family, comma, given = author.partition(", ")
+    return {"family-names": family, "given-names": given} if comma else {"name": author}

@@ -1,0 +1,200 @@
+"""What a release says to people: the card README.md, and READING.md, which reads it without this package."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import yaml
+
+from kinectbench.core.artefacts.benchmark import UNSPECIFIED, ReleaseInfo
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.targets import SPLITS, Target
+from kinectbench.core.voxels.pair_file import TRUTH_KEYS
+from kinectbench.release.contents import LICENSE, SPLIT_TARGETS
+from kinectbench.release.publish.attribution import HUGGING_FACE
+
+# Key of quality.json -> what it is called, how it is written, factor.
+QUALITY = {
+    "estimated_iou": ("estimated IoU", "{:.3f}", 1.0),
+    "repeatability_iou": ("repeatability IoU", "{:.3f}", 1.0),
+    "surface_sigma_m": ("σ of the surface", "{:.1f} mm", 1000.0),
+    "unknown_share": ("never seen", "{:.1f} %", 100.0),
+    "doubtful_share": ("perhaps a hollow", "{:.1f} %", 100.0),
+    "volume_m3": ("volume", "{:.1f} l", 1000.0),
+    "good_frames": ("frames fused", "{:.0f}", 1.0),
+}
+SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
+TRUTH_LINES = """\
+full = np.unpackbits(pair["full"], axis=-1).astype(bool)  # (256, 256, 256), the truth
+known = np.unpackbits(pair["known"], axis=-1).astype(bool)  # the truth is trusted there"""
+INPUT_LINES = """\
+partial_256 = np.unpackbits(pair["partial_256"], axis=-1).astype(bool)  # (256, 256, 256), the same, finer"""
+TEMPLATE = Path(__file__).with_name("card.md")
+READING_TEMPLATE = Path(__file__).with_name("reading.md")
+TRUTH = 'surface = points_world("shell")  # the surface of the true shape, in the same world'
+NO_TRUTH = "# No pair of this part has its truth."
+
+
+def quality_words(quality: QualityFile) -> dict[str, str]:
+    """What each known figure is called → its value with its unit, in a fixed order.
+
+    Args:
+        quality: quality.json; without a figure where it is held back or the pairs come from elsewhere.
+    """
+    return {
+        label: form.format(factor * value)
+        for key, (label, form, factor) in QUALITY.items()
+        if (value := getattr(quality, key)) is not None
+    }
+
+
+@dataclass(frozen=True)
+class CardTexts:
+    """What a card says that depends on where the pairs come from.
+
+    Attributes:
+        source: end of the first sentence: "A benchmark for ... shape completion from".
+        beside: what the folders beside `pairs/` hold.
+        origin: source of a recording that states none; empty: it has to.
+    """
+
+    source: str
+    beside: str
+    origin: str = ""
+
+
+RECORDED = CardTexts(
+    "real RGB-D recordings",
+    "Depth and\nmask of each view are in `views/`, the floor, the closed mesh and the labelled volume of "
+    "each object in `objects/`. `datasheet.md` says what the benchmark is for and what is wrong with it,\n"
+    "`lineage.json` where every pair comes from, `schemas/` what every file holds; `index.html` shows every "
+    "object.",
+)
+
+
+def card(
+    info: ReleaseInfo,
+    targets: Sequence[Target],
+    warnings: Sequence[str],
+    license: str,
+    texts: CardTexts = RECORDED,
+) -> str:
+    """The card as Markdown, with the YAML head that Hugging Face reads.
+
+    Args:
+        info: benchmark.json.
+        targets: every pair.
+        warnings: one line each.
+        license: of all recordings.
+        texts: what depends on where the pairs come from.
+    """
+    example = next((t for t in targets if t.split not in info.held_back), targets[0])
+    hidden = example.split in info.held_back
+    body = Template(TEMPLATE.read_text()).substitute(
+        name=info.name,
+        source=texts.source,
+        beside=texts.beside,
+        license=license,
+        framing=info.framing,
+        partial_rule=info.partial_rule,
+        package_version=info.package_version,
+        notice=_notice(info),
+        counts=counts_table(targets),
+        example=example.file,
+        truth=INPUT_LINES if hidden else TRUTH_LINES,
+        shown="partial_256" if hidden else "full",
+        quality=_quality(info),
+        warnings="\n".join(f"- {line}" for line in warnings) or "None.",
+    )
+    return f"---\n{_head(info, targets, license)}---\n\n{body}"
+
+
+def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
+    """The card's YAML: https://huggingface.co/docs/hub/datasets-cards."""
+    known = HUGGING_FACE.get(license)
+    content: dict[str, Any] = {"license": known or ("unknown" if license == UNSPECIFIED else "other")}
+    if content["license"] == "other":
+        content |= {"license_name": re.sub(r"[^a-z0-9.-]+", "-", license.lower()).strip("-")}
+        content |= {"license_link": LICENSE}
+    present = [split for split in SPLITS if any(target.split == split for target in targets)]
+    content |= {
+        "pretty_name": info.name,
+        "task_categories": ["image-to-3d"],
+        "tags": ["3d", "shape-completion", "rgb-d", "voxels", "benchmark", *sorted(_categories(targets))],
+        "size_categories": [next(name for limit, name in SIZES if len(targets) < limit)],
+        "configs": [
+            {
+                "config_name": "targets",
+                "default": True,
+                "data_files": [{"split": s, "path": f"{SPLIT_TARGETS}/{s}.csv"} for s in present],
+            }
+        ],
+    }
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=10**9)
+
+
+def _categories(targets: Sequence[Target]) -> set[str]:
+    return {target.category for target in targets}
+
+
+def _notice(info: ReleaseInfo) -> str:
+    """What must be known before anything else; empty for a complete release that may be given away."""
+    lines = []
+    if info.distribution is not None and not info.distribution.allowed:
+        lines += ["**Not for distribution.**", *(f"- {reason}" for reason in info.distribution.reasons), ""]
+    if info.held_back:
+        lines += [
+            f"**The truth of the split {', '.join(info.held_back)} is held back**: its pair files hold the "
+            "input only. Send your predictions to whoever published the benchmark to have them scored.",
+            "",
+        ]
+    return "\n".join(lines) + "\n" if lines else ""
+
+
+def counts_table(targets: Sequence[Target]) -> str:
+    """Pairs and objects per category and split."""
+    rows = []
+    for category in sorted({target.category for target in targets}):
+        here = [target for target in targets if target.category == category]
+        objects = len({target.object for target in here})
+        per_split = [str(sum(target.split == split for target in here)) for split in SPLITS]
+        rows.append([category, str(objects), *per_split])
+    return _markdown(["category", "objects", *(f"{split} pairs" for split in SPLITS)], rows)
+
+
+def _quality(info: ReleaseInfo) -> str:
+    """The figures of each recording's quality.json, in words."""
+    words = {name: quality_words(recording.quality) for name, recording in info.recordings.items()}
+    labels = [label for label, _, _ in QUALITY.values() if any(label in row for row in words.values())]
+    rows = [
+        [name, recording.object, str(recording.pairs), str(recording.refused)]
+        + [words[name].get(label, "") for label in labels]
+        for name, recording in sorted(info.recordings.items())
+    ]
+    return _markdown(["recording", "object", "pairs", "refused", *labels], rows)
+
+
+def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def reading(targets: Sequence[Target], held_back: Sequence[str]) -> str:
+    """The page as Markdown; its example is the first pair that has its truth, if there is one.
+
+    Args:
+        targets: every pair.
+        held_back: splits of which only the inputs are there.
+    """
+    open_targets = [target for target in targets if target.split not in held_back]
+    keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))
+    hidden = f"\nPairs of the split {', '.join(held_back)} do not have {keys}: their truth is held back.\n"
+    return Template(READING_TEMPLATE.read_text()).substitute(
+        example=(open_targets or targets)[0].file,
+        truth=TRUTH if open_targets else NO_TRUTH,
+        held_back=hidden if held_back else "",
+    )

@@ -1,0 +1,113 @@
+"""Publishing a benchmark from its build folders, and knowing whether the release is still current."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from kinectbench.core.artefacts.benchmark import AskedOptions, PublishStamp, ReleaseInfo
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
+from kinectbench.engine.locks import locked, sweep
+from kinectbench.engine.versions import VERSIONS
+from kinectbench.release.contents import read_text
+from kinectbench.release.publish.publish import PRIVATE, PublishOptions, PublishSummary, publish
+from kinectbench.settings.models import BenchmarkSettings
+
+
+def publish_if_stale(
+    settings: BenchmarkSettings,
+    root: Path,
+    recordings: Sequence[str],
+    force: bool = False,
+    options: PublishOptions | None = None,
+    *,
+    wait: bool = True,
+    waiting: Callable[[str], None] | None = None,
+) -> PublishSummary:
+    """Publish `build/` as `benchmark/`, unless that is what lies there already.
+
+    Args:
+        settings: the benchmark's.
+        root: the folder of benchmark.yaml.
+        recordings: ids of those built without failure.
+        force: publish anew in any case.
+        options: what is asked for beyond the settings; None: what was asked for last time.
+        wait: whether to wait for another run in this benchmark.
+        waiting: called with who holds it, before waiting.
+
+    Raises:
+        ReleaseError: nothing was built, or `benchmark/` holds something else.
+        StorageError: the release cannot be written, or another run is at work here (without `wait`).
+    """
+    build, out = root / "build", root / "benchmark"
+    if not recordings:
+        raise ReleaseError(f"{build}: no recording was built, so there is nothing to publish")
+    with contextlib.ExitStack() as locks:
+        # No other run may change a pair between its checks and its copy.
+        for folder in (build, *(build / name for name in sorted(recordings))):
+            locks.enter_context(locked(folder, wait=wait, waiting=waiting))
+        for folder in (out, out.with_name(out.name + PRIVATE)):
+            sweep(folder)
+        stamp = _stamp(build)
+        asked = options or (PublishOptions(**vars(stamp.options)) if stamp else PublishOptions())
+        wanted = _fingerprint(settings, build, recordings, asked)
+        summary = None if force else _published(stamp, out, wanted)
+        if summary is None:
+            summary = publish(settings, build, out, recordings, asked)
+            with replaced_file(build / PublishStamp.FILE) as temporary:
+                temporary.write_text(_stamped(wanted, asked, summary).text())
+    return summary
+
+
+def scoring_folder(root: Path) -> Path:
+    """The release below `root` that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
+    out = root / "benchmark"
+    private = out.with_name(out.name + PRIVATE)
+    try:
+        wanted = ReleaseInfo.read(out).private_benchmark_sha256
+        if wanted is not None and ReleaseInfo.read(private).benchmark_sha256 == wanted:
+            return private
+    except ReleaseError:  # whoever opens it will say so
+        pass
+    return out
+
+
+def _fingerprint(
+    settings: BenchmarkSettings, build: Path, recordings: Sequence[str], options: PublishOptions
+) -> str:
+    manifests = [read_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
+    content = [VERSIONS["publish"], settings.model_dump(mode="json"), manifests, asdict(options)]
+    return sha256_text(canonical_json(content))
+
+
+def _stamp(build: Path) -> PublishStamp | None:
+    """What was published last; None if nothing was, or nobody knows."""
+    try:
+        return PublishStamp.read_if_there(build)
+    except ReleaseError:
+        return None
+
+
+def _stamped(fingerprint: str, options: PublishOptions, summary: PublishSummary) -> PublishStamp:
+    """The stamp of what was just published."""
+    facts = {key: value for key, value in vars(summary).items() if key not in ("folder", "private")}
+    return PublishStamp(fingerprint=fingerprint, options=AskedOptions(**vars(options)), **facts)
+
+
+def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSummary | None:
+    """What lies in `out`, if it is what the stamp says and the stamp is what is wanted."""
+    if stamp is None or stamp.fingerprint != wanted:
+        return None
+    private = out.with_name(out.name + PRIVATE) if stamp.private_sha256 else None
+    try:
+        there = ReleaseInfo.read(out).benchmark_sha256 == stamp.benchmark_sha256
+        if private is not None:
+            there = there and ReleaseInfo.read(private).benchmark_sha256 == stamp.private_sha256
+    except ReleaseError:
+        return None
+    facts = {
+        key: getattr(stamp, key) for key in PublishStamp.model_fields if key not in ("fingerprint", "options")
+    }
+    return PublishSummary(folder=out, private=private, **facts) if there else None

@@ -1,0 +1,110 @@
+"""datasheet.md: what the data is for, how it was made, and what is known to be wrong with it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from string import Template
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.release.publish.attribution import citation_line
+from kinectbench.release.publish.card import counts_table
+from kinectbench.settings.models import BenchmarkSettings
+
+TEMPLATE = Path(__file__).with_name("datasheet.md")
+NOT_STATED = "Not stated."
+# Key of quality.json -> what it says, unit, factor.
+FIGURES = {
+    "estimated_iou": ("estimated IoU of the solid to the unknown truth", "", 1.0),
+    "repeatability_iou": ("IoU of solids made of odd and of even frames", "", 1.0),
+    "surface_sigma_m": ("standard deviation of the surface", " mm", 1000.0),
+    "unknown_share": ("share of the solid that no frame saw", " %", 100.0),
+    "doubtful_share": ("share of the solid that may be a hollow", " %", 100.0),
+}
+
+
+def unanswered(settings: BenchmarkSettings) -> list[str]:
+    """The questions of the datasheet that nobody has answered, by key."""
+    return [key for key, value in settings.publish.datasheet.model_dump().items() if not value]
+
+
+def datasheet(
+    settings: BenchmarkSettings,
+    targets: Sequence[Target],
+    infos: Mapping[str, RecordingInfo],
+    license: str,
+    reasons: Sequence[str],
+    color: str,
+    warnings: Sequence[str],
+    held_back: Sequence[str] = (),
+) -> str:
+    """The datasheet as Markdown.
+
+    Args:
+        settings: the benchmark's; `publish.datasheet` has the answers.
+        targets: every pair.
+        infos: by recording; held-back ones have no quality.
+        license: of the release.
+        reasons: why it may not be given away.
+        color: "left out", "published" or "none".
+        warnings: of the release.
+        held_back: splits of which only the inputs are there.
+    """
+    answers = {key: value or NOT_STATED for key, value in settings.publish.datasheet.model_dump().items()}
+    refused = sum(info.refused for info in infos.values())
+    return Template(TEMPLATE.read_text()).substitute(
+        answers,
+        name=settings.name,
+        package_version=__version__,
+        counts=counts_table(targets),
+        held_back=(
+            f"The truth of the split {', '.join(held_back)} is held back."
+            if held_back
+            else "Nothing is held back."
+        ),
+        sensors=_sources(infos),
+        strategy=settings.views.strategy,
+        seed=str(settings.views.seed),
+        refused=str(refused),
+        drawn=str(refused + len(targets)),
+        framing=settings.pairs.framing,
+        partial_rule=settings.pairs.partial_rule,
+        color=color,
+        figures=_figures(infos),
+        quality_warnings=_listed(_quality_warnings(infos)),
+        warnings=_listed(warnings),
+        license=license,
+        distribution=" ".join(f"**Not for distribution**: {reason}." for reason in reasons),
+        citation=citation_line(settings.publish.citation, settings.name),
+    )
+
+
+def _sources(infos: Mapping[str, RecordingInfo]) -> str:
+    """Where the recordings are from."""
+    by_source: dict[str, list[str]] = {}
+    for name, info in sorted(infos.items()):
+        by_source.setdefault(" ".join(info.source.split()), []).append(name)
+    return _listed([f"{', '.join(names)}: {source}" for source, names in by_source.items()])
+
+
+def _figures(infos: Mapping[str, RecordingInfo]) -> str:
+    """Median and range of what was measured, one line each."""
+    lines = []
+    for key, (text, unit, factor) in FIGURES.items():
+        found = [getattr(info.quality, key) for info in infos.values()]
+        values = [factor * value for value in found if value is not None]
+        if values:
+            low, middle, high = (f"{value:.3g}" for value in (min(values), median(values), max(values)))
+            spread = f" ({low} to {high})" if len(values) > 1 else ""
+            count = f"{len(values)} recording{'s' * (len(values) > 1)}"
+            lines.append(f"{text}: {middle}{spread}{unit}, of {count}")
+    return _listed(lines) if lines else "- nothing"
+
+
+def _quality_warnings(infos: Mapping[str, RecordingInfo]) -> list[str]:
+    return [f"{name}: {line}" for name, info in sorted(infos.items()) for line in info.quality.warnings]
+
+
+def _listed(lines: Sequence[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines) or "- none"

@@ -1,0 +1,69 @@
+"""What a public part shows of recordings whose truth is held back."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.views import ViewRow, ViewsFile
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
+
+VIEW_KEYS = ("view", "K", "width", "height", "pair")
+STEEP = 1e-6
+# Matrices are rounded: the last bits of a product differ between processors.
+DECIMALS = 12
+
+
+def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
+    """The input of a pair, in a world of the view's own.
+
+    In the true world the views of an object lie side by side, and together they are its shape.
+
+    Args:
+        pair: complete.
+        T_floor_world: (4, 4), of the recording.
+    """
+    T_own_world = own_world(T_floor_world @ pair.T_world_camera) @ T_floor_world
+    values = {key: getattr(pair, key) for key in INPUT_KEYS}
+    for key in ("T_world_grid", "T_world_camera"):
+        values[key] = np.round(T_own_world @ values[key], DECIMALS) + 0.0  # no -0
+    return PairInput(**values)
+
+
+def own_world(T_floor_camera: Float64) -> Float64:
+    """T_own_floor (4, 4): the floor's frame moved and turned about the vertical.
+
+    The camera is above the origin and looks along x; one that looks straight down has the top of its image
+    there.
+    """
+    forward, image_up = T_floor_camera[:2, 2], -T_floor_camera[:2, 1]
+    along = forward if np.hypot(*forward) > STEEP else image_up
+    cosine, sine = along / np.hypot(*along)
+    T = np.eye(4)
+    T[:2, :2] = [[cosine, sine], [-sine, cosine]]
+    T[:2, 3] = -T[:2, :2] @ T_floor_camera[:2, 3]
+    return T
+
+
+def own_floor(floor: FloorFile) -> FloorFile:
+    """floor.json of these worlds: z up, floor at z = 0."""
+    return floor.model_copy(
+        update={"plane_world": np.array([0.0, 0.0, 1.0, 0.0]), "T_floor_world": np.eye(4)}
+    )
+
+
+def own_views(views: ViewsFile) -> ViewsFile:
+    """views.json without frames, poses and the fit to the shape."""
+    rows = tuple(ViewRow(**{key: getattr(row, key) for key in VIEW_KEYS}) for row in views.views if row.pair)
+    return views.model_copy(update={"views": rows, "refused": (), "warnings": ()})
+
+
+def hold_back_warnings(framing: str, splits: Sequence[str]) -> list[str]:
+    """What the publisher of a public part should know."""
+    if not splits or framing != "object":
+        return []
+    return [
+        "with framing 'object' the cube of a held-back pair tells how long its shape is and where its middle "
+        "lies: use `pairs: {framing: view}`"
+    ]

@@ -1,0 +1,236 @@
+"""What a release must not tell of people and devices: found, removed and listed in privacy.json."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
+
+from kinectbench.core.artefacts.provenance import ColorPublished, Privacy, Removed
+from kinectbench.core.artefacts.stored import Stored
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.storage import pretty_json
+
+# Keys of JSON files whose values are removed, whatever they hold.
+KEYS = re.compile(
+    r"(?i)(^|_)(gps|latitude|longitude|altitude|location|serial|serial_number|serialnumber|device_id|imei|"
+    r"mac_address|hostname|user|username|owner|email|phone)($|_)"
+)
+# Places on somebody's disk, which name people: only the last part is kept.
+PATHS = re.compile(
+    r"(?:(?<![\w./])/(?:home|Users|root|tmp|mnt|media|data|work|var|opt|srv|private|Volumes)|\b[A-Za-z]:\\)"
+    r"[^\s\"'<>|:;,]*"
+)
+EMAIL = re.compile(r"\b[\w.+-]+@[\w-]+(\.[\w-]+)+\b")
+StoredFile = TypeVar("StoredFile", bound=Stored)
+LOOKED_FOR = (
+    "GPS positions",
+    "serial numbers and identifiers of devices",
+    "names of users and hosts, e-mail addresses",
+    "paths on the disk of whoever published it",
+    "EXIF, XMP, IPTC and comments in colour images",
+)
+LOOKED_IN = (
+    "JSON files",
+    "the settings in benchmark.json",
+    "headers of colour images",
+)
+KEPT = (
+    "capture times of the frames (stamp_ns), as the recording has them",
+    "names of the recordings' files (lineage.json)",
+    "what benchmark.yaml says of authors, source and contact",
+    "depth images and masks: they show the shape of whatever stood before the camera",
+)
+Order = Literal["little", "big"]
+# Kept: JFIF, the colour profile and Adobe's mark, which say how the pixels are meant.
+KEPT_SEGMENTS = ((0xE0, b"JFIF\0"), (0xE0, b"JFXX\0"), (0xE2, b"ICC_PROFILE\0"), (0xEE, b"Adobe"))
+NAMES = ((b"Exif\0\0", "EXIF"), (b"http://ns.adobe.com/xap/1.0/\0", "XMP"), (b"Photoshop 3.0\0", "IPTC"))
+APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
+ALONE = (0x01, *range(0xD0, 0xD9))
+
+
+@dataclass
+class Found:
+    """Collects what was removed.
+
+    Attributes:
+        rows: in the order they were found.
+    """
+
+    rows: list[Removed] = field(default_factory=list)
+
+    def add(self, file: str, what: str) -> None:
+        """Note that something was removed from a file of the release."""
+        self.rows.append(Removed(file=file, what=what))
+
+
+def scrubbed(value: Any, file: str, found: Found) -> Any:
+    """A JSON value without what tells of people and devices; what is removed is noted."""
+    result, removed = _scrubbed(value, "")
+    for what in dict.fromkeys(removed):
+        found.add(file, what)
+    return result
+
+
+def scrubbed_file(stored: StoredFile, file: str, found: Found) -> StoredFile:
+    """A stored file without what tells of people and devices; what is removed is noted.
+
+    Raises:
+        ReleaseError: without it the file is no such file any more.
+    """
+    return stored.parse(pretty_json(scrubbed(stored.json_value(), file, found)), file)
+
+
+def scrubbed_jpeg(data: bytes, file: str, found: Found) -> bytes:
+    """A JPEG file without metadata; what is removed is noted.
+
+    Raises:
+        ReleaseError: it is not a whole JPEG file.
+    """
+    try:
+        clean, removed = without_metadata(data)
+    except ValueError as error:
+        raise ReleaseError(f"{file}: {error}; build this recording's views again") from error
+    for what in dict.fromkeys(removed):
+        found.add(file, what)
+    return clean
+
+
+def privacy(color: ColorPublished, found: Found) -> Privacy:
+    """What privacy.json says.
+
+    Args:
+        color: "left out", "published" or "none".
+        found: what was removed.
+    """
+    return Privacy(
+        format_version=1,
+        color=color,
+        looked_in=LOOKED_IN,
+        looked_for=LOOKED_FOR,
+        removed=tuple(found.rows),
+        kept=KEPT,
+    )
+
+
+def removed_lines(rows: list[Removed]) -> Iterator[str]:
+    """One line for each kind of thing that was removed, with the number of files."""
+    files: dict[str, int] = {}
+    for row in rows:
+        files[row.what] = files.get(row.what, 0) + 1
+    for what, count in files.items():
+        yield f"removed from {count} file{'s' if count > 1 else ''}: {what}"
+
+
+def _scrubbed(value: Any, key: str) -> tuple[Any, list[str]]:
+    removed: list[str] = []
+    if isinstance(value, Mapping):
+        result = {}
+        for name, child in value.items():
+            if KEYS.search(str(name)):
+                removed.append(f"the key '{name}'")
+                continue
+            result[name], inner = _scrubbed(child, str(name))
+            removed += inner
+        return result, removed
+    if isinstance(value, list):
+        children = [_scrubbed(child, key) for child in value]
+        return [child for child, _ in children], [line for _, inner in children for line in inner]
+    if not isinstance(value, str):
+        return value, removed
+    text = PATHS.sub(lambda match: re.split(r"[/\\]", match[0].rstrip("/\\"))[-1], value)
+    if text != value:
+        removed.append(f"a path in '{key}'")
+    clean = EMAIL.sub("(address removed)", text)
+    if clean != text:
+        removed.append(f"an e-mail address in '{key}'")
+    return clean, removed
+
+
+def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
+    """Take application segments and comments out of a JPEG file; its pixels stay as they are.
+
+    Args:
+        data: the file.
+
+    Returns:
+        The file without them, and what was taken out, in its order, such as "EXIF (GPS position)".
+
+    Raises:
+        ValueError: it is not a JPEG file, or ends too early.
+
+    Source: ITU-T T.81, annex B (markers); Exif 2.32 (tags).
+    """
+    kept, removed = [data[:2]], []
+    for marker, start, end, payload in _segments(data):
+        is_metadata = APP0 <= marker <= APP15 or marker == COMMENT
+        if is_metadata and not any(marker == m and payload.startswith(head) for m, head in KEPT_SEGMENTS):
+            removed.append(_name(marker, payload))
+        else:
+            kept.append(data[start:end])
+    return b"".join(kept), removed
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
+    """(marker, first byte, byte after the last, payload) of every segment; the scans come as one, last."""
+    if data[:2] != b"\xff\xd8":
+        raise ValueError("not a JPEG file")
+    at = 2
+    while True:
+        start = at
+        if data[at : at + 1] != b"\xff":
+            raise ValueError("damaged or cut off")
+        while data[at : at + 1] == b"\xff":  # markers may be padded
+            at += 1
+        marker = data[at] if at < len(data) else 0
+        at += 1
+        if marker in ALONE:
+            yield marker, start, at, b""
+            continue
+        if marker == START_OF_SCAN:
+            yield marker, start, len(data), b""
+            return
+        length = int.from_bytes(data[at : at + 2], "big")
+        if length < 2 or at + length > len(data):
+            raise ValueError("damaged or cut off")
+        yield marker, start, at + length, data[at + 2 : at + length]
+        at += length
+
+
+def _name(marker: int, payload: bytes) -> str:
+    """What a segment is, and what of a person's or a device's it holds."""
+    if marker == COMMENT:
+        return "comment"
+    name = next((name for head, name in NAMES if payload.startswith(head)), f"APP{marker - APP0}")
+    found = _exif_facts(payload[6:]) if name == "EXIF" else []
+    return f"{name} ({', '.join(found)})" if found else name
+
+
+def _exif_facts(tiff: bytes) -> list[str]:
+    """Which personal facts a block of EXIF holds, by their tags."""
+    order: Order = "little" if tiff[:2] == b"II" else "big"
+    tags = {0x8825: "GPS position", 0xA431: "serial number", 0xA435: "serial number", 0xA430: "owner"}
+    found = [name for tag, name in tags.items() if tag.to_bytes(2, order) in _tags(tiff, order)]
+    return list(dict.fromkeys(found))
+
+
+def _tags(tiff: bytes, order: Order) -> set[bytes]:
+    """Tags of the first directory and of the EXIF directory below it; empty if damaged."""
+
+    def number(part: bytes) -> int:
+        return int.from_bytes(part, order)
+
+    tags: set[bytes] = set()
+    todo, seen = [number(tiff[4:8])], set[int]()
+    while todo:
+        at = todo.pop()
+        if at in seen or at + 2 > len(tiff):
+            continue
+        seen.add(at)
+        for index in range(number(tiff[at : at + 2])):
+            entry = tiff[at + 2 + 12 * index : at + 14 + 12 * index]
+            if len(entry) < 12:
+                break
+            tags.add(entry[:2])
+            if number(entry[:2]) == 0x8769:
+                todo.append(number(entry[8:12]))
+    return tags

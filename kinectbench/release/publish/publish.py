@@ -1,0 +1,263 @@
+"""Publish what was built as a release: one folder that is enough to predict, to score and to check."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
+from kinectbench.core.artefacts.provenance import THRESHOLDS_JSON, ColorPublished, Lineage, ThresholdsFile
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.storage import replaced_folder
+from kinectbench.core.types import Split
+from kinectbench.release.contents import CHANGELOG, DATASHEET
+from kinectbench.release.publish.attribution import (
+    Origin,
+    changelog_text,
+    common_license,
+    reasons_against_distribution,
+)
+from kinectbench.release.publish.datasheet import datasheet, unanswered
+from kinectbench.release.publish.held_back import hold_back_warnings
+from kinectbench.release.publish.preview import write_preview
+from kinectbench.release.publish.privacy import Found, privacy, removed_lines, scrubbed, scrubbed_file
+from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
+from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
+from kinectbench.settings.models import BenchmarkSettings
+
+PRIVATE = "-private"
+
+
+@dataclass(frozen=True)
+class PublishOptions:
+    """What is asked for beyond the settings.
+
+    Attributes:
+        hold_back: splits of which the public part has inputs only.
+        thresholds: content of a threshold file that is part of the release, or None.
+    """
+
+    hold_back: tuple[Split, ...] = ()
+    thresholds: str | None = None
+
+
+@dataclass(frozen=True)
+class PublishSummary:
+    """What was published.
+
+    Attributes:
+        folder: the release, or its public part.
+        benchmark_sha256: its identity.
+        pairs: number of pairs.
+        recordings: those published, in the order given.
+        warnings: one line each; they are on the card too.
+        private: the part that scores, where something is held back.
+        private_sha256: its identity.
+        removed: what was removed for privacy, one line each.
+        unanswered: questions of the datasheet, by key.
+    """
+
+    folder: Path
+    benchmark_sha256: str
+    pairs: int
+    recordings: tuple[str, ...]
+    warnings: tuple[str, ...]
+    private: Path | None = None
+    private_sha256: str | None = None
+    removed: tuple[str, ...] = ()
+    unanswered: tuple[str, ...] = ()
+
+    @property
+    def scoring(self) -> Path:
+        """The folder that has the truth."""
+        return self.private or self.folder
+
+
+NO_OPTIONS = PublishOptions()
+
+
+def publish(
+    settings: BenchmarkSettings,
+    build: Path,
+    out: Path,
+    recordings: Sequence[str],
+    options: PublishOptions = NO_OPTIONS,
+) -> PublishSummary:
+    """Write a release from the build folders of some recordings; it takes the place of an earlier one.
+
+    Args:
+        settings: the benchmark's.
+        build: holds a folder per recording.
+        out: the release's folder; with `hold_back` its public part, beside which `<out>-private` is written.
+        recordings: ids, all of them built; one without a single pair is left out with a warning.
+        options: thresholds, and what is held back.
+
+    Raises:
+        ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule,
+            there is no pair at all or none to be held back, or a folder holds something else.
+        StorageError: the disk is full or read-only.
+    """
+    private = out.with_name(out.name + PRIVATE)
+    for folder in (out, private) if options.hold_back else (out,):
+        _refuse_other(folder)
+    _refuse_empty_split(settings, recordings, options.hold_back)
+    complete = replace(options, hold_back=())
+    if not options.hold_back:
+        with replaced_folder(out) as folder:
+            return replace(_write(settings, build, folder, recordings, complete), folder=out)
+    with contextlib.ExitStack() as folders:
+        hidden = folders.enter_context(replaced_folder(private))
+        folder = folders.enter_context(replaced_folder(out))
+        whole = _write(settings, build, hidden, recordings, complete)
+        public = _write(settings, build, folder, recordings, options)
+        note_in_benchmark_json(hidden, public_benchmark_sha256=public.benchmark_sha256)
+        note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
+    return replace(public, folder=out, private=private, private_sha256=whole.benchmark_sha256)
+
+
+def _refuse_other(out: Path) -> None:
+    """Refuse to replace a folder that is not a release."""
+    if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
+        raise ReleaseError(f"{out}: holds something else than a release; move it away, then publish again")
+
+
+def _refuse_empty_split(
+    settings: BenchmarkSettings, recordings: Sequence[str], hold_back: Sequence[str]
+) -> None:
+    """Refuse to hold back a split that has no recording."""
+    there = {settings.recording(name).split for name in recordings}
+    for split in hold_back:
+        if split not in there:
+            raise ReleaseError(f"--hold-back {split}: no recording of this split was built; check the splits")
+
+
+def _write(
+    settings: BenchmarkSettings,
+    build: Path,
+    folder: Path,
+    recordings: Sequence[str],
+    options: PublishOptions,
+) -> PublishSummary:
+    """Fill one folder."""
+    found, made = Found(), dict[str, Published]()
+    warnings = [*_warnings(settings), *hold_back_warnings(settings.pairs.framing, options.hold_back)]
+    for name in recordings:
+        recording = settings.recording(name)
+        hidden = recording.split in options.hold_back
+        published = publish_recording(Built(settings, recording, build / name, hidden), folder, found)
+        if published is None:
+            warnings.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
+        else:
+            made[name] = published
+    if not made:
+        raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
+    infos = {name: published.info for name, published in made.items()}
+    reasons = reasons_against_distribution(_origins(infos))
+    warnings = [*reasons, *warnings, *_doubted(infos)]
+    targets = tuple(sorted(target for published in made.values() for target in published.targets))
+    _write_texts(settings, folder, made, targets, warnings, options, found)
+    public = _public_settings(settings, options.hold_back, found)
+    privacy(_color(settings, made), found).write(folder)
+    pairs = settings.pairs
+    head = Head(
+        settings.name,
+        settings.license,
+        pairs.framing,
+        pairs.partial_rule,
+        public,
+        citation=settings.publish.citation,
+        held_back=options.hold_back,
+    )
+    write_preview(folder, settings, targets, infos, warnings, options.hold_back)
+    identity = write_small_files(head, folder, targets, infos, warnings)
+    return PublishSummary(
+        folder,
+        identity,
+        len(targets),
+        tuple(made),
+        tuple(warnings),
+        removed=tuple(removed_lines(found.rows)),
+        unanswered=tuple(unanswered(settings)),
+    )
+
+
+def _write_texts(
+    settings: BenchmarkSettings,
+    folder: Path,
+    made: Mapping[str, Published],
+    targets: Sequence[Target],
+    warnings: Sequence[str],
+    options: PublishOptions,
+    found: Found,
+) -> None:
+    """Write datasheet, changelog, lineage and thresholds."""
+    infos = {name: published.info for name, published in made.items()}
+    origins = _origins(infos)
+    sheet = datasheet(
+        settings,
+        targets,
+        infos,
+        common_license(origins, settings.license),
+        reasons_against_distribution(origins),
+        _color(settings, made),
+        warnings,
+        options.hold_back,
+    )
+    (folder / DATASHEET).write_text(sheet)
+    (folder / CHANGELOG).write_text(changelog_text(settings.publish.changelog, settings.name))
+    Lineage(
+        format_version=1,
+        package_version=__version__,
+        packages=f"{BENCHMARK_JSON}: packages",
+        recordings={name: published.lineage for name, published in made.items()},
+    ).write(folder)
+    if options.thresholds is not None:
+        given = ThresholdsFile.parse(options.thresholds, THRESHOLDS_JSON)
+        scrubbed_file(given, THRESHOLDS_JSON, found).write(folder)
+
+
+def _warnings(settings: BenchmarkSettings) -> list[str]:
+    """What a user of the release should know from the settings alone."""
+    warnings = []
+    if settings.publish.color:
+        warnings.append("colour images are included: look through them for faces and people")
+    if not any(recording.split == "validation" for recording in settings.recordings):
+        warnings.append("no validation split: thresholds are fixed at 0.5 unless a threshold file is given")
+    return warnings
+
+
+def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:
+    """A line for each recording whose object or trajectory is doubtful; the datasheet has all of them."""
+    lines = []
+    for name, info in infos.items():
+        found = info.quality.warnings
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        lines += [f"{name}: {found[0]}{more}"] if found else []
+    return lines
+
+
+def _origins(infos: Mapping[str, RecordingInfo]) -> dict[str, Origin]:
+    return {name: Origin(info.license, info.source) for name, info in infos.items()}
+
+
+def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:
+    """What became of colour."""
+    if not any(published.has_color for published in made.values()):
+        return "none"
+    return "published" if settings.publish.color else "left out"
+
+
+def _public_settings(settings: BenchmarkSettings, hold_back: Sequence[str], found: Found) -> dict[str, Any]:
+    """The settings without the paths of the machine they were used on, and the boxes of what is held back."""
+    public = settings.model_dump(mode="json", exclude={"name", "license", "publish"})
+    for recording in public["recordings"]:
+        recording.pop("path")
+        recording.pop("masks")
+        if recording["split"] in hold_back:
+            recording.pop("box")
+    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found)
+    # What people say of themselves here is meant to be read.
+    return clean | {"publish": settings.publish.model_dump(mode="json")}

@@ -1,0 +1,252 @@
+"""What a release holds of one recording: pairs, views and the object, or of a held-back one the inputs."""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.manifest import Manifest, Sources
+from kinectbench.core.artefacts.object import FloorFile, QualityFile
+from kinectbench.core.artefacts.provenance import LineageRecording, LineageStage, LineageView
+from kinectbench.core.artefacts.sequence import CameraFile
+from kinectbench.core.artefacts.stored import Stored
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
+from kinectbench.core.errors import PairError, ReleaseError
+from kinectbench.core.storage import sha256_file
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
+from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
+from kinectbench.release.publish.privacy import Found, scrubbed_file, scrubbed_jpeg
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
+
+BYTES_OF_OBJECT = ("mesh.ply", "volume.npz")
+# Stage -> its folder, in their order.
+STAGES = {
+    "ingest": "sequence",
+    "track": "trajectory",
+    "fuse": "reconstruction",
+    "segment": "object",
+    "sample-views": "views",
+    "pairs": "pairs",
+}
+
+
+@dataclass(frozen=True)
+class Built:
+    """A recording that is to be published.
+
+    Attributes:
+        settings: the benchmark's.
+        recording: one of them.
+        folder: `build/<recording>/`.
+        hidden: whether its truth is held back.
+    """
+
+    settings: BenchmarkSettings
+    recording: RecordingSettings
+    folder: Path
+    hidden: bool
+
+
+@dataclass(frozen=True)
+class Published:
+    """What was published of a recording.
+
+    Attributes:
+        targets: its pairs; none: nothing was published.
+        info: what benchmark.json says of it.
+        lineage: what lineage.json says of it.
+        has_color: whether its views have colour, published or not.
+    """
+
+    targets: tuple[Target, ...]
+    info: RecordingInfo
+    lineage: LineageRecording
+    has_color: bool
+
+
+def publish_recording(built: Built, folder: Path, found: Found) -> Published | None:
+    """Copy what is published of one recording into a release; None if it has no pair.
+
+    Args:
+        built: the recording.
+        folder: the release's.
+        found: collects what is removed for privacy.
+
+    Raises:
+        ReleaseError: a file is missing or damaged, or a pair is not of the benchmark's framing and rule.
+    """
+    names = sorted(row.view for row in PairsFile.read(built.folder / "pairs").pairs)
+    if not names:
+        return None
+    targets = tuple(_publish_pair(built, view, folder) for view in names)
+    _publish_object(built, folder, found)
+    has_color = _publish_views(built, names, folder, found)
+    lineage = recording_lineage(
+        built.settings, built.recording, built.folder, None if built.hidden else names
+    )
+    return Published(targets, _info(built, len(names), found), lineage, has_color)
+
+
+def check_pair(settings: BenchmarkSettings, path: Path) -> Pair:
+    """Read a built pair; one benchmark has one framing and one partial rule.
+
+    Raises:
+        ReleaseError: it is damaged, or has others.
+    """
+    try:
+        pair = read_pair(path)
+    except PairError as error:
+        raise ReleaseError(str(error)) from error
+    for key in ("framing", "partial_rule"):
+        found, wanted = getattr(pair, key), getattr(settings.pairs, key)
+        if found != wanted:
+            raise ReleaseError(f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again")
+    return pair
+
+
+def _publish_pair(built: Built, view: str, folder: Path) -> Target:
+    """Copy a pair, or write its input alone."""
+    recording = built.recording
+    source = built.folder / "pairs" / f"{view}.npz"
+    pair = check_pair(built.settings, source)
+    file = f"pairs/{recording.id}/{view}.npz"
+    if built.hidden:
+        floor = FloorFile.read(built.folder / "object")
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        data = pair_bytes(without_truth(pair, floor.T_floor_world))
+        (folder / file).write_bytes(data)
+    else:
+        copy_built(source, folder / file)
+    return Target(
+        recording=recording.id,
+        object=recording.object_name,
+        view=view,
+        category=recording.category,
+        split=recording.split,
+        file=file,
+        sha256=sha256_file(folder / file),
+    )
+
+
+def _publish_object(built: Built, folder: Path, found: Found) -> None:
+    """Copy the object's files; of a held-back one the floor only."""
+    source, name = built.folder / "object", f"objects/{built.recording.id}"
+    (folder / name).mkdir(parents=True)
+    for file in BYTES_OF_OBJECT if not built.hidden else ():
+        copy_built(source / file, folder / name / file)
+    floor = FloorFile.read(source)
+    _write(own_floor(floor) if built.hidden else floor, folder, name, found)
+    if not built.hidden:
+        _write(QualityFile.read(source), folder, name, found)
+
+
+def _publish_views(built: Built, names: Sequence[str], folder: Path, found: Found) -> bool:
+    """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any."""
+    source, name = built.folder / "views", f"views/{built.recording.id}"
+    (folder / name).mkdir(parents=True)
+    has_color = False
+    for view in names:
+        for suffix in (".depth.png", ".mask.png"):
+            copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
+        image = f"{view}.color.jpg"
+        has_color |= (source / image).is_file()
+        if built.settings.publish.color and (source / image).is_file():
+            data = scrubbed_jpeg((source / image).read_bytes(), f"{name}/{image}", found)
+            (folder / name / image).write_bytes(data)
+    views = _with_cameras(ViewsFile.read(source), built.folder / "sequence", names)
+    _write(own_views(views) if built.hidden else views, folder, name, found)
+    return has_color
+
+
+def _with_cameras(views: ViewsFile, sequence: Path, names: Sequence[str]) -> ViewsFile:
+    """views.json with the camera of each view: all of a recording's are from one."""
+    camera = CameraFile.read(sequence).camera
+    more = {"K": camera.K, "width": camera.width, "height": camera.height}
+    rows = tuple(row.model_copy(update={**more, "pair": row.view in names}) for row in views.views)
+    return views.model_copy(update={"views": rows})
+
+
+def _info(built: Built, pairs: int, found: Found) -> RecordingInfo:
+    """What benchmark.json says of a recording."""
+    recording, folder = built.recording, built.folder
+    quality = QualityFile() if built.hidden else QualityFile.read(folder / "object")
+    refused = (*ViewsFile.read(folder / "views").refused, *PairsFile.read(folder / "pairs").refused)
+    return RecordingInfo(
+        object=recording.object_name,
+        category=recording.category,
+        split=recording.split,
+        pairs=pairs,
+        refused=len(refused),
+        quality=scrubbed_file(quality, "benchmark.json", found),
+        license=built.settings.license_of(recording),
+        source=built.settings.source_of(recording),
+    )
+
+
+def _write(stored: Stored, folder: Path, name: str, found: Found) -> None:
+    """Write a file without what tells of people into a folder of the release."""
+    scrubbed_file(stored, f"{name}/{stored.FILE}", found).write(folder / name)
+
+
+def recording_lineage(
+    settings: BenchmarkSettings, recording: RecordingSettings, build: Path, views: Sequence[str] | None
+) -> LineageRecording:
+    """Where the pairs of one recording come from.
+
+    Args:
+        settings: the benchmark's.
+        recording: one of them.
+        build: `build/<recording>/`.
+        views: those with a pair; None: neither they nor a given box may be told.
+
+    Raises:
+        ReleaseError, StorageError: a file of the build is missing or damaged.
+    """
+    # A recording that is one file has no name below itself.
+    files = {
+        name or Path(recording.path).name: digest
+        for name, digest in sorted(Sources.read(build).sha256.items())
+    }
+    content = LineageRecording(
+        source=settings.source_of(recording),
+        license=settings.license_of(recording),
+        files=files,
+        stages={stage: _stage(build / folder, views is None) for stage, folder in STAGES.items()},
+    )
+    if views is None:
+        return content
+    rows = {row.view: row for row in ViewsFile.read(build / "views").views}
+    frames = tuple(_frame(rows[view]) for view in views if view in rows)
+    return content.model_copy(update={"views": frames})
+
+
+def _frame(row: ViewRow) -> LineageView:
+    """The frame of a view that was recorded."""
+    if row.frame is None or row.stamp_ns is None:
+        raise ReleaseError(f"view {row.view}: views.json does not say of which frame it is; build it again")
+    return LineageView(view=row.view, frame=row.frame, stamp_ns=row.stamp_ns)
+
+
+def _stage(folder: Path, hidden: bool) -> LineageStage:
+    """What a stage's manifest says; without a given box, which tells the object's size, if it is hidden."""
+    manifest = Manifest.read(folder)
+    return LineageStage(
+        package_version=manifest.package_version,
+        stage_version=manifest.stage_version,
+        settings={key: value for key, value in manifest.settings.items() if not (hidden and key == "box")},
+        fingerprint=manifest.fingerprint,
+    )
+
+
+def copy_built(source: Path, target: Path) -> None:
+    """Copy one built file's bytes.
+
+    Raises:
+        ReleaseError: it is missing.
+    """
+    if not source.is_file():
+        raise ReleaseError(f"{source}: missing; run the build again")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)

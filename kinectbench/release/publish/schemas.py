@@ -1,0 +1,140 @@
+"""The schemas of a release: what every file holds, for people and programs that do not have this package.
+
+They lie in `schemas/` beside this file as they are published, so that the bytes of a release do not depend on
+the version of pydantic; a test makes them anew from the models and compares. The schema of scores.json lies
+there too, and is not published. After a change of the models, in a checkout,
+`python -m kinectbench.release.publish.schemas` writes all of them, and the copy of the last one in docs/.
+"""
+
+from collections.abc import Iterator
+from dataclasses import fields
+from fnmatch import fnmatchcase
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
+from kinectbench.core.artefacts.object import FloorFile, QualityFile
+from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
+from kinectbench.core.artefacts.scores import scores_schema
+from kinectbench.core.artefacts.stored import FROM_FILE, Stored
+from kinectbench.core.artefacts.targets import COLUMNS, SPLITS, TARGETS_CSV, Splits
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.storage import pretty_json
+from kinectbench.core.voxels.pair_file import INPUT_KEYS, NUMBERS, PACKED_SHAPES, TEXTS, Pair
+from kinectbench.release.contents import SCHEMAS
+
+# Schema's name → (files of the release, model).
+JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
+    "benchmark": ("benchmark.json", ReleaseInfo),
+    "splits": ("splits.json", Splits),
+    "views": ("views/*/views.json", ViewsFile),
+    "floor": ("objects/*/floor.json", FloorFile),
+    "quality": ("objects/*/quality.json", QualityFile),
+    "lineage": ("lineage.json", Lineage),
+    "privacy": ("privacy.json", Privacy),
+    "thresholds": ("thresholds.json", ThresholdsFile),
+}
+TABLE_SCHEMA = "targets.csv.json"
+PAIR_SCHEMA = "pair.npz.json"
+SCORES_SCHEMA = "scores.schema.json"
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+MATRIX_SIDES = {"T_world_grid": 4, "T_world_camera": 4, "K": 3}
+PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
+ABOUT = {
+    "partial": "the view's depth on the object, the input: partial_256 reduced by partial_rule",
+    "partial_256": "the same before reduction",
+    "full": "the solid shape, the truth",
+    "shell": "its surface only",
+    "known": "the truth is trusted there",
+    "seen": "in the view's frustum and not behind its depth",
+    "T_world_grid": "cell (i, j, k) has its centre at T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)",
+    "T_world_camera": "camera to world, metres",
+    "K": "intrinsics, pixels; pixel centres are integers",
+    "voxel_size_m": "edge of a cell of the 256^3 grid, metres",
+    "surface_sigma_m": "standard deviation of the truth's surface, metres",
+    "framing": "object or view",
+    "partial_rule": "any or majority",
+    "occupancy_rule": "winding or six-rays; files without it: winding",
+    "format_version": "1",
+}
+
+
+def schema_texts() -> dict[str, str]:
+    """Every schema as a text by its file's name, made from the models."""
+    schemas = {
+        f"{name}.schema.json": {"$schema": DIALECT, "$comment": files} | model.model_json_schema()
+        for name, (files, model) in JSON_FILES.items()
+    }
+    schemas |= {TABLE_SCHEMA: _table(), PAIR_SCHEMA: _pair(), SCORES_SCHEMA: scores_schema()}
+    return {name: pretty_json(schema) for name, schema in schemas.items()}
+
+
+def write_schemas(folder: Path) -> None:
+    """Write the schemas of the files that a release holds so far; benchmark.json comes last."""
+    (folder / SCHEMAS).mkdir()
+    stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
+    there = [
+        name for name, (files, _) in JSON_FILES.items() if name == "benchmark" or any(folder.glob(files))
+    ]
+    for name in (*(f"{name}.schema.json" for name in there), TABLE_SCHEMA, PAIR_SCHEMA):
+        (folder / SCHEMAS / name).write_bytes(stored.joinpath(name).read_bytes())
+
+
+def schema_problems(name: str, text: str) -> Iterator[str]:
+    """What is wrong with a JSON file of a release by its schema, a clause each; nothing if it has none.
+
+    Args:
+        name: of the file, relative to the release.
+        text: its content.
+    """
+    for files, model in JSON_FILES.values():
+        if fnmatchcase(name, files):
+            try:
+                model.model_validate_json(text, strict=True, context=FROM_FILE)
+            except ValidationError as error:
+                for fault in error.errors():
+                    where = ".".join(str(part) for part in fault["loc"])
+                    yield f"'{where}': {fault['msg']}" if where else fault["msg"]
+
+
+def _table() -> dict[str, Any]:
+    """A table schema (https://specs.frictionlessdata.io/table-schema/) of targets.csv."""
+    rows = []
+    for column in COLUMNS:
+        constraints: dict[str, Any] = {"required": True}
+        if column in PATTERNS:
+            constraints["pattern"] = PATTERNS[column]
+        if column == "split":
+            constraints["enum"] = list(SPLITS)
+        rows.append({"name": column, "type": "string", "constraints": constraints})
+    return {"$comment": f"{TARGETS_CSV}, targets/*.csv", "fields": rows, "primaryKey": ["recording", "view"]}
+
+
+def _pair() -> dict[str, Any]:
+    """The keys of a pair file."""
+    keys = []
+    for name in (*(field.name for field in fields(Pair)), "format_version"):
+        row: dict[str, Any] = {"name": name, "input": name in (*INPUT_KEYS, "format_version")}
+        if name in PACKED_SHAPES:
+            row |= {"dtype": "uint8", "shape": list(PACKED_SHAPES[name]), "packed": True}
+        elif name in MATRIX_SIDES:
+            row |= {"dtype": "float64", "shape": [MATRIX_SIDES[name]] * 2}
+        else:
+            dtype = "float64" if name in NUMBERS else "text" if name in TEXTS else "integer"
+            row |= {"dtype": dtype, "shape": []}
+        keys.append(row | {"description": ABOUT[name]})
+    about = "bits along the last axis, most significant first: numpy.unpackbits(array, axis=-1)"
+    return {
+        "$comment": "pairs/*/*.npz; of held-back splits the keys with input only",
+        "packed": about,
+        "keys": keys,
+    }
+
+
+if __name__ == "__main__":
+    for file_name, file_text in schema_texts().items():
+        (Path(__file__).with_name(SCHEMAS) / file_name).write_text(file_text)
+    (Path(__file__).parents[3] / "docs" / SCORES_SCHEMA).write_text(schema_texts()[SCORES_SCHEMA])

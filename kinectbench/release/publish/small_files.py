@@ -1,0 +1,178 @@
+"""The small files of a release: targets, splits, licence, citation, schemas, metadata, card, checksums."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import (
+    BENCHMARK_JSON,
+    FORMAT_VERSION,
+    UNSPECIFIED,
+    Distribution,
+    RecordingInfo,
+    ReleaseInfo,
+    SettingsInfo,
+)
+from kinectbench.core.artefacts.targets import (
+    SHA256SUMS,
+    SPLITS,
+    TARGETS_CSV,
+    Splits,
+    Target,
+    benchmark_sha256,
+    parse_sums,
+    sums_text,
+    targets_text,
+)
+from kinectbench.core.storage import pretty_json, sha256_file
+from kinectbench.core.types import Framing, PartialRule, Split
+from kinectbench.release.contents import (
+    CARD,
+    CITATION,
+    CROISSANT,
+    LICENSE,
+    READING,
+    SPLIT_TARGETS,
+    release_files,
+)
+from kinectbench.release.publish.attribution import (
+    Origin,
+    citation_text,
+    common_license,
+    license_text,
+    reasons_against_distribution,
+)
+from kinectbench.release.publish.card import RECORDED, CardTexts, card, reading
+from kinectbench.release.publish.croissant import croissant
+from kinectbench.release.publish.schemas import write_schemas
+from kinectbench.settings.models import CitationSettings
+
+PACKAGES = ("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "trimesh", "manifold3d", "zlib-ng")
+
+
+@dataclass(frozen=True)
+class Head:
+    """What benchmark.json begins with.
+
+    Attributes:
+        name: of the benchmark.
+        license: of the data.
+        framing: of every pair.
+        partial_rule: of every pair.
+        settings: what it was made with, as plain JSON values, without paths of the machine.
+        texts: what the card says of it.
+        citation: how it is cited.
+        held_back: splits of which only the inputs are there.
+    """
+
+    name: str
+    license: str
+    framing: Framing
+    partial_rule: PartialRule
+    settings: Mapping[str, Any]
+    texts: CardTexts = RECORDED
+    citation: CitationSettings = field(default_factory=CitationSettings)
+    held_back: tuple[Split, ...] = ()
+
+
+def write_small_files(
+    head: Head,
+    folder: Path,
+    targets: tuple[Target, ...],
+    infos: Mapping[str, RecordingInfo],
+    warnings: Sequence[str],
+) -> str:
+    """Complete a folder that holds everything else of a release; returns the release's identity.
+
+    Args:
+        head: what benchmark.json begins with.
+        folder: of the release.
+        targets: every pair, sorted.
+        infos: recording -> what benchmark.json says of it.
+        warnings: one line each, for the card.
+    """
+    infos = {name: _with_origin(info, head) for name, info in infos.items()}
+    origins = {name: Origin(info.license, info.source) for name, info in infos.items()}
+    info = _info(head, infos, origins)
+    license = common_license(origins, head.license)
+    _write_targets(folder, targets)
+    (folder / READING).write_text(reading(targets, head.held_back))
+    (folder / LICENSE).write_text(license_text(head.name, license, origins))
+    (folder / CITATION).write_text(citation_text(head.citation, head.name, license))
+    write_schemas(folder)
+    about = f"A benchmark for single-depth-view shape completion from {head.texts.source}."
+    metadata = croissant(head.name, license, about, head.citation, folder)
+    (folder / CROISSANT).write_text(pretty_json(metadata))
+    (folder / CARD).write_text(card(info, targets, warnings, license, head.texts))
+    return _seal(folder, info)
+
+
+def note_in_benchmark_json(folder: Path, **more: str) -> None:
+    """Give keys of benchmark.json of a finished release their values; its identity stays the same."""
+    ReleaseInfo.read(folder).model_copy(update=more).write(folder)
+    path = folder / SHA256SUMS
+    sums = parse_sums(path.read_text(), str(path)) | {BENCHMARK_JSON: sha256_file(folder / BENCHMARK_JSON)}
+    path.write_text(sums_text(sums))
+
+
+def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
+    """A recording that says nothing itself is under the benchmark's licence, from where its texts say."""
+    said = {"license": head.license, "source": head.texts.origin}
+    update = {key: value for key, value in said.items() if value and getattr(info, key) == UNSPECIFIED}
+    return info.model_copy(update=update)
+
+
+def _info(head: Head, infos: Mapping[str, RecordingInfo], origins: Mapping[str, Origin]) -> ReleaseInfo:
+    """benchmark.json but for the identity; keys of what a release does not have are left out."""
+    reasons = reasons_against_distribution(origins)
+    info = ReleaseInfo(
+        name=head.name,
+        license=head.license,
+        format_version=FORMAT_VERSION,
+        package_version=__version__,
+        benchmark_sha256="0" * 64,
+        framing=head.framing,
+        partial_rule=head.partial_rule,
+        distribution=Distribution(allowed=not reasons, reasons=reasons),
+        settings=SettingsInfo.model_validate(head.settings),
+        packages=package_versions(),
+        recordings=dict(infos),
+    )
+    there = {"version": head.citation.version, "held_back": head.held_back}
+    return info.model_copy(update={key: value for key, value in there.items() if value})
+
+
+def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
+    """targets.csv, a table of each split that has any, and splits.json."""
+    (folder / TARGETS_CSV).write_text(targets_text(targets))
+    (folder / SPLIT_TARGETS).mkdir()
+    for split in SPLITS:
+        here = tuple(target for target in targets if target.split == split)
+        if here:
+            (folder / SPLIT_TARGETS / f"{split}.csv").write_text(targets_text(here))
+    Splits.of(targets).write(folder)
+
+
+def _seal(folder: Path, info: ReleaseInfo) -> str:
+    """Write benchmark.json and the checksums; returns the release's identity."""
+    sums = {path.relative_to(folder).as_posix(): sha256_file(path) for path in release_files(folder)}
+    identity = benchmark_sha256(sums_text(sums))
+    info.model_copy(update={"benchmark_sha256": identity}).write(folder)
+    sums[BENCHMARK_JSON] = sha256_file(folder / BENCHMARK_JSON)
+    (folder / SHA256SUMS).write_text(sums_text(sums))
+    return identity
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of Python and of the packages that the data was computed with."""
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:  # another distribution of the same package
+            versions[name] = "unknown"
+    return versions

@@ -1,0 +1,91 @@
+"""Figures of a stage in words: its verdict, its colour, and every other key of its file with its unit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
+
+UNITS = {"_mm": "mm", "_m": "m", "_s": "s", "_ns": "ns", "_px": "px", "_rad": "rad", "_deg": "deg"}
+MAX_LISTED = 6
+HIDDEN = ("verdict", "warnings", "format_version")
+# The colour of each grade of health.json; warnings turn "good" into "warn".
+TONES: Mapping[Grade, str] = {"5 mm": "good", "10 mm": "good", "not good": "bad"}
+GRADE_WORDS: Mapping[Grade, str] = {"5 mm": "good at 5 mm", "10 mm": "good at 10 mm", "not good": "not good"}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The figures of one stage, ready to be shown.
+
+    Attributes:
+        verdict: the stage's own word, or "".
+        tone: "good", "warn", "bad" or "plain": how the verdict is coloured; its words do not matter.
+        grade: of a trajectory, in a few words; else "".
+        warnings: the stage's warnings.
+        rows: (name, value) of every other figure.
+    """
+
+    verdict: str
+    tone: str
+    grade: str
+    warnings: tuple[str, ...]
+    rows: tuple[tuple[str, str], ...]
+
+
+def health_figures(health: TrajectoryHealth) -> Figures:
+    """A trajectory's figures, coloured by its grade."""
+    tone = TONES[health.grade]
+    if health.warnings and tone != "bad":
+        tone = "warn"
+    return Figures(health.verdict, tone, GRADE_WORDS[health.grade], health.warnings, _shown(health))
+
+
+def quality_figures(quality: QualityFile) -> Figures:
+    """An object's figures, which are good where nothing is warned of."""
+    tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
+    return Figures(quality.verdict or "", tone, "", quality.warnings, _shown(quality))
+
+
+def _shown(part: Part) -> tuple[tuple[str, str], ...]:
+    values = part.json_value()
+    return tuple(_rows({key: value for key, value in values.items() if key not in HIDDEN}, ""))
+
+
+def text_of(value: Any) -> str:
+    """A JSON value in a few characters."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        plain = not any(isinstance(item, list | tuple | Mapping) for item in value)
+        if plain and len(value) <= MAX_LISTED:
+            return ", ".join(text_of(item) for item in value) or "none"
+        return f"{len(value)} entries"
+    return str(value)
+
+
+def _rows(values: Mapping[str, Any], prefix: str) -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            rows += _rows(value, f"{prefix}{key} · ")
+        elif key == "rejected" and isinstance(value, list):
+            rows.append((f"{prefix}rejected", str(len(value))))
+        elif not (isinstance(value, list) and any(isinstance(item, Mapping) for item in value)):
+            # Lists of objects, one for each frame say, are for machines.
+            rows.append((prefix + _name(str(key)), text_of(value)))
+    return rows
+
+
+def _name(key: str) -> str:
+    """A key for people: `median_residual_m` is `median residual (m)`."""
+    for suffix, unit in UNITS.items():
+        if key.endswith(suffix) and len(key) > len(suffix):
+            return f"{key[: -len(suffix)].replace('_', ' ')} ({unit})"
+    return key.replace("_", " ")

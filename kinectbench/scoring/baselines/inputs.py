@@ -1,0 +1,101 @@
+"""What a baseline may look at: a pair's input, and truth of the training split."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.voxels.pair_file import Packed, PairInput, unpack
+from kinectbench.release.contents import strict_json
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.counts import reduced
+from kinectbench.scoring.truth import read_grids
+
+MEAN_CELLS = 64
+UP_IN_CAMERA = np.array([0.0, -1.0, 0.0])  # y is down in the image
+
+
+@dataclass(frozen=True)
+class Training:
+    """Truth of one category's training pairs.
+
+    Attributes:
+        mean: (64, 64, 64) float32, the mean shape.
+        partials: (n, 64, 64, 8) uint8, packed inputs.
+        files: (n,) (pair file, SHA-256) of each.
+    """
+
+    mean: NDArray[np.float32]
+    partials: NDArray[np.uint8]
+    files: tuple[tuple[Path, str], ...]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a baseline predicts from.
+
+    Attributes:
+        pair: without its truth.
+        base_rate: share of occupied voxels of its category, in [0, 1]; NaN if its truth is held back.
+        up_grid: (3,) float64 unit vector, away from the floor, in grid axes.
+        training: None where the category has no training pairs.
+    """
+
+    pair: PairInput
+    base_rate: float
+    up_grid: NDArray[np.float64]
+    training: Training | None
+
+    @property
+    def partial(self) -> NDArray[np.bool_]:
+        """`partial_256`, (256, 256, 256) bool."""
+        return unpack(self.pair.partial_256)
+
+
+def read_training(release: Release, category: str) -> Training | None:
+    """The training truth of a category, None if there is none.
+
+    Raises:
+        ReleaseError: a pair file is missing or changed.
+    """
+    targets = [target for target in release.open_split("train") if target.category == category]
+    if not targets:
+        return None
+    files = tuple((release.pair_path(target), target.sha256) for target in targets)
+    total = np.zeros((MEAN_CELLS,) * 3)
+    partials: list[Packed] = []
+    for path, sha256 in files:
+        partial, full = read_grids(path, sha256, ("partial", "full"))
+        total += reduced(unpack(full), MEAN_CELLS)
+        partials.append(partial)
+    return Training((total / len(files)).astype(np.float32), np.stack(partials), files)
+
+
+def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.float64]:
+    """Which way is up, by the floor of the recording; where the release has none, up in the image.
+
+    Raises:
+        ReleaseError: the floor's file is damaged.
+    """
+    path = release.folder / "objects" / target.recording / "floor.json"
+    T_grid_world = np.linalg.inv(pair.T_world_grid[:3, :3])
+    try:
+        text = path.read_text()
+    except OSError:
+        return UP_IN_CAMERA
+    content = strict_json(text, str(path))
+    plane = content.get("plane_world") if isinstance(content, dict) else None
+    if plane is None or not _is_plane(plane):
+        raise ReleaseError(f"{path}: 'plane_world' is not [a, b, c, d]; download the release again")
+    up = T_grid_world @ np.array(plane[:3], np.float64)
+    return np.asarray(up / np.linalg.norm(up), dtype=np.float64)
+
+
+def _is_plane(plane: object) -> bool:
+    if not isinstance(plane, Sequence) or isinstance(plane, str) or len(plane) != 4:
+        return False
+    numbers = all(isinstance(value, int | float) for value in plane)
+    return numbers and bool(np.isfinite(plane[:3]).all()) and any(plane[:3])

@@ -1,0 +1,75 @@
+"""Numba kernels of the baselines. Import late: numba is slow to load."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from kinectbench.core.types import Bools, Float64, Int64
+
+
+@njit(cache=True, error_model="numpy")
+def sweep_plane(
+    hit: Bools,
+    plane: Bools,
+    row_crossed: Int64,
+    column_crossed: Int64,
+    row_inside: Bools,
+    column_inside: Bools,
+    row_ray: Int64,
+    column_ray: Int64,
+    row_within: Bools,
+    column_within: Bools,
+) -> None:
+    """Take rays one plane further: those that meet a set cell are hit, cells that a hit ray passes are set.
+
+    Args:
+        hit: (p, p) which rays met the partial so far; changed.
+        plane: (n, n) the cells of this plane; changed.
+        row_crossed: (p,) the row of cells in which each row of rays crosses the plane.
+        column_crossed: (p,) the same of columns.
+        row_inside: (p,) whether it crosses the grid at all.
+        column_inside: (p,) the same of columns.
+        row_ray: (n,) the row of rays that passes the centres of each row of cells.
+        column_ray: (n,) the same of columns.
+        row_within: (n,) whether there is one.
+        column_within: (n,) the same of columns.
+    """
+    set_rows = np.array([plane[x].any() for x in range(len(plane))])
+    for p in range(len(hit)):
+        if row_inside[p] and set_rows[row_crossed[p]]:
+            rays, cells = hit[p], plane[row_crossed[p]]
+            for q in range(len(rays)):
+                rays[q] |= cells[column_crossed[q]] & column_inside[q]
+    hit_rows = np.array([hit[p].any() for p in range(len(hit))])
+    for x in range(len(plane)):
+        if row_within[x] and hit_rows[row_ray[x]]:
+            rays, cells = hit[row_ray[x]], plane[x]
+            for y in range(len(cells)):
+                cells[y] |= rays[column_ray[y]] & column_within[y]
+
+
+@njit(cache=True, error_model="numpy")
+def mirror_gain(
+    points: Float64, along: Float64, normal: Float64, offset: float, block: int, gain: NDArray[np.int8]
+) -> int:
+    """What the mirror image of points by a plane gains: `gain` of each one's block, -1 outside the grid.
+
+    Args:
+        points: (n, 3) cells.
+        along: (n,) points @ normal.
+        normal: (3,) unit normal of the plane.
+        offset: the plane is normal . x = offset.
+        block: cells of a side of one of `gain`'s.
+        gain: (m, m, m).
+    """
+    total, side = 0, len(gain)
+    for n in range(len(points)):
+        twice = 2 * (along[n] - offset)
+        i = np.floor((points[n, 0] - twice * normal[0]) / block)
+        j = np.floor((points[n, 1] - twice * normal[1]) / block)
+        k = np.floor((points[n, 2] - twice * normal[2]) / block)
+        if 0 <= i < side and 0 <= j < side and 0 <= k < side:
+            total += gain[int(i), int(j), int(k)]
+        else:
+            total -= 1
+    return total

@@ -1,0 +1,64 @@
+"""The partial and its mirror image, by the vertical plane that what was seen speaks for most."""
+
+import numpy as np
+
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.scoring.baselines.inputs import Inputs
+
+ANGLES = 36
+OFFSETS = 33
+BLOCK = 4
+SAMPLED = 1500
+
+
+def mirror(inputs: Inputs) -> Bools:
+    """The partial and its mirror image: (256, 256, 256) bool.
+
+    Of 36 x 33 vertical planes through the grid the one is taken whose mirror image has the most cells on the
+    partial, less those in space that was seen to be empty; of several the first. Own rule.
+    """
+    partial = inputs.partial
+    points = np.argwhere(partial).astype(np.float64) + 0.5
+    if not len(points):
+        return partial
+    seen_empty = reduce_blocks(unpack(inputs.pair.seen) & ~partial, "majority")
+    normal, offset = best_plane(points, unpack(inputs.pair.partial), seen_empty, inputs.up_grid)
+    found = np.floor(mirrored(points, normal, offset)).astype(int)
+    inside = ((found >= 0) & (found < len(partial))).all(axis=1)
+    result = partial.copy()
+    result[tuple(found[inside].T)] = True
+    return result
+
+
+def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) -> tuple[Float64, float]:
+    """Unit normal (3,) and offset (cells of the 256-grid) of the best plane n . x = offset.
+
+    Args:
+        points: (n, 3) cells of the partial, in cells of the 256-grid.
+        partial: (64, 64, 64).
+        seen_empty: (64, 64, 64), seen and empty.
+        up: (3,) unit vector.
+    """
+    from kinectbench.scoring.baselines.kernels import mirror_gain
+
+    sampled = points[:: max(1, len(points) // SAMPLED)]
+    first = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    first /= np.linalg.norm(first)
+    second = np.cross(up, first)
+    gain = partial.astype(np.int8) - (seen_empty & ~partial).astype(np.int8)
+    best, chosen = -len(points) - 1, (first, 0.0)
+    for angle in np.arange(ANGLES) * np.pi / ANGLES:
+        normal = np.cos(angle) * first + np.sin(angle) * second
+        along = sampled @ normal
+        for offset in np.linspace(along.min(), along.max() + np.ptp(along), OFFSETS):
+            score = mirror_gain(sampled, along, normal, offset, BLOCK, gain)
+            if score > best:
+                best, chosen = score, (normal, float(offset))
+    return chosen
+
+
+def mirrored(points: Float64, normal: Float64, offset: float) -> Float64:
+    """Points (n, 3) mirrored by the plane normal . x = offset."""
+    return points - 2 * ((points @ normal) - offset)[:, None] * normal

@@ -1,0 +1,140 @@
+"""Which baselines a release allows, their predictions pair by pair, and their files."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import replaced_file
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.npz import npz_bytes
+from kinectbench.core.voxels.pair_file import read_input
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.baselines.inputs import Inputs, read_training, up_in_grid
+from kinectbench.scoring.baselines.registry import BASE_RATE, BASELINES, LEARNED
+from kinectbench.scoring.references import SOURCES, base_rates
+from kinectbench.scoring.workers import run_tasks
+
+SPLITS = ("test", "validation")
+
+
+@dataclass(frozen=True)
+class BaselineTask:
+    """One pair to be predicted by some baselines.
+
+    Attributes:
+        release: whose pair it is.
+        target: the pair.
+        base_rate: of its category; NaN where its truth is held back.
+        names: of the baselines.
+    """
+
+    release: Release
+    target: Target
+    base_rate: float
+    names: tuple[str, ...]
+
+
+def possible_baselines(release: Release) -> tuple[str, ...]:
+    """The baselines that can be made.
+
+    Those that learn only where every category has training pairs, and `base-rate` only where some truth of
+    every category is not held back.
+    """
+    trained = {target.category for target in release.open_split("train")}
+    known = {target.category for split in SOURCES for target in release.open_split(split)}
+    wanted = {target.category for split in SPLITS for target in release.split(split)}
+    blind = (() if wanted <= trained else LEARNED) + (() if wanted <= known else (BASE_RATE,))
+    return tuple(name for name in BASELINES if name not in blind)
+
+
+def baseline_tasks(release: Release, names: Sequence[str], jobs: int = 1) -> list[BaselineTask]:
+    """A task for every test and validation pair.
+
+    Raises:
+        ReleaseError: a pair file is missing or changed.
+    """
+    rates = {category: rate.value for category, rate in base_rates(release, jobs).items()}
+    return [
+        BaselineTask(release, target, rates.get(target.category, math.nan), tuple(names))
+        for split in SPLITS
+        for target in release.split(split)
+    ]
+
+
+_training = lru_cache(maxsize=1)(read_training)  # the tasks of a category follow each other
+
+
+def predicted(task: BaselineTask) -> Iterator[tuple[str, NDArray[np.bool_] | NDArray[np.float16]]]:
+    """Each baseline's name and its prediction (n, n, n) for the pair of a task.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    release, target = task.release, task.target
+    pair = read_input(release.pair_path(target))
+    learns = any(name in LEARNED for name in task.names)
+    training = _training(release, target.category) if learns else None
+    inputs = Inputs(pair, task.base_rate, up_in_grid(release, target, pair), training)
+    for name in task.names:
+        yield name, BASELINES[name](inputs)
+
+
+def write_baselines(
+    release: Release,
+    out: Path,
+    names: Sequence[str] | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> tuple[str, ...]:
+    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair; same input, same bytes.
+
+    Args:
+        release: what is predicted.
+        out: a folder of methods.
+        names: some of `BASELINES`; default: all that are possible.
+        jobs: number of processes.
+        progress: called with (pairs done, pairs in all).
+
+    Returns:
+        The names written.
+
+    Raises:
+        SettingsError: no such baseline, or one that learns without training pairs.
+        PairError, ReleaseError: a pair cannot be read.
+        StorageError: the disk is full or read-only.
+    """
+    check_names(names or ())
+    possible = possible_baselines(release)
+    chosen = tuple(names or possible)
+    blind = [name for name in chosen if name not in possible]
+    if BASE_RATE in blind:
+        raise SettingsError(f"{BASE_RATE}: needs truth of every category, and it is held back; leave it out")
+    if blind:
+        raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
+    run_tasks(partial(_write, out), baseline_tasks(release, chosen, jobs), jobs, progress)
+    return chosen
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Refuse names of no baseline.
+
+    Raises:
+        SettingsError: no such baseline.
+    """
+    unknown = [name for name in names if name not in BASELINES]
+    if unknown:
+        raise SettingsError(f"no baseline '{', '.join(unknown)}': choose among {', '.join(BASELINES)}")
+
+
+def _write(out: Path, task: BaselineTask) -> None:
+    """Write one pair's predictions."""
+    for name, prediction in predicted(task):
+        path = out / name / task.target.recording / f"{task.target.view}.npz"
+        with replaced_file(path) as temporary:
+            temporary.write_bytes(npz_bytes({"prediction": prediction}))

@@ -1,0 +1,74 @@
+"""The baselines by name, and the simplest of them. A new one is a function and a line in `BASELINES`."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.scoring.baselines.hull import hull, silhouette
+from kinectbench.scoring.baselines.inputs import Inputs
+from kinectbench.scoring.baselines.mirror import mirror
+from kinectbench.scoring.truth import read_grids
+
+CONSTANT_CELLS = 16
+# float16 steps: a rate below the one would lose its digits, above the other would become 1
+SMALLEST_RATE, LARGEST_RATE = 2.0**-14, 1 - 2.0**-11
+
+
+def empty(inputs: Inputs) -> NDArray[np.bool_]:
+    """Nothing anywhere: (16, 16, 16) bool."""
+    return np.zeros((CONSTANT_CELLS,) * 3, np.bool_)
+
+
+def constant(inputs: Inputs) -> NDArray[np.float16]:
+    """The category's base rate everywhere: (16, 16, 16) float16, to within 0.05 % of it.
+
+    It is held to what float16 can say near 0 and 1.
+    """
+    return np.full((CONSTANT_CELLS,) * 3, np.clip(inputs.base_rate, SMALLEST_RATE, LARGEST_RATE), np.float16)
+
+
+def partial(inputs: Inputs) -> NDArray[np.bool_]:
+    """The input itself: `partial_256`, (256, 256, 256) bool."""
+    return inputs.partial
+
+
+def mean_shape(inputs: Inputs) -> NDArray[np.float16]:
+    """The mean of the category's training shapes, each in its own view's box: (64, 64, 64) float16."""
+    assert inputs.training is not None
+    return inputs.training.mean.astype(np.float16)
+
+
+def nearest(inputs: Inputs) -> NDArray[np.bool_]:
+    """The full shape of the training pair whose partial has the highest IoU at 64^3: (256, 256, 256) bool.
+
+    Of several the first. Own rule.
+    """
+    assert inputs.training is not None
+    partials = inputs.training.partials
+    ious = []
+    for other in partials:
+        union = np.bitwise_count(other | inputs.pair.partial).sum(dtype=np.int64)
+        shared = np.bitwise_count(other & inputs.pair.partial).sum(dtype=np.int64)
+        ious.append(shared / union if union else 1.0)
+    (full,) = read_grids(*inputs.training.files[int(np.argmax(ious))], ("full",))
+    return unpack(full)
+
+
+# -> prediction (n, n, n); of the pair only the input may be looked at.
+Baseline = Callable[[Inputs], NDArray[np.bool_] | NDArray[np.float16]]
+
+BASE_RATE = "base-rate"
+BASELINES: Mapping[str, Baseline] = {
+    "empty": empty,
+    BASE_RATE: constant,
+    "partial": partial,
+    "hull": hull,
+    "mirror": mirror,
+    "silhouette": silhouette,
+    "mean-shape": mean_shape,
+    "nearest": nearest,
+}
+# Those that need training pairs of the category.
+LEARNED = ("mean-shape", "nearest")

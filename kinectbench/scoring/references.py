@@ -1,0 +1,98 @@
+"""What scores are compared with: the base rate of a category, and what the paper published."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.scores import BaseRate
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.counts import Tally
+from kinectbench.scoring.truth import read_grids
+from kinectbench.scoring.workers import run_tasks
+
+# Truth that a method may have learnt from comes first; test truth makes an oracle.
+SOURCES = {"validation": "validation", "train": "train", "test": "test (oracle)"}
+
+_ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1).astype(np.int64)
+
+
+def base_rates(
+    release: Release, jobs: int = 1, counted: Mapping[Target, Tally] | None = None
+) -> dict[str, BaseRate]:
+    """The base rate of every category, from the first of validation, train and test that has it.
+
+    A category whose truth is held back everywhere has none.
+
+    Args:
+        release: its truth is read.
+        jobs: number of processes.
+        counted: tallies of pairs whose truth need not be read again.
+
+    Raises:
+        ReleaseError: a pair file is missing or changed.
+    """
+    chosen = {}
+    for category in release.categories:
+        of_split = {
+            split: [target for target in release.open_split(split) if target.category == category]
+            for split in SOURCES
+        }
+        for split in SOURCES:
+            if of_split[split]:
+                chosen[category] = (split, of_split[split])
+                break
+    shares = {target: _occupied_of(tally) for target, tally in (counted or {}).items()}
+    unread = [t for _, targets in chosen.values() for t in targets if t not in shares]
+    tasks = [(release.pair_path(t), t.sha256) for t in unread]
+    shares |= dict(zip(unread, run_tasks(_occupied_share, tasks, jobs), strict=True))
+    return {
+        category: BaseRate(
+            value=float(np.mean([shares[target] for target in targets])), source=SOURCES[split]
+        )
+        for category, (split, targets) in chosen.items()
+    }
+
+
+def _occupied_of(tally: Tally) -> float:
+    """The same share, of a pair that was counted."""
+    return float(tally.voxels[1::2].sum()) / float(tally.voxels.sum())
+
+
+def _occupied_share(task: tuple[Path, str]) -> float:
+    """Share of a pair's voxels that is occupied."""
+    (full,) = read_grids(*task, ("full",))
+    return float(_ONES[full].sum()) / (8 * full.size)
+
+
+PUBLISHED_IN = (
+    "Yang, Rosa, Markham, Trigoni, Wen: Dense 3D Object Reconstruction from a Single Depth View "
+    "(3D-RecGAN++), IEEE TPAMI, real-world data set"
+)
+LABEL = "published, not comparable"
+CATEGORIES = ("bench", "chair", "couch", "table")
+
+
+@dataclass(frozen=True)
+class PublishedScore:
+    """One method's published means, per category in the order of `CATEGORIES`.
+
+    Attributes:
+        method: its name in the paper.
+        iou: intersection over union.
+        ce: cross-entropy, nats a voxel.
+    """
+
+    method: str
+    iou: tuple[float, float, float, float]
+    ce: tuple[float, float, float, float]
+
+
+PUBLISHED = (
+    PublishedScore("3D-RecGAN++", (0.177, 0.208, 0.540, 0.156), (0.061, 0.153, 0.314, 0.177)),
+    PublishedScore("3D-RecAE", (0.173, 0.203, 0.538, 0.151), (0.065, 0.156, 0.318, 0.180)),
+    PublishedScore("3D-EPN", (0.162, 0.190, 0.508, 0.140), (0.090, 0.158, 0.413, 0.187)),
+    PublishedScore("Varley et al.", (0.118, 0.152, 0.433, 0.075), (0.073, 0.155, 0.436, 0.191)),
+    PublishedScore("Han et al.", (0.166, 0.164, 0.235, 0.146), (0.083, 0.167, 0.352, 0.194)),
+)

@@ -1,0 +1,143 @@
+"""What a few objects can say: confidence intervals of means, tests of differences, Holm's correction.
+
+Views of one object are not independent, objects are. A mean is that of the objects' means, or, under the
+protocol `paper`, that of all pairs: then an object weighs as much as it has pairs.
+"""
+
+import numpy as np
+
+from kinectbench.core.types import Float64
+
+LEVEL = 0.95
+MIN_OBJECTS = 3
+RESAMPLES = 10_000
+SEED = 0
+RESAMPLES_AT_ONCE = 1000
+
+
+def student_interval(values: Float64, weights: Float64) -> Float64 | None:
+    """Student's t interval of a weighted mean over the objects of one category.
+
+    With weights w, mean m = sum w x / sum w and k objects its variance is
+    k / (k - 1) * sum (w (x - m))^2 / (sum w)^2: that of a ratio (Cochran, Sampling Techniques, 1977,
+    eq. 6.13), with equal weights the usual s^2 / k. Degrees of freedom: k - 1.
+
+    Args:
+        values: (k, m) float64, a row per object, a column per metric.
+        weights: (k,) positive.
+
+    Returns:
+        (m, 2) lower and upper end; None with fewer than three objects.
+    """
+    from scipy.special import stdtrit
+
+    count = len(values)
+    if count < MIN_OBJECTS:
+        return None
+    mean = weights @ values / weights.sum()
+    residuals = weights[:, None] * (values - mean)
+    deviation = np.sqrt(count / (count - 1) * (residuals**2).sum(axis=0)) / weights.sum()
+    half = float(stdtrit(count - 1, (1 + LEVEL) / 2)) * deviation
+    return np.stack([mean - half, mean + half], axis=1)
+
+
+def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
+    """Percentile bootstrap interval of the mean over categories, resampling objects within each category.
+
+    Args:
+        groups: of each category `values` (k, m) and `weights` (k,) as in `student_interval`.
+
+    Returns:
+        (m, 2) lower and upper end; None if a category has fewer than three objects, since resampling one or
+        two says nothing of how objects differ. The same for the same values: the seed is fixed.
+
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are an own rule.
+    """
+    if min(len(values) for values, _ in groups) < MIN_OBJECTS:
+        return None
+    rng = np.random.default_rng(SEED)
+    means = np.zeros((RESAMPLES, groups[0][0].shape[1]))
+    for values, weights in groups:
+        for start in range(0, RESAMPLES, RESAMPLES_AT_ONCE):  # memory stays small
+            drawn = rng.integers(len(values), size=(RESAMPLES_AT_ONCE, len(values)))
+            drawn_weights = weights[drawn]
+            sums = np.einsum("bk,bkm->bm", drawn_weights, values[drawn])
+            means[start : start + RESAMPLES_AT_ONCE] += (
+                sums / drawn_weights.sum(axis=1, keepdims=True) / len(groups)
+            )
+    tail = (1 - LEVEL) / 2
+    return np.quantile(means, [tail, 1 - tail], axis=0).T
+
+
+MAX_EXACT = 30
+SAMPLES = 1_000_000
+SIGNS_AT_ONCE = 8_000
+TIE = 1e-12
+
+
+def sign_flip_ps(differences: Float64) -> list[float]:
+    """Two-sided p-values of the hypotheses that every difference of a row is symmetric about zero.
+
+    The share of all 2^n assignments of signs whose sum is at least as far from zero as the one observed;
+    exact up to 30 differences (the sums of both halves are sorted and counted against each other), beyond
+    that of a million assignments drawn with a fixed seed, the same for every row.
+
+    Args:
+        differences: (m, n) float64, n > 0: m tests; weights, if any, multiplied in.
+
+    Source: Fisher, The Design of Experiments (1935), sect. 21.
+    """
+    scales = np.abs(differences).sum(axis=1)
+    # equal sums in another order count as equal
+    observed = np.abs(differences.sum(axis=1)) - TIE * scales
+    if differences.shape[1] > MAX_EXACT:
+        found = _sampled(differences, observed)
+    else:
+        found = [_exact(*test) for test in zip(differences, observed, strict=True)]
+    return [p if scale > 0 else 1.0 for p, scale in zip(found, scales.tolist(), strict=True)]
+
+
+def _exact(differences: Float64, observed: float) -> float:
+    half = len(differences) // 2
+    first, second = _sums(differences[:half]), _sums(differences[half:])
+    above = len(second) - np.searchsorted(second, observed - first, side="left")
+    below = np.searchsorted(second, -observed - first, side="right")
+    return float(above.sum() + below.sum()) / 2.0 ** len(differences)
+
+
+def _sums(differences: Float64) -> Float64:
+    """The sums of all assignments of signs, rising: (2^n,)."""
+    sums = np.zeros(1)
+    for value in differences:
+        sums = np.concatenate([sums - value, sums + value])
+        sums.sort(kind="stable")  # merges the two
+    return sums
+
+
+def _sampled(differences: Float64, observed: Float64) -> list[float]:
+    """P-values by drawn signs: each draw serves every test, by one product of matrices."""
+    rng = np.random.default_rng(SEED)
+    count = differences.shape[1]
+    # A sum with signs s in {-1, 1} is twice that with (s + 1) / 2, less the sum of all.
+    doubled, total = 2 * differences.T, differences.sum(axis=1)
+    far = np.zeros(len(differences), np.int64)
+    for _ in range(SAMPLES // SIGNS_AT_ONCE):
+        drawn = np.frombuffer(rng.bytes(SIGNS_AT_ONCE * -(-count // 8)), np.uint8).reshape(SIGNS_AT_ONCE, -1)
+        plus = np.unpackbits(drawn, axis=1, count=count).astype(np.float64)
+        far += np.count_nonzero(np.abs(plus @ doubled - total) >= observed, axis=0)
+    return [float(p) for p in (far + 1) / (SAMPLES + 1)]
+
+
+def smallest_p(count: int) -> float:
+    """The smallest p-value that `count` differences can give: all of one sign, 2^(1 - n)."""
+    return min(1.0, 2.0 ** (1 - count))
+
+
+def holm(p_values: list[float]) -> list[float]:
+    """P-values corrected for their number (Holm, Scand. J. Statist. 6, 1979), in the same order."""
+    adjusted = [0.0] * len(p_values)
+    running = 0.0
+    for rank, index in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        running = max(running, min(1.0, (len(p_values) - rank) * p_values[index]))
+        adjusted[index] = running
+    return adjusted

@@ -1,1 +1,0 @@
-"""Floor plane, object selection, and the masks of views."""

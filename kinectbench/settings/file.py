@@ -1,0 +1,210 @@
+"""Read benchmark.yaml: `--set` overrides, the settings, and one line with file and line for every error."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.settings import yaml_nodes
+from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.template import init_benchmark
+from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
+
+__all__ = ["init_benchmark", "load_benchmark", "parse_benchmark"]
+
+
+def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettings:
+    """Read and check a benchmark.yaml.
+
+    Args:
+        path: the file.
+        overrides: `section.key=value` or `recordings.<id>.key=value`, the value in YAML; they win
+            over the file, the last one over those before it.
+
+    Returns:
+        The settings, complete with defaults. A section left empty keeps its defaults.
+
+    Raises:
+        SettingsError: one line for each error, in the file's order: file and line (or the
+            override), dotted key, what was found and what is wanted.
+    """
+    return parse_benchmark(_read(path), str(path), overrides)
+
+
+def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> BenchmarkSettings:
+    """`load_benchmark` of the text of a benchmark.yaml; errors start with `source`."""
+    root = yaml_nodes.compose(text, source)
+    if root.tag == yaml_nodes.NULL_TAG:
+        raise SettingsError(
+            f"{source}: holds no settings; `kinectbench init FOLDER` writes a file to start from"
+        )
+    if not isinstance(root, yaml.MappingNode):
+        raise SettingsError(
+            f"{yaml_nodes.place(root)}: found {_found(root)}; wanted lines like 'name: furniture'"
+        )
+    yaml_nodes.plain(root)  # refuses duplicates before an override could hide one
+    for override in overrides:
+        root = _overridden(root, override)
+    return _validated(root)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise SettingsError(
+            f"{path}: no such file; `kinectbench init FOLDER` writes one for the recordings in FOLDER"
+        ) from None
+    except IsADirectoryError:
+        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it") from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise SettingsError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from None
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _overridden(root: yaml.Node, override: str) -> yaml.Node:
+    """The nodes with one `key=value` put in."""
+    source = f"{yaml_nodes.OVERRIDE}{_shortened(override)}"
+    key, equals, text = override.partition("=")
+    if not equals or not all(key.split(".")):
+        raise SettingsError(f"{source}: write --set section.key=value")
+    value = yaml_nodes.compose(text, source)
+    return yaml_nodes.replaced(root, _override_path(root, key.strip(), source), value)
+
+
+def _override_path(root: yaml.Node, key: str, source: str) -> Location:
+    """Where a dotted key leads; a recording is named by its id, which may hold dots itself."""
+    section, _, rest = key.partition(".")
+    if section != "recordings" or not rest:
+        return tuple(key.split("."))
+    entries = yaml_nodes.items(root).get("recordings")
+    children = entries.value if isinstance(entries, yaml.SequenceNode) else []
+    ids = [str(child.value) if (child := yaml_nodes.items(entry).get("id")) else "" for entry in children]
+    matching = [name for name in ids if name and rest.startswith(f"{name}.")]
+    if not matching:
+        name = rest if rest in ids else rest.split(".")[0]
+        if name in ids:
+            raise SettingsError(f"{source}: write --set recordings.{name}.key=value")
+        raise SettingsError(f"{source}: no recording '{name}'; {suggestion(name, ids)}")
+    name = max(matching, key=len)
+    return ("recordings", ids.index(name), *rest[len(name) + 1 :].split("."))
+
+
+def _validated(root: yaml.Node) -> BenchmarkSettings:
+    fields = BenchmarkSettings.model_fields
+    values = {
+        key: value
+        for key, value in yaml_nodes.plain(root).items()
+        if value is not None or key not in fields or fields[key].is_required()
+    }
+    try:
+        return BenchmarkSettings.model_validate(values)
+    except ValidationError as error:
+        found = [_error_line(root, values, e["loc"], e["type"], e["msg"]) for e in error.errors()]
+    # A vector of three wrong numbers is one error.
+    raise SettingsError("\n".join(dict.fromkeys(line for _, line in sorted(found))))
+
+
+def _error_line(
+    root: yaml.Node, values: dict[str, Any], location: Location, kind: str, message: str
+) -> tuple[tuple[bool, int], str]:
+    """Sort key and text of one of pydantic's errors."""
+    annotation, constraints, used = field_at(location)
+    if kind == "extra_forbidden":
+        what = f"unknown key; {_key_hint(str(location[-1]), annotation)}"
+    elif kind == "missing" and used == len(location):
+        what = f"missing; wanted {wanted(annotation, constraints)}"
+    elif kind == "value_error":
+        location = location or ("recordings", _first_clash(values))
+        what = message.removeprefix("Value error, ")
+        value = yaml_nodes.find(root, location)[1]
+        what = f"found {_found(value)}; {what}" if isinstance(value, yaml.ScalarNode) else what
+    else:
+        location = location[:used]
+        value = yaml_nodes.find(root, location)[1]
+        what = f"found {_found(value)}; wanted {wanted(annotation, constraints)}"
+        what += "; it must be finite" if kind == "finite_number" else _value_hint(value, annotation)
+    anchor, _ = yaml_nodes.find(root, location)
+    where, key = yaml_nodes.place(anchor), _dotted(values, location)
+    named = where.startswith(f"{yaml_nodes.OVERRIDE}{key}=")
+    return yaml_nodes.order(anchor), f"{where}: {what}" if named else f"{where}: {key}: {what}"
+
+
+def _key_hint(name: str, annotation: Any) -> str:
+    """What to do about an unknown key inside the model that the annotation names."""
+    model = model_of(annotation)
+    homes = [
+        section
+        for section, field in BenchmarkSettings.model_fields.items()
+        if (home := model_of(field.annotation)) and home is not model and name in home.model_fields
+    ]
+    if homes:
+        return f"it belongs under '{homes[0]}:'"
+    return suggestion(name, list(model.model_fields) if model else [])
+
+
+def _value_hint(value: yaml.Node | None, annotation: Any) -> str:
+    """How to mend a value of the wrong kind, where that can be told."""
+    if not isinstance(value, yaml.ScalarNode) or value.tag == yaml_nodes.NULL_TAG:
+        return ""
+    if choices := choices_of(annotation):
+        hint = near_miss(value.value, choices) if len(choices) > 1 else ""
+        return f"; {hint}" if hint else ""
+    if annotation in (str, str | None):
+        return f": write '{value.value}' in quotes"
+    return ""
+
+
+def _first_clash(values: dict[str, Any]) -> int:
+    """Index of the first recording that does not go with those before it."""
+    recordings = values["recordings"]
+    for count in range(1, len(recordings)):
+        try:
+            BenchmarkSettings.model_validate({**values, "recordings": recordings[:count]})
+        except ValidationError:
+            return count - 1
+    return len(recordings) - 1
+
+
+def _dotted(values: dict[str, Any], location: Location) -> str:
+    """The location as `--set` writes it: a recording by its id, or else by its index."""
+    text = ""
+    for depth, part in enumerate(location):
+        if isinstance(part, str):
+            text += f".{part}" if text else part
+            continue
+        entry = values["recordings"][part] if location[:depth] == ("recordings",) else None
+        name = entry.get("id") if isinstance(entry, dict) else None
+        text += f".{name}" if isinstance(name, str) else f"[{part}]"
+    return text
+
+
+def _found(node: yaml.Node | None) -> str:
+    """A value as it was written, in a few words."""
+    if isinstance(node, yaml.SequenceNode):
+        if not node.value or not all(isinstance(child, yaml.ScalarNode) for child in node.value):
+            return f"a list of {len(node.value)}"
+        return _shortened(f"[{', '.join(_scalar(child) for child in node.value)}]")
+    if isinstance(node, yaml.MappingNode):
+        return "a mapping"
+    if node is None:
+        return "nothing"
+    return f"the text {_scalar(node)}" if node.tag == yaml_nodes.STR_TAG else _scalar(node)
+
+
+def _scalar(node: yaml.Node) -> str:
+    """A scalar as it was written, text in quotes."""
+    if node.tag == yaml_nodes.NULL_TAG:
+        return "nothing"
+    text = _shortened(str(node.value))
+    return f"'{text}'" if node.tag == yaml_nodes.STR_TAG else text
+
+
+def _shortened(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= 60 else f"{line[:57]}..."

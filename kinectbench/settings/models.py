@@ -1,0 +1,266 @@
+"""Typed settings of a benchmark. Every default has its home here; unknown keys are refused at every depth."""
+
+import math
+import re
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.storage import NAME
+from kinectbench.core.types import Framing, PartialRule, Split
+
+TrajectoryMode = Literal["trust", "refine", "ignore"]
+Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+Size3 = Annotated[tuple[float, float, float], Field(strict=False)]
+
+CITED = {
+    "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
+    "doi": (r"10\.\S+/\S+", "a DOI such as 10.5281/zenodo.1234, without https://doi.org/"),
+    "url": (r"https?://\S+", "an address that begins with https://"),
+    "date_released": (r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])", "a date as year-month-day"),
+}
+
+
+def check_name(value: str) -> str:
+    """Accept names that are safe as file names: letters, digits, `.`, `_`, `-`, at most 80."""
+    if not NAME.fullmatch(value):
+        raise ValueError("use letters, digits, '.', '_' and '-' only (at most 80, not starting with '.')")
+    return value
+
+
+class Settings(BaseModel):
+    """Base of all settings: immutable, strictly typed, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class CameraSettings(Settings):
+    """Intrinsics that the recording does not say; what is given here wins over what it says."""
+
+    width: int | None = Field(None, ge=16, le=8192, description="depth image width, pixels")
+    height: int | None = Field(None, ge=16, le=8192, description="depth image height, pixels")
+    fx: float | None = Field(None, gt=0, description="focal length in x, pixels")
+    fy: float | None = Field(None, gt=0, description="focal length in y, pixels")
+    cx: float | None = Field(None, description="principal point in x, pixels")
+    cy: float | None = Field(None, description="principal point in y, pixels")
+    depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
+    depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
+    color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
+    pose_topic: str | None = Field(None, description="of a bag: the topic of poses, or tf")
+    color_delay_s: float = Field(0.0, ge=-1e10, le=1e10, description="stamps of colour are late by this")
+    trajectory_delay_s: float = Field(
+        0.0, ge=-1e10, le=1e10, description="stamps of given poses are late by this"
+    )
+    min_confidence: int = Field(2, ge=0, le=2, description="of an iPhone: depth below is no measurement")
+    mask_object: int | None = Field(None, description="of a BOP scene: the object whose masks are read")
+    swap_red_blue: bool = Field(False, description="colour is stored with red and blue exchanged")
+
+
+class BoxSettings(Settings):
+    """An upright box around the object, in the floor frame (z up, floor at z = 0)."""
+
+    center_m: Vector3 = Field(description="centre, metres")
+    size_m: Size3 = Field(description="edge lengths, metres")
+    yaw_rad: float = Field(0.0, description="turn about the vertical, radians")
+
+    @field_validator("size_m")
+    @classmethod
+    def _positive(cls, size_m: tuple[float, float, float]) -> tuple[float, float, float]:
+        if min(size_m) <= 0:
+            raise ValueError("every edge must be longer than 0")
+        return size_m
+
+    @field_validator("yaw_rad")
+    @classmethod
+    def _within_a_turn(cls, yaw_rad: float) -> float:
+        if abs(yaw_rad) > 2 * math.pi:
+            raise ValueError(
+                f"more than a whole turn: in radians {yaw_rad:g} degrees are {math.radians(yaw_rad):.3f}"
+            )
+        return yaw_rad
+
+    def box(self) -> OrientedBox:
+        """The box as a value."""
+        return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
+
+
+class RecordingSettings(Settings):
+    """One recording of the benchmark."""
+
+    id: str = Field(description="name of the recording, unique in the file")
+    path: str = Field(description="folder or bag, relative to benchmark.yaml")
+    category: str = Field(description="such as chair or table")
+    object: str | None = Field(None, description="the thing itself, where it is recorded more than once")
+    split: Split = Field("test", description="train, validation or test")
+    trajectory: TrajectoryMode | None = Field(None, description="default: trust if the recording has one")
+    camera: CameraSettings | None = Field(None, description="only what the recording does not say")
+    box: BoxSettings | None = Field(None, description="only where objects touch")
+    masks: str | None = Field(None, description="folder of per-view PNG masks, relative to benchmark.yaml")
+    license: str | None = Field(None, description="of this recording's data; default: the benchmark's")
+    source: str | None = Field(
+        None, description="who recorded it, or where it is from; default: the benchmark's"
+    )
+
+    _names = field_validator("id", "category", "object")(
+        lambda value: value if value is None else check_name(value)
+    )
+
+    @property
+    def object_name(self) -> str:
+        """The object recorded: `object`, or else the recording's id."""
+        return self.object or self.id
+
+
+class TrackingSettings(Settings):
+    """Camera trajectory: checks against the depth."""
+
+    check_stride_px: int = Field(8, ge=1, le=64, description="every n-th point of a frame is compared")
+    check_neighbours: int = Field(6, ge=1, le=50, description="frames a given pose is compared with")
+    max_disagreement_m: float = Field(0.025, gt=0, le=1, description="a frame farther off is left out")
+    max_stamp_gap_s: float = Field(0.1, gt=0, le=10, description="longest gap in a given trajectory")
+
+
+class FusionSettings(Settings):
+    """TSDF fusion."""
+
+    voxel_size_m: float = Field(0.005, ge=0.001, le=0.05, description="edge of a voxel of the object")
+    scene_voxel_size_m: float = Field(0.01, ge=0.002, le=0.1, description="edge of a voxel of the scene")
+    truncation_voxels: float = Field(4.0, ge=2, le=20, description="TSDF truncation, in voxels")
+    min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")
+    max_depth_m: float = Field(3.0, gt=0.1, le=20, description="farther depth is not fused")
+
+    @model_validator(mode="after")
+    def _some_depth(self) -> "FusionSettings":
+        if self.min_depth_m >= self.max_depth_m:
+            raise ValueError(
+                f"min_depth_m is {self.min_depth_m:g} and max_depth_m {self.max_depth_m:g}, so that no depth "
+                "would be fused: min_depth_m must be less"
+            )
+        return self
+
+
+class SegmentationSettings(Settings):
+    """Floor plane and object selection."""
+
+    seed: int = Field(0, ge=0, description="seed of RANSAC")
+    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="what rises no higher than this is floor")
+    low_cut_m: float = Field(
+        0.01, ge=0.002, le=0.1, description="but not from here on, if it touches the object (a mat? raise it)"
+    )
+    mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
+
+
+class ViewSettings(Settings):
+    """Sampling of the views."""
+
+    count: int = Field(50, ge=1, le=1000, description="views per recording")
+    seed: int = Field(0, ge=0, description="seed of the draw")
+    strategy: Literal["random", "coverage"] = Field(
+        "random", description="random: uniform over the good frames (paper); coverage: every side alike"
+    )
+    min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
+    recorded_masks: bool = Field(True, description="use the masks that came with a recording, such as BOP's")
+
+
+class PairSettings(Settings):
+    """Pairs of partial view and full shape."""
+
+    framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
+    partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
+    min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
+    max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
+    min_visible_share: float = Field(0.25, ge=0, le=1, description="less of the outline with depth: refused")
+
+
+class CitationSettings(Settings):
+    """How the benchmark wants to be cited."""
+
+    title: str | None = Field(None, description="default: the benchmark's name")
+    authors: list[str] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
+    version: str | None = Field(None, description="such as 1.0.0")
+    doi: str | None = Field(None, description="such as 10.5281/zenodo.1234")
+    url: str | None = Field(None, description="where it can be had")
+    date_released: str | None = Field(None, description="year-month-day")
+
+    @field_validator("version", "doi", "url", "date_released")
+    @classmethod
+    def _formed(cls, value: str | None, info: ValidationInfo) -> str | None:
+        pattern, wanted = CITED[str(info.field_name)]
+        if value is not None and not re.fullmatch(pattern, value):
+            raise ValueError(f"wanted {wanted}")
+        return value
+
+
+class DatasheetSettings(Settings):
+    """What only a person can tell of the data; each a sentence or more."""
+
+    motivation: str | None = Field(None, description="why was it made, and for which task?")
+    creators: str | None = Field(None, description="who made it, for whom, and who paid for it?")
+    collection: str | None = Field(None, description="who recorded what, where and when, with which camera?")
+    consent: str | None = Field(None, description="can people be seen or told from it, and did they agree?")
+    uses_to_avoid: str | None = Field(None, description="what should it not be used for?")
+    maintenance: str | None = Field(None, description="who keeps it, and where are faults reported?")
+
+
+class ChangeSettings(Settings):
+    """What is new in one version of the data."""
+
+    version: str = Field(description="such as 1.0.0")
+    changes: list[str] = Field(min_length=1, description="a line each")
+
+
+class PublishSettings(Settings):
+    """The release."""
+
+    color: bool = Field(False, description="publish colour images (faces and people cannot be ruled out)")
+    citation: CitationSettings = Field(CitationSettings(), description="how to cite it")
+    datasheet: DatasheetSettings = Field(DatasheetSettings(), description="what only a person can tell")
+    changelog: list[ChangeSettings] | None = Field(
+        None, description="versions of the data, newest first, each {version: …, changes: […]}"
+    )
+
+
+class BenchmarkSettings(Settings):
+    """All of benchmark.yaml."""
+
+    name: str = Field(description="name of the benchmark")
+    license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
+    source: str = Field("unspecified", description="who recorded the data, or where it is from")
+    recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
+    tracking: TrackingSettings = TrackingSettings()
+    fusion: FusionSettings = FusionSettings()
+    segmentation: SegmentationSettings = SegmentationSettings()
+    views: ViewSettings = ViewSettings()
+    pairs: PairSettings = PairSettings()
+    publish: PublishSettings = PublishSettings()
+
+    _name = field_validator("name")(check_name)
+
+    @model_validator(mode="after")
+    def _unique(self) -> "BenchmarkSettings":
+        seen: dict[str, RecordingSettings] = {}
+        split_of: dict[str, RecordingSettings] = {}
+        for recording in self.recordings:
+            if recording.id in seen:
+                raise ValueError(f"two recordings have the id '{recording.id}': give each its own")
+            seen[recording.id] = recording
+            first = split_of.setdefault(recording.object_name, recording)
+            if first.split != recording.split:
+                raise ValueError(
+                    f"object '{recording.object_name}' is in two splits: '{first.split}' ({first.id}) and "
+                    f"'{recording.split}' ({recording.id}); an object belongs to one"
+                )
+        return self
+
+    def recording(self, recording_id: str) -> RecordingSettings:
+        """The recording of that id; KeyError if there is none."""
+        return {r.id: r for r in self.recordings}[recording_id]
+
+    def license_of(self, recording: RecordingSettings) -> str:
+        """The licence of a recording: its own, or else the benchmark's; "unspecified" if nobody said."""
+        return recording.license or self.license
+
+    def source_of(self, recording: RecordingSettings) -> str:
+        """Where a recording is from: its own words, or else the benchmark's; "unspecified" if nobody said."""
+        return recording.source or self.source

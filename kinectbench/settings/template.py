@@ -1,0 +1,157 @@
+"""Write a commented benchmark.yaml for the recordings of a folder; the comments come from the models."""
+
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
+from kinectbench.settings.words import field_range, model_of
+
+CATEGORY_WORDS = {
+    "bench": "bench",
+    "chair": "chair",
+    "armchair": "chair",
+    "couch": "couch",
+    "sofa": "couch",
+    "table": "table",
+    "desk": "table",
+    "cabinet": "cabinet",
+    "stool": "stool",
+    "shelf": "shelf",
+    "lamp": "lamp",
+    "bed": "bed",
+}
+UNKNOWN_CATEGORY = "unknown"
+
+HEADER = """\
+# What this benchmark is built from, and with which settings.
+# A line that begins with '#' inside a section shows a default: remove the '#' to change it.
+"""
+
+
+def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
+    """Text of a benchmark.yaml for the recordings found in a folder; it loads as it is.
+
+    Args:
+        folder: where the file will lie; its name becomes the benchmark's.
+        found: (path relative to `folder`, name of the format) of each recording.
+        suffixes: endings of the paths, such as ".bag", that do not become part of an id.
+
+    Raises:
+        SettingsError: there are no recordings.
+    """
+    if not found:
+        raise SettingsError(f"{folder}: no recording of a known format in it; put one there and try again")
+    folder_name = folder.resolve().name
+    # A folder that is itself the recording goes by its own name.
+    names = _unique_ids([folder_name if path == "." else path for path, _ in found], suffixes)
+    lines = [HEADER.rstrip(), "", *_top_level(folder_name), "", "recordings:"]
+    for number, ((path, kind), name) in enumerate(zip(found, names, strict=True)):
+        lines += _recording(name, path, kind, folder_name if path == "." else path)
+        lines += _recording_options() if number == 0 else []
+    for section, field in BenchmarkSettings.model_fields.items():
+        if isinstance(field.default, Settings):
+            lines += ["", *_section(section, field.default)]
+    return "\n".join(lines) + "\n"
+
+
+def _top_level(folder_name: str) -> list[str]:
+    """The name and the licence."""
+    fields = BenchmarkSettings.model_fields
+    return [
+        _commented(f"name: {_text(_safe(folder_name, 'benchmark'))}", fields["name"].description),
+        _commented(f"license: {_text(fields['license'].default)}", fields["license"].description),
+        _commented(f"source: {_text(fields['source'].default)}", fields["source"].description),
+    ]
+
+
+def _recording(name: str, path: str, kind: str, path_name: str) -> list[str]:
+    """The lines of one recording."""
+    category = _category(path_name)
+    fields = RecordingSettings.model_fields
+    ask = "fill in, such as chair or table" if category == UNKNOWN_CATEGORY else None
+    return [
+        f"  - id: {_text(name)}",
+        _commented(f"    path: {_text(path)}", kind),
+        _commented(f"    category: {category}", ask),
+        _commented(f"    split: {fields['split'].default}", fields["split"].description),
+    ]
+
+
+def _recording_options() -> list[str]:
+    """The optional keys of a recording as comments, below the first one."""
+    lines = ["    # each recording may also have:"]
+    for key, field in RecordingSettings.model_fields.items():
+        if field.is_required() or key == "split":
+            continue
+        model = model_of(field.annotation)
+        value = f"{{{', '.join(f'{name}: …' for name in model.model_fields)}}}" if model else "…"
+        words = "; ".join(part for part in (field_range(field), field.description) if part)
+        lines.append(_commented(f"    # {key}: {value}", words))
+    return lines
+
+
+def _section(name: str, defaults: Settings) -> list[str]:
+    """One section with all its defaults as comments."""
+    about = (type(defaults).__doc__ or "").splitlines()[0]
+    lines = [f"{name}:  # {about}"]
+    for key, field in type(defaults).model_fields.items():
+        limits = field_range(field)
+        words = f"{field.description} ({limits})" if limits else field.description
+        value = getattr(defaults, key)
+        shown = value.model_dump() if isinstance(value, Settings) else value
+        lines.append(_commented(f"  # {key}: {_text(shown)}", words))
+    return lines
+
+
+def _commented(text: str, comment: str | None) -> str:
+    """A line with its comment in a column."""
+    return f"{text:<34}  # {comment}" if comment else text
+
+
+def _text(value: Any) -> str:
+    """A value on one line of YAML, in quotes where it needs them."""
+    if isinstance(value, str) and not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*", value):
+        return yaml.dump(value, default_style='"', allow_unicode=True, width=10**9).strip()
+    return (
+        yaml.dump(value, default_flow_style=True, sort_keys=False, width=10**9).removesuffix("...\n").strip()
+    )
+
+
+def _safe(text: str, otherwise: str) -> str:
+    """A name that is allowed as an id, as near to the text as possible."""
+    ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
+
+
+def _unique_ids(paths: Sequence[str], suffixes: Sequence[str]) -> list[str]:
+    """An id for each path: its last part, or all of it where that is taken, with a number if need be."""
+    ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)
+    whole = [ending.sub("", path.strip("/")) for path in paths]
+    last = [path.rsplit("/", 1)[-1] for path in whole]
+    times = Counter(name.lower() for name in last)
+    ids: list[str] = []
+    for path, name in zip(whole, last, strict=True):
+        base = candidate = _safe(name if times[name.lower()] == 1 else path, "recording")
+        number = 2
+        while candidate.lower() in {taken.lower() for taken in ids}:
+            candidate, number = f"{base}_{number}", number + 1
+        ids.append(candidate)
+    return ids
+
+
+def _category(path: str) -> str:
+    """The category that a path speaks of, its last part first."""
+    for part in reversed(path.split("/")):
+        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", part).lower()
+        for word in re.findall(r"[a-z]+", spaced):
+            for form in (word, word.removesuffix("s"), word.removesuffix("es")):
+                if form in CATEGORY_WORDS:
+                    return CATEGORY_WORDS[form]
+    return UNKNOWN_CATEGORY

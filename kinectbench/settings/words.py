@@ -1,0 +1,107 @@
+"""The settings' models in plain words: what is wanted where, and which names are valid."""
+
+import difflib
+import types
+from collections.abc import Sequence
+from typing import Any, Literal, Union, get_args, get_origin
+
+import annotated_types
+from pydantic.fields import FieldInfo
+
+from kinectbench.settings.models import BenchmarkSettings, Settings
+
+Location = tuple[str | int, ...]
+
+
+def without_none(annotation: Any) -> Any:
+    """`X | None` as X; anything else as it is."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        return next(choice for choice in get_args(annotation) if choice is not type(None))
+    return annotation
+
+
+def model_of(annotation: Any) -> type[Settings] | None:
+    """The settings model that an annotation names, or None."""
+    inner = without_none(annotation)
+    return inner if isinstance(inner, type) and issubclass(inner, Settings) else None
+
+
+def choices_of(annotation: Any) -> tuple[str, ...]:
+    """The names that a Literal annotation allows; empty for other annotations."""
+    inner = without_none(annotation)
+    return get_args(inner) if get_origin(inner) is Literal else ()
+
+
+def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tuple[Any, Sequence[Any], int]:
+    """Follow a location into the models as far as they go, starting from `root`.
+
+    Returns:
+        The annotation and its constraints there, and how many parts of the location were used: a
+        number inside a vector belongs to the vector's field.
+    """
+    annotation: Any = root
+    constraints: Sequence[Any] = ()
+    for used, part in enumerate(location):
+        model = model_of(annotation)
+        if isinstance(part, str) and model is not None and part in model.model_fields:
+            field = model.model_fields[part]
+            annotation, constraints = field.annotation, field.metadata
+        elif isinstance(part, int) and get_origin(annotation) is list:
+            annotation, constraints = get_args(annotation)[0], ()
+        else:
+            return annotation, constraints, used
+    return annotation, constraints, len(location)
+
+
+def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
+    """What a field takes, such as `a number from 0.001 to 0.05`."""
+    inner = without_none(annotation)
+    model = model_of(inner)
+    if model is not None:
+        return f"a mapping with {listed(model.model_fields)}"
+    if choices := choices_of(inner):
+        return choices[0] if len(choices) == 1 else f"one of {listed(choices)}"
+    if get_origin(inner) is tuple:
+        return f"a list of {len(get_args(inner))} numbers"
+    if get_origin(inner) is list:
+        return "a list with at least one entry"
+    name = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}[inner]
+    return f"{name} {limits}" if (limits := range_in_words(constraints)) else name
+
+
+def range_in_words(constraints: Sequence[Any]) -> str:
+    """The range that constraints allow, such as `from 1 to 64` or `above 0`; empty if there is none."""
+    words = []
+    for constraint in constraints:
+        if isinstance(constraint, annotated_types.Ge):
+            words.append(f"from {constraint.ge}")
+        elif isinstance(constraint, annotated_types.Gt):
+            words.append(f"above {constraint.gt}")
+        elif isinstance(constraint, annotated_types.Le):
+            words.append(f"to {constraint.le}" if words and "from" in words[0] else f"up to {constraint.le}")
+        elif isinstance(constraint, annotated_types.Lt):
+            words.append(f"below {constraint.lt}")
+    text = " ".join(words).replace(" up to", " and up to").replace(" below", " and below")
+    return f"{text} up" if len(words) == 1 and text.startswith("from") else text
+
+
+def field_range(field: FieldInfo) -> str:
+    """A field's choices or range in a few words; empty if anything of its type will do."""
+    choices = choices_of(field.annotation)
+    return listed(choices) if len(choices) > 1 else range_in_words(field.metadata)
+
+
+def suggestion(name: str, valid: Sequence[str]) -> str:
+    """A hint at the nearest valid name, or else all of them."""
+    return near_miss(name, valid) or f"valid here: {listed(valid)}"
+
+
+def near_miss(name: str, valid: Sequence[str]) -> str:
+    """A hint at the nearest valid name; empty if none is near."""
+    near = difflib.get_close_matches(name.lower().replace("-", "_"), valid, n=1)
+    return f"did you mean '{near[0]}'?" if near else ""
+
+
+def listed(names: Any) -> str:
+    """Names with commas between them."""
+    return ", ".join(str(name) for name in names)

@@ -1,0 +1,193 @@
+"""YAML as nodes that know their file and line, and as plain values; one clear line for every error."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import yaml
+
+from kinectbench.core.errors import SettingsError
+
+NULL_TAG = "tag:yaml.org,2002:null"
+BOOL_TAG = "tag:yaml.org,2002:bool"
+INT_TAG = "tag:yaml.org,2002:int"
+FLOAT_TAG = "tag:yaml.org,2002:float"
+STR_TAG = "tag:yaml.org,2002:str"
+MAP_TAG = "tag:yaml.org,2002:map"
+OVERRIDE = "in --set "
+
+# The core schema of YAML 1.2: `5e-3` is a number; `yes`, `010` and dates are text.
+_PATTERNS = {
+    NULL_TAG: r"~|null|Null|NULL|",
+    BOOL_TAG: r"true|True|TRUE|false|False|FALSE",
+    INT_TAG: r"[-+]?(?:0|[1-9][0-9]{0,17})",
+    FLOAT_TAG: r"[-+]?(?:\.[0-9]+|[0-9]+\.[0-9]*|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?"
+    r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+}
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's parser with the scalars of YAML 1.2."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own attribute
+
+
+for _tag, _pattern in _PATTERNS.items():
+    _Loader.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern})\Z"), None)
+
+
+def compose(text: str, source: str) -> yaml.Node:
+    """Parse YAML text into nodes; nothing at all is a null node.
+
+    Args:
+        text: the YAML.
+        source: the file's name, or `in --set …` for an override; errors start with it.
+
+    Raises:
+        SettingsError: not YAML, more than one document, or a control character.
+    """
+    try:
+        loader = _Loader(text)
+        loader.name = source
+        node: yaml.Node | None = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark or null_mark(source)
+        raise SettingsError(f"{_place(source, mark.line)}: {_problem(error, text, mark.line)}") from None
+    except yaml.reader.ReaderError as error:
+        place = _place(source, text[: error.position].count("\n"))
+        raise SettingsError(
+            f"{place}: the control character U+{int(error.character):04X}; remove it"
+        ) from None
+    except RecursionError:
+        raise SettingsError(f"{source}: nested too deeply") from None
+    return node or yaml.ScalarNode(NULL_TAG, "", null_mark(source), null_mark(source))
+
+
+def null_mark(source: str) -> yaml.Mark:
+    """The start of a source."""
+    return yaml.Mark(source, 0, 0, 0, None, 0)
+
+
+def _problem(error: yaml.MarkedYAMLError, text: str, line: int) -> str:
+    lines = text.splitlines()
+    if line < len(lines) and re.match(r"\s*\t", lines[line]):
+        return "indented with a tab; use spaces"
+    problem = error.problem or error.context or "unreadable"
+    if problem.startswith("but ") and error.context:
+        problem = f"{error.context}, {problem}"
+    return f"not valid YAML: {problem}; check indentation, colons and quotes"
+
+
+def _place(source: str, line: int) -> str:
+    return source if source.startswith(OVERRIDE) else f"{source}:{line + 1}"
+
+
+def place(node: yaml.Node) -> str:
+    """Where a node stands: `file:line`, or the override."""
+    return _place(node.start_mark.name, node.start_mark.line)
+
+
+def order(node: yaml.Node) -> tuple[bool, int]:
+    """Sort key that follows the file, with overrides last."""
+    return node.start_mark.name.startswith(OVERRIDE), node.start_mark.line
+
+
+def plain(node: yaml.Node) -> Any:
+    """Turn nodes into dict, list, str, int, float, bool and None.
+
+    Raises:
+        SettingsError: a key twice, a key that is no text, an alias inside itself, a `!tag`.
+    """
+    return _plain(node, {}, set())
+
+
+def _plain(node: yaml.Node, done: dict[int, Any], open_nodes: set[int]) -> Any:
+    # An aliased node is turned once, so a file of nested aliases costs no more than its own length.
+    if id(node) in done:
+        return done[id(node)]
+    if id(node) in open_nodes:
+        raise SettingsError(f"{place(node)}: an alias that contains itself; write the value out")
+    open_nodes.add(id(node))
+    if isinstance(node, yaml.MappingNode):
+        value: Any = {key: _plain(child, done, open_nodes) for key, child in _checked_items(node)}
+    elif isinstance(node, yaml.SequenceNode):
+        value = [_plain(child, done, open_nodes) for child in node.value]
+    else:
+        value = _scalar(node)
+    open_nodes.discard(id(node))
+    done[id(node)] = value
+    return value
+
+
+def _checked_items(node: yaml.MappingNode) -> Iterator[tuple[str, yaml.Node]]:
+    first: dict[str, yaml.Node] = {}
+    for key, child in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise SettingsError(f"{place(key)}: a key must be a name, not a list or a mapping")
+        if key.value in first:
+            raise SettingsError(
+                f"{place(key)}: '{key.value}' stands twice, first at {place(first[key.value])}; keep one"
+            )
+        first[key.value] = key
+        yield key.value, child
+
+
+def _scalar(node: yaml.Node) -> Any:
+    text = str(node.value)
+    try:
+        if node.tag == NULL_TAG:
+            return None
+        if node.tag == BOOL_TAG:
+            return {"true": True, "false": False}[text.lower()]
+        if node.tag == INT_TAG:
+            return int(text)
+        if node.tag == FLOAT_TAG:
+            return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    except (ValueError, KeyError):
+        raise SettingsError(f"{place(node)}: '{text}' does not fit its tag; remove the tag") from None
+    if node.tag == STR_TAG:
+        return text
+    raise SettingsError(f"{place(node)}: the tag '{node.tag}' is not used here; remove it")
+
+
+def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
+    """The children of a mapping by key; empty for anything else."""
+    return {key.value: child for key, child in node.value} if isinstance(node, yaml.MappingNode) else {}
+
+
+def find(node: yaml.Node, path: tuple[str | int, ...]) -> tuple[yaml.Node, yaml.Node | None]:
+    """Find what stands at a path.
+
+    Returns:
+        The node whose line to show (the key, or the list's entry; the nearest that exists), and the
+        value's node, or None where the path leads nowhere.
+    """
+    anchor, value = node, node
+    for part in path:
+        if isinstance(part, int) and isinstance(value, yaml.SequenceNode) and part < len(value.value):
+            anchor = value = value.value[part]
+            continue
+        keys = {key.value: key for key, _ in value.value} if isinstance(value, yaml.MappingNode) else {}
+        if part not in keys:
+            return anchor, None
+        anchor, value = keys[part], items(value)[str(part)]
+    return anchor, value
+
+
+def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.Node) -> yaml.Node:
+    """Copy the mappings along a path with `value` at its end; shared (aliased) nodes stay as they are."""
+    if not path:
+        return value
+    head, rest = path[0], path[1:]
+    if isinstance(head, int):
+        assert isinstance(node, yaml.SequenceNode), "paths lead through entries that exist"
+        entries = [replaced(child, rest, value) if i == head else child for i, child in enumerate(node.value)]
+        return yaml.SequenceNode(node.tag, entries, node.start_mark, node.end_mark)
+    pairs = list(node.value) if isinstance(node, yaml.MappingNode) else []
+    old = {key.value: (key, child) for key, child in pairs}
+    new_key = yaml.ScalarNode(STR_TAG, head, value.start_mark, value.end_mark)
+    key, child = old.get(head, (new_key, None))
+    new_pair = (key if rest and head in old else new_key, replaced(child, rest, value))
+    pairs = [new_pair if pair[0] is key else pair for pair in pairs] if head in old else [*pairs, new_pair]
+    start, end = (node.start_mark, node.end_mark) if node else (value.start_mark, value.end_mark)
+    return yaml.MappingNode(MAP_TAG, pairs, start, end)

@@ -1,1 +1,0 @@
-"""Furniture, scenes, camera paths, the Kinect noise model, writers of recordings."""

@@ -1,0 +1,1 @@
+"""The pipeline: ingest, track, fuse, segment, sample_views, pairs, in this order."""

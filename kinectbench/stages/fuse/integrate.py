@@ -1,0 +1,264 @@
+"""The fusion kernel: depth frames, each pixel with its weight, into the blocks of a volume."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+
+import numba
+import numpy as np
+
+from kinectbench.core.geometry import Camera, invert_rigid
+from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.types import Float32, Float64
+from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
+from kinectbench.stages.fuse.visible_blocks import visible_blocks
+
+# So many frames pass through each block while it lies in the cache.
+BATCH_FRAMES = 8
+SURFACE_SIGMAS = 2.0
+HALF_DIAGONAL = 0.87
+# A frame's vote is one addition: a voxel's two counts lie in one integer.
+FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
+SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
+# A pixel's depth and weight are fetched at once: the two halves of 64 bits.
+LOWER_HALF, HALF_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
+NEAREST_M = np.float32(1e-3)
+BEHIND_CAMERA_M = np.float32(1e6)
+# Twice the noise of a depth of 8 m.
+BEFORE_FAR_M = np.float32(0.25)
+SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
+FAST = {"contract", "arcp", "nsz", "reassoc"}
+BORDER_PX = 1
+SLANT_REACH_PX = 2
+MAX_SLANT = 10.0
+
+
+@dataclass(frozen=True)
+class DepthFrame:
+    """A depth image and where it was taken.
+
+    Attributes:
+        depth_m: (height, width) float32, metres along z, 0 = none.
+        T_world_camera: (4, 4).
+        pose_sigma_m: by how much the pose may be off, metres.
+    """
+
+    depth_m: Float32
+    T_world_camera: Float64
+    pose_sigma_m: float = 0.0
+
+
+def integrate(
+    volume: BlockVolume,
+    frames: Iterable[DepthFrame],
+    camera: Camera,
+    truncation_m: float,
+    farthest_m: float = np.inf,
+) -> None:
+    """Fuse frames into the volume's arrays (in place: this is the one hot loop of fusion).
+
+    A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
+    s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
+    clipped at +truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
+    where s > max(2 sigma, half a voxel's diagonal), else `surface`. Voxels farther behind the surface get
+    nothing. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front of it hear:
+    they are free.
+
+    Args:
+        volume: blocks to fuse into.
+        frames: depth images; some at a time are held in memory.
+        camera: pinhole intrinsics of all; pixel centres are integers, so the lookup rounds to nearest.
+        truncation_m: TSDF truncation, metres.
+        farthest_m: depth beyond it is not fused as a surface, metres.
+    """
+    remaining = iter(frames)
+    pixels = np.zeros((BATCH_FRAMES, *padded_shape(camera)), np.float32)
+    while batch := list(islice(remaining, BATCH_FRAMES)):
+        for values, frame in zip(pixels, batch, strict=False):
+            pixel_weights(frame.depth_m, camera, frame.pose_sigma_m, farthest_m, out=values)
+        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
+
+
+def _integrate_batch(
+    volume: BlockVolume,
+    batch: list[DepthFrame],
+    pixels: Float32,
+    camera: Camera,
+    truncation_m: float,
+) -> None:
+    T_camera_grid = [invert_rigid(frame.T_world_camera) @ volume.T_world_grid for frame in batch]
+    posed = list(zip(batch, T_camera_grid, strict=True))
+    seen = np.stack([visible_blocks(volume, frame.depth_m, camera, T, truncation_m) for frame, T in posed])
+    # Pixel coordinates times z, but for the principal point; its half a pixel more, and cutting off the
+    # fraction, round to the nearest pixel.
+    to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
+    middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
+    noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.pose_sigma_m) for frame in batch])
+    tsdf, weight, votes = (
+        values.reshape(-1, BLOCK_CELLS)
+        for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
+    )
+    _integrate(
+        seen, volume.blocks, tsdf, weight, votes, pixels.view(np.uint64)[..., 0], to_pixels, middle_px,
+        volume.voxel_size_m, np.float32(truncation_m), noise_m,
+    )  # fmt: skip
+
+
+def _noise_m(voxel_size_m: float, pose_sigma_m: float) -> Float32:
+    """What the width of the `surface` vote is made of: depth noise (a, b, c), pose, half a diagonal."""
+    depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
+    return np.array([*depth, pose_sigma_m, HALF_DIAGONAL * voxel_size_m], np.float32)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _integrate(  # type: ignore[no-untyped-def]
+    seen, blocks, tsdf, weight, votes, pixels, to_pixels, middle, voxel, truncation, noise
+):
+    """Block by block: for each frame project, fetch and add up, then merge into the block, once for all.
+
+    Apart, the compiler can vectorise all but the second. Blocks pass through memory once for all frames.
+    """
+    index = np.empty(BLOCK_CELLS, np.uint32)
+    fetched = np.empty(BLOCK_CELLS, np.uint64)
+    z = np.empty(BLOCK_CELLS, np.float32)
+    new_total, new_weight = np.zeros(BLOCK_CELLS, np.float32), np.zeros(BLOCK_CELLS, np.float32)
+    new_votes = np.zeros(BLOCK_CELLS, np.int32)
+    corner = np.empty(3, np.float32)
+    frames, height, width = pixels.shape
+    of_pixel = pixels.reshape(frames, height * width)
+    inside = np.empty((frames, 3, BLOCK_CELLS), np.float32)
+    for f in range(frames):
+        _inside_block(inside[f], to_pixels[f], voxel)
+    for b in range(len(blocks)):
+        gx, gy, gz = blocks[b]
+        any_new = False
+        for f in range(frames):
+            if seen[f, b]:
+                for axis in range(3):
+                    row = to_pixels[f, axis]
+                    along = row[0] * gx + row[1] * gy + row[2] * gz
+                    corner[axis] = along * (BLOCK_VOXELS * voxel) + row[3]
+                _project(index, z, corner, inside[f], middle, width, height)
+                for n in range(BLOCK_CELLS):
+                    fetched[n] = of_pixel[f, index[n]]
+                any_new |= _add(new_total, new_weight, new_votes, fetched, z, truncation, noise[f])
+        if any_new:
+            _merge(tsdf[b], weight[b], votes[b], new_total, new_weight, new_votes)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
+    """Set (3, 512): what lies between a block's corner and the centre of each voxel, projected."""
+    for axis in range(3):
+        for n in range(BLOCK_CELLS):
+            i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
+            row = to_pixels[axis]
+            inside[axis, n] = voxel * (row[0] * (i + 0.5) + row[1] * (j + 0.5) + row[2] * (k + 0.5))
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _project(index, z, corner, inside, middle, width, height):  # type: ignore[no-untyped-def]
+    """Depth and pixel of each voxel of a block; beside the image, a pixel of its border, which is empty."""
+    f32 = np.float32
+    right, bottom, row_length = f32(width - 1), f32(height - 1), np.int32(width)
+    across, down, along = inside[0], inside[1], inside[2]
+    for n in range(BLOCK_CELLS):
+        ahead = corner[2] + along[n]
+        inverse = f32(1) / max(ahead, NEAREST_M)
+        u = (corner[0] + across[n]) * inverse + middle[0]
+        v = (corner[1] + down[n]) * inverse + middle[1]
+        column = np.int32(min(max(u, f32(0)), right))
+        row = np.int32(min(max(v, f32(0)), bottom))
+        index[n] = np.uint32(row * row_length + column)
+        z[n] = ahead if ahead > NEAREST_M else BEHIND_CAMERA_M
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
+    """Add a frame's weighted distances, weights and votes; whether there were any."""
+    near, growth, near_depth, pose, half_diagonal = noise[0], noise[1], noise[2], noise[3], noise[4]
+    any_added = np.float32(0)
+    for n in range(BLOCK_CELLS):
+        depth = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
+        weight = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
+        distance = depth - z[n]
+        least = -truncation if weight >= 0 else BEFORE_FAR_M
+        added = abs(weight) if distance >= least else np.float32(0)
+        any_added += added
+        new_total[n] += added * min(distance, truncation)
+        new_weight[n] += added
+        sigma = near + growth * (depth - near_depth) * (depth - near_depth)
+        # (max(2 sigma, half a diagonal))^2
+        reach = max(SURFACE_SIGMAS_SQUARED * (sigma * sigma + pose * pose), half_diagonal * half_diagonal)
+        vote = FREE_VOTE if distance > 0 and distance * distance > reach else SURFACE_VOTE
+        new_votes[n] += vote if added > 0 else NO_VOTE
+    return any_added > 0
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _merge(tsdf, weight, votes, new_total, new_weight, new_votes):  # type: ignore[no-untyped-def]
+    """Average what was added up into a block; leaves zeros for the next one."""
+    for n in range(BLOCK_CELLS):
+        total = weight[n] + new_weight[n]
+        tsdf[n] = (tsdf[n] * weight[n] + new_total[n]) / max(total, np.float32(1e-20))
+        weight[n] = total
+        votes[n] += new_votes[n]
+        new_total[n], new_weight[n], new_votes[n] = np.float32(0), np.float32(0), np.int32(0)
+
+
+def padded_shape(camera: Camera) -> tuple[int, int, int]:
+    """Of what `pixel_weights` sets: the image with a border of one pixel, depth and weight."""
+    return camera.height + 2 * BORDER_PX, camera.width + 2 * BORDER_PX, 2
+
+
+def pixel_weights(
+    depth_m: Float32,
+    camera: Camera,
+    pose_sigma_m: float,
+    farthest_m: float,
+    out: Float32,
+) -> None:
+    """Depth and weight of every pixel.
+
+    The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma holds the noise of
+    the depth and of the pose; what is an error of x along the surface's normal is x / cos along the viewing
+    axis. 1 / cos is taken from pixels two to either side and is at most 10: its limit next to a depth edge,
+    where pixels mix two surfaces. Beyond `farthest_m` the weight is negative: what lies well in front of it
+    is free, and nothing more is said.
+
+    Args:
+        depth_m: (height, width) float32, metres along z, 0 = none.
+        camera: pinhole intrinsics.
+        pose_sigma_m: by how much the frame's pose may be off, metres.
+        farthest_m: depth beyond it is not fused as a surface, metres.
+        out: (height + 2, width + 2, 2) float32, set but for its border, which is to be 0.
+    """
+    noise_m = np.array([SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, pose_sigma_m], np.float32)
+    slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
+    _pixel_weights(out, depth_m, slope, noise_m, np.float32(farthest_m))
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+def _pixel_weights(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-untyped-def]
+    """Row by row; slices, because indices that may be negative stop the compiler from vectorising."""
+    f32 = np.float32
+    height, width = depth_m.shape
+    near, growth, near_depth, pose = noise[0], noise[1], noise[2], noise[3]
+    padded = np.empty(width + 2 * SLANT_REACH_PX, np.float32)
+    left, right = padded[: -2 * SLANT_REACH_PX], padded[2 * SLANT_REACH_PX :]
+    for v in range(height):
+        here = depth_m[v]
+        above, below = depth_m[max(v - SLANT_REACH_PX, 0)], depth_m[min(v + SLANT_REACH_PX, height - 1)]
+        padded[:SLANT_REACH_PX], padded[-SLANT_REACH_PX:] = here[0], here[-1]
+        padded[SLANT_REACH_PX:-SLANT_REACH_PX] = here
+        out = pixels[v + BORDER_PX, BORDER_PX:-BORDER_PX].reshape(-1)
+        for u in range(width):
+            d = here[u]
+            inverse = f32(1) / max(d, f32(1e-3))
+            across = (right[u] - left[u]) * slope[0] * inverse
+            down = (below[u] - above[u]) * slope[1] * inverse
+            slant = min(f32(1) + across * across + down * down, f32(MAX_SLANT * MAX_SLANT))
+            sigma = near + growth * (d - near_depth) * (d - near_depth)
+            weight = f32(1e-6) / ((sigma * sigma + pose * pose) * slant)
+            out[2 * u] = d
+            out[2 * u + 1] = (weight if d <= farthest else -weight) if d > 0 else f32(0)

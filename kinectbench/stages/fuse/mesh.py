@@ -1,0 +1,109 @@
+"""From a TSDF to a triangle mesh: marching cubes where all eight corners were observed; and its colours."""
+
+import numba
+import numpy as np
+
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
+from kinectbench.core.geometry.mesh import isosurface
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64, Int64
+from kinectbench.core.voxels.observation import without_fringe
+from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
+
+BRICK_BLOCKS = 16
+MAX_FRAMES = 24
+AGREEMENT_M = 0.03
+NEAREST_M = 0.1
+
+
+def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> TriangleMesh:
+    """The zero surface of a block volume in the world, brick by brick, joined without seams.
+
+    It is that of the TSDF `without_fringe`.
+
+    Args:
+        volume: fused blocks.
+        min_weight: voxels of less weight (1/mm^2) count as not observed.
+        trust: what part of the votes is believed, `trust_in_votes`.
+    """
+    bricks = np.unique(volume.blocks // BRICK_BLOCKS, axis=0)
+    parts, offset = [], 0
+    vertices, faces = [], []
+    free_votes, surface_votes = volume.free, volume.surface
+    for brick in bricks:
+        first = (brick * BRICK_BLOCKS).astype(np.int32)
+        # One block more than the brick on the far sides: cells across the border belong to this brick.
+        side = BRICK_BLOCKS * BLOCK_VOXELS + 1
+        tsdf = volume.dense(volume.tsdf, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        weight = volume.dense(volume.weight, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        free = volume.dense(free_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        surface = volume.dense(surface_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
+        signed_m = without_fringe(tsdf, free, surface, volume.voxel_size_m, trust)
+        part = isosurface(signed_m, weight > min_weight)
+        parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
+        vertices.append(part.vertices + first * BLOCK_VOXELS)
+        faces.append(part.faces + offset)
+        offset += len(part.vertices)
+    if offset == 0:
+        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    _, first_of, merged = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
+    indices = np.concatenate(vertices)[first_of]
+    joined = merged.reshape(-1)[np.concatenate(faces)].astype(np.int32)
+    points_world = transform_points(volume.T_world_grid, (indices + 0.5) * volume.voxel_size_m)
+    distinct = (
+        (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
+    )
+    return TriangleMesh(points_world, joined).keep_faces(distinct)
+
+
+def _edge_keys(vertices: Float64, first: Int64) -> Int64:
+    """One integer per grid edge (or corner) that a marching-cubes vertex lies on, equal across bricks."""
+    low = np.floor(vertices)
+    axis = np.argmax(vertices - low, axis=1)
+    axis[np.all(vertices == low, axis=1)] = 3
+    half = 1 << 19
+    x, y, z = (low.astype(np.int64) + first + half).T
+    keys: Int64 = (((x << 20 | y) << 20 | z) << 2) | axis
+    return keys
+
+
+def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajectory) -> TriangleMesh:
+    """Give each vertex the mean colour of up to 24 frames whose depth agrees with it within 30 mm.
+
+    Without colour registered to depth the mesh comes back as it is; vertices that no frame sees are grey.
+    """
+    if not sequence.color_registered or len(mesh.vertices) == 0:
+        return mesh
+    good = trajectory.good_frames
+    intrinsics = sequence.camera.intrinsics
+    total = np.zeros((len(mesh.vertices), 3))
+    count = np.zeros(len(mesh.vertices))
+    for index in good[np.unique(np.linspace(0, len(good) - 1, MAX_FRAMES).astype(int))]:
+        color = sequence.color_rgb(int(index))
+        if color is None:
+            continue
+        depth_m = sequence.depth_m(int(index))
+        T_camera_world = invert_rigid(trajectory.T_world_camera[index])
+        _add_colors(total, count, mesh.vertices, depth_m, color, T_camera_world, intrinsics)
+    colors = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], 128.0)
+    return TriangleMesh(mesh.vertices, mesh.faces, np.rint(colors).astype(np.uint8))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_colors(  # type: ignore[no-untyped-def]
+    total, count, vertices, depth_m, color, T, intrinsics
+):
+    """Add the colour of the nearest pixel to each vertex whose depth that pixel measured."""
+    fx, fy, cx, cy = intrinsics
+    height, width = depth_m.shape
+    for n in range(len(vertices)):
+        x, y, z = vertices[n]
+        ahead_m = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if ahead_m > NEAREST_M:
+            u = round(fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / ahead_m + cx)
+            v = round(fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / ahead_m + cy)
+            if 0 <= u < width and 0 <= v < height and abs(depth_m[v, u] - ahead_m) < AGREEMENT_M:
+                for channel in range(3):
+                    total[n, channel] += color[v, u, channel]
+                count[n] += 1

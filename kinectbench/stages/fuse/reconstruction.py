@@ -1,0 +1,188 @@
+"""The stage `fuse`: all good frames into one surface of the whole scene."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.errors import TrackingError
+from kinectbench.core.geometry import Grid, TriangleMesh
+from kinectbench.core.geometry.mesh import write_ply
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float32, Progress
+from kinectbench.core.voxels.npz import npz_bytes
+from kinectbench.core.voxels.observation import Observation, pose_reach_m, ray_width_m, trust_in_votes
+from kinectbench.settings.models import FusionSettings
+from kinectbench.stages.fuse.blocks import (
+    BlockVolume,
+    blocks_of_grid,
+    dense_grid,
+    empty_volume,
+    in_cubes,
+    unique_blocks,
+)
+from kinectbench.stages.fuse.integrate import MAX_SLANT, DepthFrame, integrate
+from kinectbench.stages.fuse.mesh import color_vertices, extract_mesh
+from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
+
+# Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
+# frames see at the steepest slant that still counts has about as much.
+LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
+# Depth is believed to be beyond the fused range up to so many times that, and up to the distance for which
+# integrate's quarter of a metre is enough; farther, it is often none at all.
+FAR_RANGES, FARTHEST_M = 2.0, 8.0
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The fused scene.
+
+    Attributes:
+        volume: TSDF, weights and votes near the surfaces; its frame is the world.
+        mesh: the surface, world frame, metres, coloured where colour is registered to depth.
+    """
+
+    volume: BlockVolume
+    mesh: TriangleMesh
+
+
+def fuse(
+    sequence: Sequence, trajectory: Trajectory, settings: FusionSettings, progress: Progress | None = None
+) -> Reconstruction:
+    """Fuse every good frame (Curless & Levoy 1996, block-sparse) and extract the surface.
+
+    Raises:
+        TrackingError: no frame has a pose.
+    """
+    frames = trajectory.good_frames
+    if len(frames) == 0:
+        raise TrackingError("no frame has a pose: nothing to fuse; trajectory/health.json has the reasons")
+    voxel_size_m = settings.scene_voxel_size_m
+    truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
+    found, distances_m = [], []
+    for index in frames:
+        depth_m = usable_depth_m(sequence, int(index), settings)
+        if depth_m.any():
+            distances_m.append(np.median(depth_m[depth_m > 0]))
+        T_world_camera = trajectory.T_world_camera[index]
+        near = blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
+        found.append(near)
+    blocks = unique_blocks(np.concatenate(found).astype(np.int64))
+    volume = empty_volume(blocks, voxel_size_m, np.eye(4))
+    _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
+    crossed = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
+    least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[crossed])) if crossed.any() else 0.0
+    distance_m = float(np.median(distances_m)) if distances_m else 0.0
+    width_m = ray_width_m(sequence.camera, trajectory.usual_pose_sigma_m, distance_m)
+    mesh = extract_mesh(volume, min_weight=least, trust=trust_in_votes(width_m, voxel_size_m))
+    return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))
+
+
+def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
+    """Write the surface and the volume, its blocks joined to cubes of 16^3.
+
+    volume.npz: `blocks` (n, 3) int32, `tsdf` and `weight` (n, 16, 16, 16) float16 in metres and 1/mm^2,
+    `free` and `surface` (n, 16, 16, 16) uint16 votes, `voxel_size_m`, `T_world_grid` (4, 4).
+    """
+    volume = reconstruction.volume
+    write_ply(reconstruction.mesh, folder / "mesh.ply")
+    values = {
+        "tsdf": volume.tsdf.astype(np.float16),
+        "weight": np.minimum(volume.weight, 6e4).astype(np.float16),
+        "free": volume.free,
+        "surface": volume.surface,
+    }
+    cubes = {name: in_cubes(volume.blocks, of_blocks) for name, of_blocks in values.items()}
+    arrays = {
+        "format_version": np.asarray(1),
+        "blocks": cubes["tsdf"][0],
+        **{name: of_cubes for name, (_, of_cubes) in cubes.items()},
+        "voxel_size_m": np.asarray(volume.voxel_size_m),
+        "T_world_grid": volume.T_world_grid,
+    }
+    (folder / "volume.npz").write_bytes(npz_bytes(arrays, level=1))
+
+
+def observe(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    frames: Iterable[int],
+    grid: Grid,
+    settings: FusionSettings,
+    progress: Progress | None = None,
+) -> Observation:
+    """Fuse frames into a dense grid, so that empty space has votes, too.
+
+    Depth beyond the range that is fused says that all before it is free: under a table's top the cameras look
+    at a floor farther away than the table.
+
+    Args:
+        sequence: the recording.
+        trajectory: poses.
+        frames: which frames.
+        grid: sides must be multiples of 8 cells.
+        settings: depth range, truncation (in voxels of this grid).
+        progress: called with (done, total).
+    """
+    volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
+    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress, far=True)
+    return Observation(
+        grid,
+        tsdf=dense_grid(volume.tsdf, grid.shape),
+        weight=dense_grid(volume.weight, grid.shape),
+        free=dense_grid(volume.free, grid.shape),
+        surface=dense_grid(volume.surface, grid.shape),
+    )
+
+
+def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
+    """Depth of a frame in metres, 0 outside the range that is fused; `far`: with what lies beyond it."""
+    depth_m, farthest_m = sequence.depth_m(index), settings.max_depth_m
+    if far:
+        farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
+    depth_m[(depth_m < settings.min_depth_m) | (depth_m > farthest_m)] = 0.0
+    return depth_m
+
+
+def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionSettings) -> float:
+    """Truncation of the TSDF: some voxels, but no less than three times the poses' uncertainty.
+
+    Frames that are off by more than the truncation would not be averaged: they would leave a second surface.
+    Poses that nobody could check do not widen it: see `pose_reach_m`.
+    """
+    return max(settings.truncation_voxels * voxel_size_m, pose_reach_m(trajectory.usual_pose_sigma_m))
+
+
+def _pose_sigma_m(trajectory: Trajectory, frame: int) -> float:
+    """What a frame's weight and votes hold of its pose, metres: unchecked, the largest plausible error.
+
+    Where no pose was checked no frame is better than another, and all are fused by their depth alone. The
+    largest error for all would cancel the votes near the surface. With 25 mm, on three simulated recordings,
+    mean F at 5 mm is 0.979 instead of 0.987 with right poses, 0.971 instead of 0.980 with all poses off by
+    5 mm, 0.931 instead of 0.922 by 10 mm, and 0.655 instead of 0.337 by 20 mm.
+    """
+    return 0.0 if trajectory.usual_pose_sigma_m is None else trajectory.assumed_pose_sigma_m(frame)
+
+
+def _integrate_frames(
+    volume: BlockVolume,
+    sequence: Sequence,
+    trajectory: Trajectory,
+    frames: Iterable[int],
+    settings: FusionSettings,
+    progress: Progress | None,
+    far: bool = False,
+) -> None:
+    truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
+    chosen = [int(index) for index in frames]
+
+    def read() -> Iterator[DepthFrame]:
+        for done, index in enumerate(chosen, start=1):
+            depth_m = usable_depth_m(sequence, index, settings, far)
+            yield DepthFrame(depth_m, trajectory.T_world_camera[index], _pose_sigma_m(trajectory, index))
+            if progress:
+                progress(done, len(chosen))
+
+    integrate(volume, read(), sequence.camera, truncation_m, settings.max_depth_m)

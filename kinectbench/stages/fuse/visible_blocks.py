@@ -1,0 +1,149 @@
+"""Which blocks a frame says anything about."""
+
+import numba
+import numpy as np
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.types import Bools, Float32, Float64, Int32
+from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
+
+TILE_PX = 4
+SAMPLES_APART_BLOCKS, MAX_SAMPLE_PX = 0.4, 4
+# How far nine of ten pixels measure at most is found in every sixteenth pixel of every sixteenth row.
+FEW_PX, FAR_PERCENTILE = 16, 90
+# Nearer corners are not projected: their block counts as visible.
+NEAREST_M = 0.05
+# No block lies there.
+NOWHERE = np.int64(np.iinfo(np.int64).min)
+
+
+def blocks_near_surface(
+    depth_m: Float32,
+    camera: Camera,
+    T_world_camera: Float64,
+    margin_m: float,
+    voxel_size_m: float,
+) -> Int32:
+    """World-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
+
+    Not every pixel is looked at, but every fourth at least: at the depth that nine of ten pixels do not
+    exceed, those that are lie at most 0.4 blocks apart.
+
+    Returns:
+        (n, 3) int32, unique, sorted.
+    """
+    block_m = BLOCK_VOXELS * voxel_size_m
+    offsets_m = np.linspace(-margin_m, margin_m, int(np.ceil(4 * margin_m / block_m)) + 1)
+    some_m = depth_m[::FEW_PX, ::FEW_PX]
+    far_m = float(np.percentile(some_m[some_m > 0], FAR_PERCENTILE)) if some_m.any() else 1.0
+    step_px = int(SAMPLES_APART_BLOCKS * block_m * min(camera.fx, camera.fy) / far_m)
+    step_px = min(max(step_px, 1), MAX_SAMPLE_PX)
+    found = _blocks_on_rays(depth_m, step_px, camera.intrinsics, T_world_camera[:3] / block_m, offsets_m)
+    return unique_blocks(found)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
+    """The blocks that sampled pixels lie in, without those that repeat the one before: (n, 3) int64."""
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape
+    samples = ((height - 1) // step + 1) * ((width - 1) // step + 1)
+    found, count = np.empty((samples * len(offsets), 3), np.int64), 0
+    last_i, last_j, last_k = NOWHERE, NOWHERE, NOWHERE
+    for v in range(0, height, step):
+        for u in range(0, width, step):
+            if depth[v, u] > 0:
+                x, y = (u - cx) / fx, (v - cy) / fy
+                along_x = T[0, 0] * x + T[0, 1] * y + T[0, 2]
+                along_y = T[1, 0] * x + T[1, 1] * y + T[1, 2]
+                along_z = T[2, 0] * x + T[2, 1] * y + T[2, 2]
+                for offset in offsets:
+                    z = depth[v, u] + offset
+                    i = np.int64(np.floor(along_x * z + T[0, 3]))
+                    j = np.int64(np.floor(along_y * z + T[1, 3]))
+                    k = np.int64(np.floor(along_z * z + T[2, 3]))
+                    if i != last_i or j != last_j or k != last_k:
+                        found[count, 0], found[count, 1], found[count, 2] = i, j, k
+                        last_i, last_j, last_k = i, j, k
+                        count += 1
+    return found[:count]
+
+
+def visible_blocks(
+    volume: BlockVolume,
+    depth_m: Float32,
+    camera: Camera,
+    T_camera_grid: Float64,
+    truncation_m: float,
+) -> Bools:
+    """Which blocks a frame may say something about.
+
+    Left out are blocks that project beside the image, or lie behind all that was measured where they project.
+    """
+    block_m = BLOCK_VOXELS * volume.voxel_size_m
+    seen: Bools = _visible(
+        volume.blocks, block_m, _farthest(depth_m), T_camera_grid, camera.intrinsics, camera.width,
+        camera.height, truncation_m,
+    )  # fmt: skip
+    return seen
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _farthest(depth):  # type: ignore[no-untyped-def]
+    """The greatest depth in each tile of pixels; 0 where nothing was measured."""
+    height, width = depth.shape
+    tiles = np.zeros(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), np.float32)
+    for v in range(height):
+        for u in range(width):
+            tile = v // TILE_PX, u // TILE_PX
+            tiles[tile] = max(tiles[tile], depth[v, u])
+    return tiles
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _visible(  # type: ignore[no-untyped-def]
+    blocks, block_m, farthest, T, intrinsics, width, height, truncation_m
+):
+    """For each block whether it is in view and not wholly behind: by the box around it in camera axes."""
+    seen = np.zeros(len(blocks), np.bool_)
+    fx, fy, cx, cy = intrinsics
+    half = np.empty(3)
+    for axis in range(3):
+        half[axis] = block_m / 2 * (abs(T[axis, 0]) + abs(T[axis, 1]) + abs(T[axis, 2]))
+    for b in range(len(blocks)):
+        gx, gy, gz = (
+            (blocks[b, 0] + 0.5) * block_m,
+            (blocks[b, 1] + 0.5) * block_m,
+            (blocks[b, 2] + 0.5) * block_m,
+        )
+        x = T[0, 0] * gx + T[0, 1] * gy + T[0, 2] * gz + T[0, 3]
+        y = T[1, 0] * gx + T[1, 1] * gy + T[1, 2] * gz + T[1, 3]
+        z = T[2, 0] * gx + T[2, 1] * gy + T[2, 2] * gz + T[2, 3]
+        near, far = z - half[2], z + half[2]
+        if near < NEAREST_M:
+            seen[b] = far > 0
+        else:
+            # The tiles of the pixels that voxels in the box round to.
+            by_near, by_far = 1 / near, 1 / far
+            left, right = _span(fx, x - half[0], x + half[0], by_near, by_far, cx, width)
+            top, bottom = _span(fy, y - half[1], y + half[1], by_near, by_far, cy, height)
+            seen[b] = _any_beyond(farthest, left, right, top, bottom, near - truncation_m)
+    return seen
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-untyped-def]
+    """First and last tile that coordinates from low to high project to, by one over nearest and farthest."""
+    first = focal * min(low * by_near, low * by_far) + middle - 0.5
+    last = focal * max(high * by_near, high * by_far) + middle + 1
+    return int(max(first, 0.0)) // TILE_PX, int(np.floor(min(last, count - 1.0) / TILE_PX))
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
+    """Whether something was measured at this depth or beyond in these tiles."""
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            if farthest[row, column] > 0 and farthest[row, column] >= depth_m:
+                return True
+    return False

@@ -1,0 +1,133 @@
+"""RealSense bags as librealsense records them: file versions 2 and 3, and version 1 of its predecessor.
+
+Layout: `ros_file_format.h` of librealsense and its description of the format. Extrinsics map a stream's
+reference to the stream; two streams with one reference lie to each other as theirs say.
+"""
+
+import re
+import struct
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from kinectbench.core.geometry import closest_rotation, rigid
+from kinectbench.core.types import Float64
+from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
+from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
+from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic, camera_info
+from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
+
+FLOAT, KEY_VALUE, TRANSFORM = "std_msgs/Float32", "diagnostic_msgs/KeyValue", "geometry_msgs/Transform"
+STREAM_INFO = "realsense_msgs/stream_info"
+# /device_0/sensor_0/Depth_0/image/data, /camera/DEPTH/image_raw/0
+STREAM = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)_\d+/image/data")
+OLD_STREAM = re.compile(r"/camera/([A-Z]+)\d*/image_raw/(\d+)")
+UNITS = re.compile(r"depth[ _]units", re.IGNORECASE)
+# Version 3 has a topic for each option, version 2 one for all of them.
+OPTION = re.compile(r"/option/depth[ _]units/value$|/property$", re.IGNORECASE)
+TELL_TALES = (b"topic=/device_0/sensor_", b"topic=/camera/rs_stream_info/")
+LOOKED_AT_BYTES = 1 << 18
+
+
+class RealsenseRecording(Rosbag1Recording):
+    """A bag by librealsense: depth in its Depth Units, colour registered by the stored extrinsics."""
+
+    format: ClassVar[str] = "realsense"
+    looks_for: ClassVar[str] = "a bag with topics such as /device_0/sensor_0/Depth_0/image/data"
+    verified: ClassVar[str] = ""
+    wanted: ClassVar[frozenset[str]] = WANTED | {FLOAT, KEY_VALUE, TRANSFORM, STREAM_INFO}
+    own_types: ClassVar[frozenset[str]] = frozenset({STREAM_INFO})
+    frame_ids_tell: ClassVar[bool] = False
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether it is a bag whose first or last part names librealsense's topics."""
+        if not super().recognises(path):
+            return False
+        with path.open("rb") as file:
+            start = file.read(LOOKED_AT_BYTES)
+            # The index repeats every connection.
+            index = re.search(rb"index_pos=(.{8})", start[: len(MAGIC) + 4096], re.DOTALL)
+            (position,) = struct.unpack("<Q", index[1]) if index else (0,)
+            file.seek(min(position, path.stat().st_size))
+            end = file.read(LOOKED_AT_BYTES)
+        return any(word in part for word in TELL_TALES for part in (start, end))
+
+    @classmethod
+    def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
+        """1 / Depth Units (metres) of the depth's sensor."""
+        found = STREAM.fullmatch(depth.name)
+        prefix = found[1] if found else "/"
+        for topic in bag.topics:
+            if topic.name.startswith(prefix) and OPTION.search(topic.name):
+                units_m = _depth_units_m(bag, topic)
+                if units_m is not None:
+                    # Stored as float32: 0.001 comes back as 0.0010000000474.
+                    return float(np.round(1 / units_m, 3))
+        return None
+
+    @classmethod
+    def color_place(
+        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
+    ) -> Float64 | None:
+        """`T_color_depth`, where both streams have extrinsics with one reference."""
+        of_depth = _place_of_stream(bag, depth)
+        of_color = _place_of_stream(bag, color)
+        if of_depth is None or of_color is None or of_depth[0] != of_color[0]:
+            return None
+        return np.asarray(of_color[1] @ np.linalg.inv(of_depth[1]))
+
+    @classmethod
+    def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
+        """Those of CameraInfo topics, and of version 1 those within its stream_info."""
+        found = super().camera_infos(bag)
+        for topic in bag.topics:
+            if topic.type == STREAM_INFO:
+                for message in bag.whole(topic):
+                    number = topic.name.rsplit("/", 1)[1]
+                    name = f"/camera/{message.stream_type}/camera_info/{number}"
+                    found.append((name, camera_info(message.camera_info)))
+        return found
+
+
+def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
+    """The value of an option (version 3) or property (version 2) if it is Depth Units."""
+    for message in bag.whole(topic):
+        if topic.type == FLOAT and message.data > 0:
+            return float(message.data)
+        if topic.type == KEY_VALUE and UNITS.fullmatch(message.key):
+            try:
+                return float(message.value) or None
+            except ValueError:
+                return None
+    return None
+
+
+def _place_of_stream(bag: RosBag, image: ImageTopic) -> tuple[str, Float64] | None:
+    """The reference of a stream's extrinsics, and `T_stream_reference`."""
+    stream = image.name.removesuffix("/image/data") + "/tf/"
+    for topic in bag.topics:
+        if topic.type == TRANSFORM and topic.name.startswith(stream):
+            message = bag.first(topic)
+            matrix = None if message is None else matrix_of(message)
+            return None if matrix is None else (topic.name.removeprefix(stream), matrix)
+    info = _old_stream_info(bag, image)
+    if info is None:
+        return None
+    said = info.stream_extrinsics
+    # Column by column, as librealsense keeps them.
+    R = np.asarray(said.extrinsics.rotation, np.float64).reshape(3, 3).T
+    if not np.isfinite(R).all() or abs(np.linalg.det(R) - 1) > 0.01:
+        return None
+    return str(said.reference_point_id), rigid(closest_rotation(R), said.extrinsics.translation)
+
+
+def _old_stream_info(bag: RosBag, image: ImageTopic) -> Any | None:
+    """The stream_info message of version 1 about a stream such as /camera/DEPTH/image_raw/0."""
+    found = OLD_STREAM.fullmatch(image.name)
+    if not found:
+        return None
+    numbered = (t for t in bag.topics if t.type == STREAM_INFO and t.name.endswith(f"/{found[2]}"))
+    said = (message for topic in numbered for message in bag.whole(topic))
+    return next((message for message in said if message.stream_type == found[1]), None)

@@ -1,0 +1,160 @@
+"""ROS image messages to depth and colour: raw with any row padding and byte order, and compressed."""
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.stages.ingest.bags.rvl import decode_rvl
+from kinectbench.stages.ingest.images import (
+    PNG_MAGIC,
+    DamagedImageError,
+    decode_depth_png,
+    encode_png,
+    image_header,
+    is_depth_png,
+)
+
+INTEGER_DEPTH = frozenset({"16UC1", "mono16"})
+FLOAT_DEPTH = "32FC1"
+DEPTH_ENCODINGS = INTEGER_DEPTH | {FLOAT_DEPTH}
+# encoding -> which channels make blue, green, red (mono has one)
+COLOR_CHANNELS: dict[str, tuple[int, ...]] = {
+    "rgb8": (2, 1, 0),
+    "bgr8": (0, 1, 2),
+    "rgba8": (2, 1, 0),
+    "bgra8": (0, 1, 2),
+    "8UC3": (0, 1, 2),
+    "8UC4": (0, 1, 2),
+    "mono8": (0,),
+    "8UC1": (0,),
+}
+# encoding -> OpenCV's conversion to blue, green, red; its names count the pattern from the second row.
+CONVERSIONS = {
+    "bayer_rggb8": (1, "COLOR_BayerBG2BGR"),
+    "bayer_bggr8": (1, "COLOR_BayerRG2BGR"),
+    "bayer_gbrg8": (1, "COLOR_BayerGR2BGR"),
+    "bayer_grbg8": (1, "COLOR_BayerGB2BGR"),
+    "yuv422": (2, "COLOR_YUV2BGR_UYVY"),
+    "uyvy": (2, "COLOR_YUV2BGR_UYVY"),
+    "yuv422_yuy2": (2, "COLOR_YUV2BGR_YUYV"),
+    "yuyv": (2, "COLOR_YUV2BGR_YUYV"),
+}
+# Native units per metre: integers are millimetres, floats metres that are stored in units of 0.2 mm.
+INTEGER_SCALE = 1000.0
+FLOAT_SCALE = 5000.0
+COMPRESSED_DEPTH = "compressedDepth"
+COMPRESSED_DEPTH_HEADER = 12
+
+
+def is_compressed(message: Any) -> bool:
+    """Whether a message is a CompressedImage, not an Image: only that has a format."""
+    return hasattr(message, "format")
+
+
+def depth_encoding(message: Any) -> str | None:
+    """The encoding of the depth in an image message, such as "16UC1"; None if it holds no depth."""
+    if not is_compressed(message):
+        return message.encoding if message.encoding in DEPTH_ENCODINGS else None
+    first = message.format.split(";")[0].strip()
+    if COMPRESSED_DEPTH in message.format:
+        return first if first in DEPTH_ENCODINGS else "16UC1"
+    return "16UC1" if is_depth_png(bytes(message.data[:32])) else None
+
+
+def color_encoding(message: Any) -> str | None:
+    """The encoding of the colour in an image message; None if it holds none that can be read."""
+    if not is_compressed(message):
+        known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
+        return message.encoding if known else None
+    data = bytes(message.data[:32])
+    if COMPRESSED_DEPTH in message.format or is_depth_png(data):
+        return None
+    return "compressed" if data.startswith((PNG_MAGIC, b"\xff\xd8\xff")) else None
+
+
+def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray[np.uint16]:
+    """Depth of an Image or CompressedImage message.
+
+    Args:
+        message: with the fields of sensor_msgs.
+        name: topic and message number, for errors.
+        float_units_per_m: what 1 m is in a 32FC1 image.
+
+    Returns:
+        (height, width) uint16, 0 = none: integers as they are, floats in 1 / FLOAT_SCALE m (NaN, infinity and
+        what does not fit become 0).
+
+    Raises:
+        DamagedImageError: the image is damaged.
+        RecordingError: it is whole, but not 16-bit grey.
+    """
+    if not is_compressed(message):
+        if message.encoding in INTEGER_DEPTH:
+            return _pixels(message, name, np.dtype(np.uint16), 1)[..., 0].astype(np.uint16)
+        if message.encoding == FLOAT_DEPTH:
+            metres = _pixels(message, name, np.dtype(np.float32), 1)[..., 0] / float_units_per_m
+            return _quantised(metres)
+        raise DamagedImageError(
+            f"{name}: encoding '{message.encoding}' is not depth, unlike the first message's"
+        )
+    data = bytes(message.data)
+    if COMPRESSED_DEPTH not in message.format:
+        return decode_depth_png(data, name)
+    body = data[COMPRESSED_DEPTH_HEADER:]
+    if len(data) < COMPRESSED_DEPTH_HEADER:
+        raise DamagedImageError(f"{name}: the compressedDepth image is cut off after {len(data)} bytes")
+    decode = decode_rvl if "rvl" in message.format.lower() else decode_depth_png
+    native = decode(body, name)
+    if not message.format.startswith(FLOAT_DEPTH):
+        return native
+    # Inverse depth: z = A / (v - B), from the header `int32 format, float32 A, float32 B`.
+    a, b = struct.unpack_from("<ff", data, 4)
+    valid = native > 0
+    metres = np.divide(a, native - np.float64(b), out=np.zeros(native.shape), where=valid & (native > b))
+    return _quantised(metres / float_units_per_m)
+
+
+def color_of(message: Any, name: str) -> tuple[str, bytes]:
+    """Colour of an Image or CompressedImage message: (suffix, encoded); raw pixels become PNG.
+
+    Raises:
+        DamagedImageError: the image is damaged.
+    """
+    if is_compressed(message):
+        data = bytes(message.data)
+        return image_header(data, name)[0], data
+    conversion = CONVERSIONS.get(message.encoding.lower())
+    if conversion is not None:
+        import cv2
+
+        channels, code = conversion
+        pixels = _pixels(message, name, np.dtype(np.uint8), channels)
+        return ".png", encode_png(np.asarray(cv2.cvtColor(pixels, getattr(cv2, code)), np.uint8))
+    order = COLOR_CHANNELS.get(message.encoding)
+    if order is None:
+        raise DamagedImageError(f"{name}: encoding '{message.encoding}' is not the first message's")
+    stored = 1 if order == (0,) else 3 + int(message.encoding.endswith(("a8", "C4")))
+    pixels = _pixels(message, name, np.dtype(np.uint8), stored)
+    return ".png", encode_png(np.ascontiguousarray(pixels[..., order]).astype(np.uint8))
+
+
+def _pixels(message: Any, name: str, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
+    """The pixels (height, width, channels) of a raw image, without row padding, in any byte order."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row_bytes = width * channels * dtype.itemsize
+    if not height or not width or step < row_bytes or len(message.data) < height * step:
+        raise DamagedImageError(
+            f"{name}: {len(message.data)} bytes are too few for {width}x{height} pixels "
+            f"('{message.encoding}', {step} bytes a row)"
+        )
+    rows = np.asarray(message.data[: height * step], np.uint8).reshape(height, step)[:, :row_bytes]
+    order = dtype.newbyteorder(">" if message.is_bigendian else "<")
+    return np.ascontiguousarray(rows).view(order).reshape(height, width, channels)
+
+
+def _quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
+    native = np.rint(metres.astype(np.float64) * FLOAT_SCALE)
+    fits = np.isfinite(native) & (native > 0) & (native <= np.iinfo(np.uint16).max)
+    return np.where(fits, native, 0).astype(np.uint16)

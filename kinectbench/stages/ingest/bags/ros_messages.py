@@ -1,0 +1,316 @@
+"""Messages of ROS bags of any kind: where they lie, when they were made, and what they say."""
+
+import bz2
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from sqlite3 import Blob
+from typing import Any, BinaryIO, Literal, NamedTuple
+
+from kinectbench.stages.ingest.images import DamagedImageError
+
+Encoding = Literal["ros1", "cdr"]
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+# A damaged message cannot ask for more than this when it is unpacked.
+MAX_MESSAGE_BYTES = 256 << 20
+# Enough of a message to hold its Header's sequence number and stamp.
+PEEK_BYTES = 16
+# Chunks that were read last are kept up to this many bytes, and always one.
+CACHED_BYTES = 96 << 20
+TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
+# rosbags' store of ROS 1 types lacks these.
+TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
+# Types that do not begin with a std_msgs/Header.
+HEADERLESS = frozenset(
+    {TF_MESSAGE, OLD_TF_MESSAGE, "geometry_msgs/Transform", "std_msgs/Float32", "diagnostic_msgs/KeyValue"}
+)
+
+
+class DamagedRecordError(Exception):
+    """A record of a bag that is not whole or does not make sense."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessagePlace:
+    """Where a message lies.
+
+    Attributes:
+        stamp_ns: stamp of its header, or the time it was recorded where the header has none.
+        chunk: position of the chunk's record in the file; -1: the message lies in the file as it is.
+        offset: of the message in the unpacked chunk, or in the file.
+        size: in bytes.
+        file: which of a bag's files, counted from 0.
+    """
+
+    stamp_ns: int
+    chunk: int
+    offset: int
+    size: int
+    file: int = 0
+
+
+@dataclass(frozen=True)
+class BagTopic:
+    """One topic: its type such as "sensor_msgs/Image", and its messages in the order of their stamps.
+
+    Attributes:
+        name: such as "/camera/depth/image_raw".
+        type: in ROS 1's spelling, also for ROS 2.
+        encoding: how they are serialised.
+        definition: the text that the bag gives of its type, where that is not a standard one.
+        messages: where they lie, by stamp.
+    """
+
+    name: str
+    type: str
+    encoding: Encoding
+    definition: str
+    messages: tuple[MessagePlace, ...]
+
+
+@dataclass(frozen=True)
+class RosBag:
+    """A bag that was walked through; its messages are decoded by the standard definitions of their types.
+
+    Attributes:
+        path: the bag, for messages.
+        topics: those of the wanted types that have messages, sorted by name.
+        read: gives the serialised message that lies at a place.
+        trouble: what is wrong with it and what was saved, or "".
+    """
+
+    path: Path
+    topics: tuple[BagTopic, ...]
+    read: Callable[[MessagePlace], bytes]
+    trouble: str = ""
+
+    @cached_property
+    def _decoders(self) -> dict[Encoding, Callable[[bytes, str], Any]]:
+        own = tuple(sorted({(t.type, t.definition) for t in self.topics if t.definition}))
+        return {"ros1": _ros1_decoder(own), "cdr": _ros2_decoder()}
+
+    def decode(self, topic: BagTopic, index: int) -> Any:
+        """The index-th message of a topic.
+
+        Raises:
+            DamagedImageError: it does not decode as the topic's type.
+        """
+        from rosbags.serde import SerdeError
+
+        data = self.read(topic.messages[index])
+        try:
+            return self._decoders[topic.encoding](data, long_type(topic.type))
+        except (SerdeError, ValueError, struct.error, LookupError, OverflowError) as error:
+            raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
+
+    def whole(self, topic: BagTopic) -> Iterator[Any]:
+        """Every message of a topic that decodes."""
+        for index in range(len(topic.messages)):
+            with suppress(DamagedImageError):
+                yield self.decode(topic, index)
+
+    def first(self, topic: BagTopic) -> Any | None:
+        """The first message that decodes, or None."""
+        return next(self.whole(topic), None)
+
+
+@cache
+def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Any]:
+    """Decodes ROS 1's types, those of tf, and (type, definition) pairs of a bag's own."""
+    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, definition in ((TF_MESSAGE, TF_DEFINITION), (OLD_TF_MESSAGE, TF_DEFINITION), *own):
+        try:
+            types = get_types_from_msg(definition, long_type(name))
+            store.register({key: value for key, value in types.items() if key not in store.fielddefs})
+        except TypesysError:  # messages of a type whose definition is damaged do not decode
+            continue
+    decode: Callable[[bytes, str], Any] = store.deserialize_ros1
+    return decode
+
+
+@cache
+def _ros2_decoder() -> Callable[[bytes, str], Any]:
+    """Decodes ROS 2's types."""
+    from rosbags.typesys import Stores, get_typestore
+
+    decode: Callable[[bytes, str], Any] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+    return decode
+
+
+def long_type(name: str) -> str:
+    """A type in ROS 2's spelling: "sensor_msgs/msg/Image"."""
+    return name if "/msg/" in name else name.replace("/", "/msg/")
+
+
+def short_type(name: str) -> str:
+    """A type in ROS 1's spelling: "sensor_msgs/Image"."""
+    return name.replace("/msg/", "/")
+
+
+def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
+    """The stamp of the Header that a message begins with, nanoseconds; 0 if it has none or is too short.
+
+    Args:
+        start: the first 16 bytes at least.
+        type_: in ROS 1's spelling.
+        encoding: "ros1": sequence number, seconds, nanoseconds; "cdr": four bytes that tell the byte order,
+            seconds, nanoseconds.
+    """
+    if type_ in HEADERLESS or len(start) < 12:
+        return 0
+    if encoding == "ros1":
+        _, seconds, nanoseconds = struct.unpack_from("<III", start)
+    else:
+        seconds, nanoseconds = struct.unpack_from("<iI" if start[1] & 1 else ">iI", start, 4)
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
+def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
+    """Messages in the order of their stamps; those of one stamp keep theirs."""
+    return tuple(sorted(places, key=lambda place: place.stamp_ns))
+
+
+class Connection(NamedTuple):
+    """What a bag says of a series of messages; `BagTopic` has the meaning of each."""
+
+    name: str
+    type: str
+    encoding: Encoding = "ros1"
+    definition: str = ""
+
+
+class FoundMessages:
+    """The messages of the wanted types that a walk through a bag's file meets.
+
+    Attributes:
+        connections: what the bag says of each, by its number.
+        places: where the messages of each lie, in the order of the file.
+    """
+
+    def __init__(self, types: frozenset[str]) -> None:
+        """Start before the first record."""
+        self.connections: dict[int, Connection] = {}
+        self._types = types
+        self.places: dict[int, list[MessagePlace]] = {}
+
+    def take(
+        self,
+        connection: int,
+        file: BinaryIO | Blob,
+        recorded_ns: int,
+        place: tuple[int, int, int],
+        *,
+        whole: bool = False,
+    ) -> None:
+        """Note a message, unless its connection is of another type.
+
+        Args:
+            connection: the number of its connection.
+            file: is at the beginning of the message.
+            recorded_ns: when it was recorded, nanoseconds.
+            place: chunk, offset and size, as in `MessagePlace`.
+            whole: read all of it, to see whether all is there, and not only its Header.
+        """
+        known = self.connections.get(connection)
+        # The connection of a message can be in a chunk that is lost, and again at the end.
+        if known is not None and known.type not in self._types:
+            return
+        size = place[2]
+        start = file.read(size if whole else min(PEEK_BYTES, size))
+        if start.startswith(ZSTD_MAGIC):
+            start = unpacked_message(start + file.read(size - len(start)))[:PEEK_BYTES]
+        sort = known or Connection("", "")
+        stamp_ns = header_stamp_ns(start, sort.type, sort.encoding) or recorded_ns
+        self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
+
+    def topics(self) -> tuple[BagTopic, ...]:
+        """The topics that have messages, sorted; connections that share a name and a type are joined."""
+        joined: dict[Connection, list[MessagePlace]] = {}
+        for number, places in self.places.items():
+            connection = self.connections.get(number)
+            if connection is not None and connection.type in self._types:
+                joined.setdefault(connection, []).extend(places)
+        return tuple(BagTopic(*key, by_stamp(joined[key])) for key in sorted(joined))
+
+
+class BagReader:
+    """Reads single messages of a bag's file, and keeps the chunks that were unpacked last."""
+
+    def __init__(self, path: Path, unpack: Callable[[BinaryIO, int], bytes]) -> None:
+        """Read from this file; `unpack` makes the bytes of the chunk at a position of it."""
+        self._path = path
+        self._unpack = unpack
+        self._chunks: dict[int, bytes] = {}
+
+    def keep(self, position: int, data: bytes) -> None:
+        """Keep a chunk that was unpacked already, as long as there is room: the first are read first."""
+        if self._kept_bytes + len(data) <= CACHED_BYTES:
+            self._chunks[position] = data
+
+    def __call__(self, place: MessagePlace) -> bytes:
+        """The serialised message that lies there."""
+        if place.chunk not in self._chunks:
+            with self._path.open("rb") as file:
+                if place.chunk < 0:
+                    file.seek(place.offset)
+                    return file.read(place.size)
+                data = self._unpack(file, place.chunk)
+            while self._chunks and self._kept_bytes + len(data) > CACHED_BYTES:
+                del self._chunks[next(iter(self._chunks))]
+            self._chunks[place.chunk] = data
+        return self._chunks[place.chunk][place.offset : place.offset + place.size]
+
+    @property
+    def _kept_bytes(self) -> int:
+        return sum(map(len, self._chunks.values()))
+
+
+def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
+    """The bytes of a chunk, no more of them than its header says.
+
+    Args:
+        compression: "bz2", "lz4" or "zstd".
+        data: the compressed bytes.
+        size: of the chunk when it is unpacked, as its header says.
+
+    Raises:
+        DamagedRecordError: it is damaged, or compressed in another way.
+    """
+    import zstandard
+
+    try:
+        if compression == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, max_length=max(size, 1))
+        if compression == "lz4":
+            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+            return bytes(LZ4FrameDecompressor().decompress(data, max_length=max(size, 1)))
+        if compression == "zstd":
+            # A stream also reads frames that do not say their size.
+            return zstandard.ZstdDecompressor().stream_reader(data).read(size)
+    except (zstandard.ZstdError, OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
+        raise DamagedRecordError from error
+    raise DamagedRecordError
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """A message as it was serialised; empty, which no message is, if it is damaged.
+
+    `ros2 bag record --compression-mode message` compresses messages one by one with zstd.
+    """
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    import zstandard
+
+    try:
+        size = zstandard.frame_content_size(data)
+        if not 0 <= size <= MAX_MESSAGE_BYTES:
+            return b""
+        return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
+    except zstandard.ZstdError:
+        return b""

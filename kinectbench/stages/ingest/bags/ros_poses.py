@@ -1,0 +1,197 @@
+"""The trajectory of a ROS bag: a topic of poses, or tf, the tree of frames that says where each camera is."""
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
+from kinectbench.core.types import Float64, Int64
+from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
+from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageTopic
+
+Given = tuple[GivenTrajectory | None, list[str]]
+MaybeGiven = tuple[GivenTrajectory | None, list[str], str]
+SHORTEST_QUATERNION = 1e-6
+
+
+@dataclass(frozen=True)
+class TransformTree:
+    """The frames of a bag, each with its parent.
+
+    Attributes:
+        edges: of each frame that has a parent: the parent, the stamps (ns, increasing) and the (n, 4, 4)
+            transforms from the frame to the parent; one of them is meant for all times.
+    """
+
+    edges: dict[str, tuple[str, Int64, Float64]]
+
+    def path(self, frame: str) -> list[str]:
+        """The frame, its parent, and so on up to a frame without a parent."""
+        found = [frame]
+        while found[-1] in self.edges and self.edges[found[-1]][0] not in found:
+            found.append(self.edges[found[-1]][0])
+        return found
+
+    def fixed(self, to_frame: str, from_frame: str) -> Float64 | None:
+        """`T_to_from` between frames that do not move against each other; None if it is not known."""
+        up, down = self.path(from_frame), self.path(to_frame)
+        common = next((name for name in up if name in down), None)
+        if common is None:
+            return None
+        T_common_from = self._fixed_up(up[: up.index(common)])
+        T_common_to = self._fixed_up(down[: down.index(common)])
+        if T_common_from is None or T_common_to is None:
+            return None
+        return np.asarray(np.linalg.inv(T_common_to) @ T_common_from)
+
+    def moving(self, frame: str) -> GivenTrajectory | None:
+        """Where a frame is over time in the root above it, as the world.
+
+        It is given at the stamps of the transform that is recorded most often, the others interpolated; None
+        if nothing above the frame moves.
+        """
+        links = [self.edges[name] for name in self.path(frame)[:-1]]
+        busiest = max(links, key=lambda link: len(link[1]), default=None)
+        if busiest is None or not _moves(busiest[2]):
+            return None
+        several = [link[1] for link in links if len(link[1]) > 1]
+        first, last = max(s[0] for s in several), min(s[-1] for s in several)
+        stamps = busiest[1][(busiest[1] >= first) & (busiest[1] <= last)]
+        if len(stamps) == 0:
+            return None
+        T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
+        for _, own, transforms in links:
+            T = np.stack([_at(own, transforms, stamp) for stamp in stamps.tolist()]) @ T
+        return GivenTrajectory(stamps, np.ascontiguousarray(T))
+
+    def _fixed_up(self, frames: list[str]) -> Float64 | None:
+        T: Float64 = np.eye(4)
+        for name in frames:
+            transforms = self.edges[name][2]
+            if _moves(transforms):
+                return None
+            T = transforms[0] @ T
+        return T
+
+
+def read_transforms(bag: RosBag) -> TransformTree:
+    """Read every tf and tf_static message; what is not finite, or has no rotation, is left out."""
+    # Of each frame: its parent, and its place there by stamp.
+    parents: dict[str, str] = {}
+    placed: dict[str, dict[int, Float64]] = {}
+    read = (message for topic in bag.topics if topic.type in TF for message in bag.whole(topic))
+    for stamped in (stamped for message in read for stamped in message.transforms):
+        # tf 1 wrote names with a leading slash.
+        child, parent = stamped.child_frame_id.lstrip("/"), stamped.header.frame_id.lstrip("/")
+        matrix, stamp = matrix_of(stamped.transform), stamped.header.stamp
+        if matrix is not None and child != parent and parents.setdefault(child, parent) == parent:
+            placed.setdefault(child, {})[stamp.sec * 10**9 + stamp.nanosec] = matrix
+    return TransformTree(
+        {
+            name: (
+                parents[name],
+                np.array(sorted(at), np.int64),
+                np.stack([at[stamp_ns] for stamp_ns in sorted(at)]),
+            )
+            for name, at in placed.items()
+        }
+    )
+
+
+def matrix_of(transform: Any) -> Float64 | None:
+    """The (4, 4) matrix of a geometry_msgs/Transform; None if it is not finite or has no rotation."""
+    t, q = transform.translation, transform.rotation
+    quaternion_xyzw, translation_m = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+    if not np.isfinite([*quaternion_xyzw, *translation_m]).all():
+        return None
+    if np.linalg.norm(quaternion_xyzw) < SHORTEST_QUATERNION:
+        return None
+    return rigid(rotation_from_quaternion_xyzw(quaternion_xyzw), translation_m)
+
+
+def _moves(transforms: Float64) -> bool:
+    return len(transforms) > 1 and bool(np.abs(transforms - transforms[0]).max() > 1e-6)
+
+
+def _at(stamps: Int64, transforms: Float64, stamp_ns: int) -> Float64:
+    """A transform at a time: linear in position, along the shortest turn in rotation."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    after = min(max(bisect_left(stamps, stamp_ns), 0), len(stamps) - 1)
+    if stamps[after] == stamp_ns or after == 0 or len(stamps) == 1:
+        return np.asarray(transforms[after])
+    share = (stamp_ns - int(stamps[after - 1])) / int(stamps[after] - stamps[after - 1])
+    before_after = transforms[after - 1 : after + 1]
+    rotation = Slerp([0.0, 1.0], Rotation.from_matrix(before_after[:, :3, :3]))(min(share, 1.0))
+    translation_m = (1 - share) * before_after[0, :3, 3] + share * before_after[1, :3, 3]
+    return rigid(rotation.as_matrix(), translation_m)
+
+
+def read_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
+    """The trajectory of the depth camera, camera to world; warnings; and why it cannot be used, or "".
+
+    It is that of the topic that the settings name ("tf" for the tree of frames), or else of the one topic of
+    PoseStamped or Odometry, or else of tf. Where Odometry is of another frame than the camera's, and tf says
+    how both lie to each other, it is moved to the camera.
+
+    Raises:
+        RecordingError: the named topic holds no poses.
+    """
+    found = [topic for topic in bag.topics if topic.type in (POSE, ODOMETRY)]
+    if named is not None and named != "tf":
+        chosen = [topic for topic in found if topic.name == named]
+        if not chosen:
+            names = ", ".join([*(topic.name for topic in found), "tf"])
+            raise RecordingError(
+                f"{bag.path}: `pose_topic: {named}` holds no poses; those that fit are: {names}"
+            )
+        found = chosen
+    if named == "tf" or not found:
+        return *_from_tree(bag, tree, depth, named), ""
+    if len(found) > 1:
+        names = ", ".join(topic.name for topic in found)
+        what = f"{bag.path}: {names} all hold poses"
+        return None, [f"{what}; none of them is used: name one as `pose_topic`"], ""
+    return read_given(lambda: _from_topic(bag, found[0], tree, depth))
+
+
+def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageTopic) -> Given:
+    name = f"{bag.path}: {topic.name}"
+    rows, child = [], ""
+    for index, place in enumerate(topic.messages):
+        message = bag.decode(topic, index)
+        is_odometry = topic.type == ODOMETRY
+        pose = message.pose.pose if is_odometry else message.pose
+        child = message.child_frame_id.lstrip("/") if is_odometry else ""
+        p, q = pose.position, pose.orientation
+        where = f"{name}, message {index}"
+        rows.append(TimedPose(place.stamp_ns, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), where))
+    trajectory, warnings = trajectory_from_poses(rows, name)
+    camera = depth.frame_id.lstrip("/")
+    if not child or child == camera:
+        return trajectory, warnings
+    T_child_camera = tree.fixed(child, camera)
+    if T_child_camera is None:
+        warnings.append(
+            f"{name} holds the poses of '{child}', and tf does not say how the camera "
+            f"'{camera}' lies to it: they are taken for the camera's"
+        )
+        return trajectory, warnings
+    return GivenTrajectory(trajectory.stamps_ns, trajectory.T_world_camera @ T_child_camera), warnings
+
+
+def _from_tree(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> Given:
+    moving = tree.moving(depth.frame_id.lstrip("/")) if depth.frame_id else None
+    if moving is None:
+        if named == "tf":
+            raise RecordingError(
+                f"{bag.path}: `pose_topic: tf`, but no transform above the frame '{depth.frame_id}' of "
+                f"{depth.name} moves; its frames are {', '.join(sorted(tree.edges)) or 'none'}"
+            )
+        return None, []
+    return moving, []

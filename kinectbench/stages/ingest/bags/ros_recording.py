@@ -1,0 +1,273 @@
+"""What all ROS bags have in common: topics are chosen, depth is paired with colour, frames are decoded."""
+
+from abc import abstractmethod
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, NamedTuple, Self
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.association import associate
+from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.bags.ros_images import (
+    FLOAT_DEPTH,
+    FLOAT_SCALE,
+    INTEGER_SCALE,
+    color_of,
+    depth_of,
+)
+from kinectbench.stages.ingest.bags.ros_messages import MessagePlace, RosBag
+from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_poses, read_transforms
+from kinectbench.stages.ingest.bags.ros_topics import (
+    CAMERA_INFO,
+    WANTED,
+    CameraInfo,
+    ImageTopic,
+    camera_info,
+    choose_camera_info,
+    choose_color,
+    choose_depth,
+    distortion_of,
+    intrinsics_of,
+    is_named_registered,
+)
+from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
+from kinectbench.stages.ingest.intrinsics import scale_warnings
+from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
+from kinectbench.stages.ingest.registration import Undistortion
+
+COLOR_WORDS = ("rgb", "color", "colour")
+
+
+class Pair(NamedTuple):
+    """The stamp of a frame, nanoseconds, and the indices of its depth message and its colour message."""
+
+    stamp_ns: int
+    depth: int
+    color: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RosRecording(Recording):
+    """A ROS bag; integer depth is taken as millimetres, float depth as metres.
+
+    Attributes:
+        depth: the depth topic.
+        color_topic: the colour topic, or None.
+        places: for each frame its stamp, and the indices of its depth and its colour message (or None).
+        float_units_per_m: what 1 m is in a 32FC1 image.
+        undistortion: how distorted images become pinhole images, or None.
+        bag: gives the messages.
+    """
+
+    wanted: ClassVar[frozenset[str]] = WANTED
+    # Types whose definition is taken from the bag.
+    own_types: ClassVar[frozenset[str]] = frozenset()
+    # Images of one frame_id share their pixels.
+    frame_ids_tell: ClassVar[bool] = True
+
+    depth: ImageTopic
+    color_topic: ImageTopic | None
+    places: tuple[Pair, ...]
+    float_units_per_m: float
+    undistortion: Undistortion | None
+    bag: RosBag
+
+    @classmethod
+    @abstractmethod
+    def walk(cls, path: Path) -> RosBag:
+        """Find the messages of the wanted types.
+
+        Raises:
+            RecordingError: nothing in it can be read.
+        """
+
+    @classmethod
+    def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
+        """Native units per metre of integer depth, or None if the bag does not say it."""
+        return None
+
+    @classmethod
+    def color_place(
+        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
+    ) -> Float64 | None:
+        """`T_color_depth`, where the bag says it."""
+        return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
+
+    @classmethod
+    def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
+        """Every CameraInfo with its topic's name."""
+        infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
+        return [(name, camera_info(message)) for name, message in infos if message is not None]
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Walk through the bag, choose the topics, pair depth with colour, and read the poses."""
+        bag = cls.walk(path)
+        depth, depth_warnings = choose_depth(bag, settings.depth_topic)
+        color, color_warnings = choose_color(bag, depth, settings.color_topic)
+        if not cls.frame_ids_tell:
+            depth, color = replace(depth, frame_id=""), color and replace(color, frame_id="")
+        size_px = _first_depth_size(bag, depth)
+        infos = cls.camera_infos(bag)
+        info = choose_camera_info(depth, ("depth",), size_px, infos)
+        intrinsics = intrinsics_of(info, depth).overridden_by(settings)
+        camera = intrinsics.camera(size_px, path)
+        tree = read_transforms(bag)
+        trajectory, pose_warnings, pose_error = read_poses(bag, tree, depth, settings.pose_topic)
+        pairs, pair_warnings = _pair(depth, color, settings)
+        registered, size_warnings = _is_registered(bag, depth, color, size_px)
+        scale = intrinsics.depth_scale
+        is_float = depth.encoding == FLOAT_DEPTH
+        own_scale = None if is_float else cls.integer_scale(bag, depth)
+        calibration = None
+        if color is not None and not registered:
+            T_color_depth = cls.color_place(bag, tree, depth, color)
+            calibration = _calibration(bag, color, T_color_depth, infos)
+        if calibration is not None:
+            size_warnings = []
+            registered = calibration.lies_on(camera)
+        distortion = distortion_of(path, info, depth)
+        return cls(
+            path=path,
+            depth=depth,
+            color_topic=color,
+            places=pairs,
+            float_units_per_m=scale or 1.0,
+            undistortion=Undistortion(camera, distortion) if distortion else None,
+            bag=bag,
+            recorded=(_in_file_order(depth), _in_file_order(color)),
+            camera=camera,
+            depth_scale=FLOAT_SCALE if is_float else scale or own_scale or INTEGER_SCALE,
+            color_registered=registered,
+            color_calibration=None if registered else calibration,
+            given_trajectory=trajectory,
+            trajectory_error=pose_error,
+            warnings=(
+                *([bag.trouble] if bag.trouble else []),
+                *depth_warnings,
+                *color_warnings,
+                *pair_warnings,
+                *size_warnings,
+                *scale_warnings(path, own_scale, settings),
+                *pose_warnings,
+            ),
+        )
+
+    def frame(self, index: int) -> RawFrame:
+        """Decode the messages of a frame."""
+        pair = self.places[index]
+        name = _message_name(self.bag, self.depth, pair.depth)
+        depth = depth_of(self.bag.decode(self.depth.topic, pair.depth), name, self.float_units_per_m)
+        color = self._color(pair.color)
+        # Frames of another size are left as they are: the checks refuse them.
+        if self.undistortion is not None and depth.shape == self._shape:
+            depth = self.undistortion.depth(depth)
+        return RawFrame(name, pair.stamp_ns, depth, color)
+
+    def _color(self, index: int | None) -> tuple[str, bytes] | None:
+        if self.color_topic is None or index is None:
+            return None
+        name = _message_name(self.bag, self.color_topic, index)
+        color = color_of(self.bag.decode(self.color_topic.topic, index), name)
+        # Colour that is not registered has a camera of its own.
+        if self.undistortion is None or not self.color_registered:
+            return color
+        bgr = decode_color_bgr(color[1], name)
+        return (".png", encode_png(self.undistortion.color(bgr))) if bgr.shape[:2] == self._shape else color
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self.camera.height, self.camera.width
+
+
+def _message_name(bag: RosBag, image: ImageTopic, index: int) -> str:
+    return f"{bag.path}: {image.name}, message {index}"
+
+
+def _in_file_order(image: ImageTopic | None) -> tuple[int, ...]:
+    """Stamps of a topic's messages in the order of recording, nanoseconds."""
+
+    def position(place: MessagePlace) -> tuple[int, int, int]:
+        return place.file, place.offset if place.chunk < 0 else place.chunk, place.offset
+
+    messages = () if image is None else image.topic.messages
+    return tuple(place.stamp_ns for place in sorted(messages, key=position))
+
+
+def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
+    def size_px(index: int) -> tuple[int, int]:
+        name = _message_name(bag, depth, index)
+        height, width = depth_of(bag.decode(depth.topic, index), name).shape
+        return width, height
+
+    try:
+        return first_whole(size_px, range(len(depth.topic.messages)))
+    except DamagedImageError as error:
+        raise RecordingError(f"{error}; none of the depth images is usable") from error
+
+
+def _pair(
+    depth: ImageTopic, color: ImageTopic | None, settings: CameraSettings
+) -> tuple[tuple[Pair, ...], list[str]]:
+    """The depth messages with distinct stamps, each with its colour message; and warnings."""
+    depth_ns = [place.stamp_ns for place in depth.topic.messages]
+    order, repeated = first_by_stamp(depth_ns)
+    warnings = [f"{depth.name}: {repeated} messages repeat a stamp and were left out"] if repeated else []
+    if color is None:
+        return tuple(Pair(depth_ns[i], i, None) for i in order), warnings
+    delay_ns = round(settings.color_delay_s * NS_PER_S)
+    color_ns = [place.stamp_ns - delay_ns for place in color.topic.messages]
+    color_order, _ = first_by_stamp(color_ns)
+    partners = associate([depth_ns[i] for i in order], [color_ns[i] for i in color_order])
+    alone = sum(partner is None for partner in partners)
+    if alone:
+        warnings.append(
+            f"{depth.name}: {alone} of {len(order)} depth frames have no colour frame within 20 ms"
+        )
+    return tuple(
+        Pair(depth_ns[i], i, None if partner is None else color_order[partner])
+        for i, partner in zip(order, partners, strict=True)
+    ), warnings
+
+
+def _is_registered(
+    bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
+) -> tuple[bool, list[str]]:
+    """Whether colour pixels lie on depth pixels: by name or frame, and only where the sizes agree."""
+    if color is None:
+        return False, []
+    same_frame = bool(depth.frame_id) and depth.frame_id == color.frame_id
+    if not (same_frame or is_named_registered(depth)):
+        return False, []
+    color_px = _first_color_size(bag, color)
+    if color_px == size_px:
+        return True, []
+    return False, [
+        f"{color.name} is {color_px[0]}x{color_px[1]} and depth {size_px[0]}x{size_px[1]}: "
+        "colour is for display only"
+    ]
+
+
+def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
+    for message in bag.whole(color.topic):
+        with suppress(DamagedImageError):
+            return image_header(color_of(message, color.name)[1], color.name)[1:]
+    return 0, 0
+
+
+def _calibration(
+    bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[tuple[str, CameraInfo]]
+) -> ColorCalibration | None:
+    """Camera and place of colour; None if either is not known or does not fit the images."""
+    size_px = _first_color_size(bag, color)
+    info = choose_camera_info(color, COLOR_WORDS, size_px, infos)
+    if T_color_depth is None or info is None:
+        return None
+    try:
+        camera = intrinsics_of(info, color).camera(size_px, bag.path)
+        return ColorCalibration(camera, distortion_of(bag.path, info, color), T_color_depth)
+    except RecordingError:
+        return None

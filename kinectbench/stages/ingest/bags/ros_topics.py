@@ -1,0 +1,254 @@
+"""Which topics of a ROS bag hold depth and colour, by type, content and name; intrinsics from CameraInfo."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.bags.ros_images import (
+    FLOAT_DEPTH,
+    color_encoding,
+    depth_encoding,
+    is_compressed,
+)
+from kinectbench.stages.ingest.bags.ros_messages import OLD_TF_MESSAGE, TF_MESSAGE, BagTopic, RosBag
+from kinectbench.stages.ingest.intrinsics import Intrinsics
+
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
+CAMERA_INFO = "sensor_msgs/CameraInfo"
+POSE, ODOMETRY = "geometry_msgs/PoseStamped", "nav_msgs/Odometry"
+TF = frozenset({TF_MESSAGE, OLD_TF_MESSAGE})
+WANTED = TF | {IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POSE, ODOMETRY}
+INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)")
+# realsense's names of Brown's model, and of none, stand beside those of ROS.
+BROWN_MODELS = frozenset({"plumb_bob", "rational_polynomial", "Brown Conrady", "brown_conrady"})
+NO_MODELS = frozenset({"", "None", "none"})
+BROWN_LENGTHS = frozenset({4, 5, 8})
+
+
+@dataclass(frozen=True)
+class ImageTopic:
+    """A topic of images of one kind.
+
+    Attributes:
+        topic: its name and messages.
+        encoding: of the first message that can be read.
+        frame_id: of that message.
+    """
+
+    topic: BagTopic
+    encoding: str
+    frame_id: str
+
+    @property
+    def name(self) -> str:
+        """The topic's name."""
+        return self.topic.name
+
+    @property
+    def compressed(self) -> bool:
+        """Whether its messages are CompressedImage."""
+        return self.topic.type == COMPRESSED_IMAGE
+
+
+def image_topics(bag: RosBag, encoding_of: Callable[[Any], str | None]) -> list[ImageTopic]:
+    """The image topics whose first readable message has an encoding by `encoding_of`."""
+    found = []
+    for topic in bag.topics:
+        message = bag.first(topic) if topic.type in (IMAGE, COMPRESSED_IMAGE) else None
+        encoding = None if message is None else encoding_of(message)
+        if message is not None and encoding is not None:
+            found.append(ImageTopic(topic, encoding, message.header.frame_id))
+    return found
+
+
+def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
+    """The depth topic: named so, registered, integer, raw, the most images; a warning if there was a choice.
+
+    Args:
+        bag: where it is looked for.
+        named: the topic that the settings name.
+
+    Raises:
+        RecordingError: no topic holds depth, or the one that is named does not.
+    """
+    found = image_topics(bag, depth_encoding)
+    if named is not None:
+        return _named(bag, "depth_topic", named, found), []
+    # Infrared images are 16-bit too.
+    found = [t for t in found if "depth" in t.name.lower() or not INFRARED.search(t.name.lower())]
+    if not found:
+        every = image_topics(bag, lambda m: m.format if is_compressed(m) else m.encoding)
+        images = [f"{t.name} ({t.encoding})" for t in every]
+        raise RecordingError(
+            f"{bag.path}: no topic holds depth images (16UC1, mono16, 32FC1 or 16-bit PNG); its image topics "
+            f"are: {', '.join(images) or 'none'}"
+        )
+    best = max(
+        found,
+        key=lambda t: (
+            "depth" in t.name.lower(),
+            is_named_registered(t),
+            t.encoding != FLOAT_DEPTH,
+            not t.compressed,
+            len(t.topic.messages),
+        ),
+    )
+    return best, _choice(bag, "depth", best, found)
+
+
+def choose_color(
+    bag: RosBag, depth: ImageTopic, named: str | None = None
+) -> tuple[ImageTopic | None, list[str]]:
+    """The colour topic: not infrared, named so, of the depth's camera, with colours, raw, most images.
+
+    Args:
+        bag: where it is looked for.
+        depth: the depth topic; where two cameras are in a bag, colour is of the same one.
+        named: the topic that the settings name.
+
+    Returns:
+        The topic or None; and warnings.
+
+    Raises:
+        RecordingError: the topic that is named holds no colour.
+    """
+    found = image_topics(bag, color_encoding)
+    if named is not None:
+        return _named(bag, "color_topic", named, found), []
+    if not found:
+        return None, [f"{bag.path}: no topic holds colour images that can be read; there will be no colour"]
+    best = max(
+        found,
+        key=lambda t: (
+            not INFRARED.search(t.name.lower()) and "depth" not in t.name.lower(),
+            any(word in t.name.lower() for word in ("rgb", "color", "colour")),
+            _first_folder(t) == _first_folder(depth),
+            t.encoding != "mono8",
+            not t.compressed,
+            len(t.topic.messages),
+        ),
+    )
+    return best, _choice(bag, "colour", best, found)
+
+
+def is_named_registered(depth: ImageTopic) -> bool:
+    """Whether a depth topic's name says that its pixels lie on those of colour."""
+    return "registered" in depth.name.lower() or "aligned" in depth.name.lower()
+
+
+def _named(bag: RosBag, key: str, named: str, found: list[ImageTopic]) -> ImageTopic:
+    """The image topic of that name among those that fit."""
+    for topic in found:
+        if topic.name == named:
+            return topic
+    names = ", ".join(topic.name for topic in found) or "no topic"
+    what = "holds no such images" if any(t.name == named for t in bag.topics) else "is not in the bag"
+    raise RecordingError(f"{bag.path}: `{key}: {named}` {what}; those that fit are: {names}")
+
+
+def _first_folder(image: ImageTopic) -> str:
+    """The first part of a topic's name, by which drivers tell cameras apart."""
+    return image.name.strip("/").split("/")[0]
+
+
+def _choice(bag: RosBag, what: str, best: ImageTopic, found: list[ImageTopic]) -> list[str]:
+    if len(found) == 1:
+        return []
+    others = ", ".join(topic.name for topic in found if topic is not best)
+    return [f"{bag.path}: {what} is read from {best.name}, not from {others}"]
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What a CameraInfo message says; the fields of sensor_msgs/CameraInfo under ROS 1's names."""
+
+    width: int
+    height: int
+    distortion_model: str
+    D: tuple[float, ...]
+    K: tuple[float, ...]
+    P: tuple[float, ...]
+    frame_id: str
+
+
+def camera_info(message: Any) -> CameraInfo:
+    """The values of a message of ROS 1 (K, D, P) or ROS 2 (k, d, p)."""
+
+    def numbers(name: str) -> tuple[float, ...]:
+        values = getattr(message, name, None)
+        return tuple(float(v) for v in (getattr(message, name.lower()) if values is None else values))
+
+    return CameraInfo(
+        width=int(message.width),
+        height=int(message.height),
+        distortion_model=message.distortion_model,
+        D=numbers("D"),
+        K=numbers("K"),
+        P=numbers("P"),
+        frame_id=message.header.frame_id,
+    )
+
+
+def choose_camera_info(
+    image: ImageTopic, kind: Sequence[str], size_px: tuple[int, int], infos: Sequence[tuple[str, CameraInfo]]
+) -> CameraInfo | None:
+    """The CameraInfo of images: of their frame, or of a folder that is named for their kind.
+
+    Of several, one of their size comes first, then one of their frame, then the nearest by name.
+
+    Args:
+        image: the topic of the images.
+        kind: words that such a folder's name holds, such as "depth".
+        size_px: width and height of the images.
+        infos: every CameraInfo of the bag with its topic's name.
+    """
+    ranked = []
+    for name, info in infos:
+        if not info.K[0] > 0:  # 0: the driver has no calibration
+            continue
+        shared = _shared_folders(name, image.name)
+        same_frame = bool(image.frame_id) and info.frame_id == image.frame_id
+        if same_frame or any(word in folder.lower() for folder in shared for word in kind):
+            rank = ((info.width, info.height) == size_px, same_frame, len(shared))
+            ranked.append((*rank, info))
+    return max(ranked, key=lambda entry: entry[:3])[3] if ranked else None
+
+
+def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
+    """K of the images; of rectified images the left 3x3 of P, as sensor_msgs/CameraInfo defines them."""
+    if info is None:
+        return Intrinsics()
+    k = info.K
+    if _is_rectified(image) and info.P[0] > 0:
+        k = (*info.P[0:3], *info.P[4:7], *info.P[8:11])
+    return Intrinsics(width=info.width, height=info.height, fx=k[0], fy=k[4], cx=k[2], cy=k[5])
+
+
+def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tuple[float, ...]:
+    """Brown's coefficients of images, as OpenCV orders them; empty if they have no distortion.
+
+    Raises:
+        RecordingError: they are distorted by a model that is not Brown's.
+    """
+    if info is None or _is_rectified(image) or not any(info.D) or info.distortion_model in NO_MODELS:
+        return ()
+    if info.distortion_model not in BROWN_MODELS or len(info.D) not in BROWN_LENGTHS:
+        raise RecordingError(
+            f"{path}: {image.name} has the distortion model '{info.distortion_model}' with {len(info.D)} "
+            "values; only plumb_bob and rational_polynomial can be removed: record rectified images"
+        )
+    return info.D
+
+
+def _is_rectified(image: ImageTopic) -> bool:
+    """Whether a topic's name says that its images are free of distortion, as image_proc names them."""
+    return any("rect" in re.split(r"[_/]", part) for part in image.name.lower().split("/"))
+
+
+def _shared_folders(first: str, second: str) -> list[str]:
+    both = zip(first.split("/")[:-1], second.split("/"), strict=False)
+    return [a for a, _ in takewhile(lambda pair: pair[0] == pair[1], both)]

@@ -1,0 +1,224 @@
+"""ROS 1 bags (format 2.0): raw and compressed images, lz4 and bz2 chunks, whole, cut off or never closed.
+
+Messages are found by walking the file's chunks. The walk needs no index, so it also reads what is whole of a
+bag that was cut off or never closed, and it gives random access to single messages. Of chunks that are not
+compressed it reads no more than the records' headers. Layout: http://wiki.ros.org/Bags/Format/2.0.
+"""
+
+import os
+import struct
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, ClassVar
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.bags.ros_messages import (
+    BagReader,
+    Connection,
+    DamagedRecordError,
+    FoundMessages,
+    RosBag,
+    unpacked_chunk,
+)
+from kinectbench.stages.ingest.bags.ros_recording import RosRecording
+
+MAGIC = b"#ROSBAG V2.0\n"
+OP_MESSAGE, OP_CHUNK, OP_CONNECTION = 2, 5, 7
+
+
+class Rosbag1Recording(RosRecording):
+    """A ROS 1 bag; integer depth is taken as millimetres, float depth as metres."""
+
+    format: ClassVar[str] = "rosbag1"
+    looks_for: ClassVar[str] = "a file that begins with '#ROSBAG V2.0'"
+    suffixes: ClassVar[tuple[str, ...]] = (".bag", ".bag.active")
+    verified: ClassVar[str] = "files written by rosbags; a bag with tf by ROS"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the file begins like a bag, whatever its name ends in."""
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+
+    @classmethod
+    def walk(cls, path: Path) -> RosBag:
+        """Walk through the bag's chunks."""
+        reader = BagReader(path, _chunk_at)
+        walk = _Walk(cls.wanted, cls.own_types, reader.keep)
+        complete = walk.take_all(path)
+        topics = walk.found.topics()
+        if complete and not walk.damaged_chunks:
+            return RosBag(path, topics, reader)
+        what = "is damaged" if complete else "is cut off or has no index"
+        found = sum(len(topic.messages) for topic in topics)
+        if not found:
+            raise RecordingError(f"{path}: {what}, and nothing in it can be saved; copy it again")
+        trouble = (
+            f"{path}: {what}: {found} messages of {walk.chunks - walk.damaged_chunks} whole chunks were "
+            f"saved ({walk.damaged_chunks} chunks are damaged); copy it again, or run `rosbag reindex`"
+        )
+        return RosBag(path, topics, reader, trouble)
+
+
+class _Walk:
+    """What has been met so far: the messages, and the number of whole and of damaged chunks."""
+
+    def __init__(
+        self, types: frozenset[str], own_types: frozenset[str], keep: Callable[[int, bytes], None]
+    ) -> None:
+        self.found = FoundMessages(types)
+        self.chunks = 0
+        self.damaged_chunks = 0
+        self._own_types = own_types
+        self._keep = keep
+
+    def take_all(self, path: Path) -> bool:
+        """Walk through the file; whether it ends as it should and has an index.
+
+        Raises:
+            RecordingError: it is encrypted.
+        """
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            file.seek(len(MAGIC))
+            try:
+                fields, data_size = _read_header(file, size)
+                if fields.get(b"encryptor"):
+                    raise RecordingError(
+                        f"{path}: the bag is encrypted; record or copy it without encryption"
+                    )
+                file.seek(data_size, os.SEEK_CUR)
+                while file.tell() < size:
+                    self.take_record(file, size)
+                return 0 < _number(fields, b"index_pos", "<Q") < size
+            except DamagedRecordError:
+                return False
+
+    def take_record(self, file: BinaryIO, end: int) -> None:
+        """Read the next record of the file, or pass over it."""
+        position = file.tell()
+        fields, size = _read_header(file, end)
+        op = _number(fields, b"op", "<B")
+        start = file.tell()
+        if op == OP_CHUNK:
+            self._take_chunk(file, position, fields, size, end)
+            return
+        if start + size > end:
+            raise DamagedRecordError
+        # A bag that was never closed can hold the records of its last chunk without the chunk.
+        self._take(fields, file, start, size, chunk=-1)
+        file.seek(start + size)
+
+    def _take_chunk(
+        self, file: BinaryIO, position: int, fields: dict[bytes, bytes], size: int, end: int
+    ) -> None:
+        start = file.tell()
+        if fields.get(b"compression") == b"none":
+            # Of a chunk that is cut off, what is whole is taken.
+            for inner, offset, length in _records_of(file, min(start + size, end)):
+                self._take(inner, file, offset, length, chunk=-1)
+            if start + size > end:
+                raise DamagedRecordError
+            self.chunks += 1
+            file.seek(start + size)
+            return
+        data = _read_exactly(file, size, end)
+        self.chunks += 1
+        try:
+            chunk = _decompress(fields, data)
+            unpacked = BytesIO(chunk)
+            for inner, offset, length in _records_of(unpacked, len(chunk)):
+                self._take(inner, unpacked, offset, length, chunk=position)
+            self._keep(position, chunk)
+        except DamagedRecordError:
+            self.damaged_chunks += 1
+
+    def _take(self, fields: dict[bytes, bytes], file: BinaryIO, offset: int, size: int, chunk: int) -> None:
+        op = _number(fields, b"op", "<B")
+        if op == OP_CONNECTION:
+            file.seek(offset)
+            self._take_connection(fields, file.read(size))
+        elif op == OP_MESSAGE:
+            file.seek(offset)
+            connection = _number(fields, b"conn", "<I")
+            seconds, nanoseconds = _values(fields, b"time", "<II")
+            recorded_ns = seconds * 10**9 + nanoseconds
+            self.found.take(connection, file, recorded_ns, (chunk, offset, size))
+
+    def _take_connection(self, fields: dict[bytes, bytes], data: bytes) -> None:
+        more = _parse_fields(data)
+        values = (fields.get(b"topic", b""), more.get(b"type", b""), more.get(b"message_definition", b""))
+        topic, type_, definition = (value.decode(errors="replace") for value in values)
+        own = definition if type_ in self._own_types else ""
+        self.found.connections[_number(fields, b"conn", "<I")] = Connection(topic, type_, "ros1", own)
+
+
+def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], int, int]]:
+    """The records from here to the end of a chunk: header fields, and position and size of the data."""
+    position = file.tell()
+    while position < end:
+        file.seek(position)
+        fields, size = _read_header(file, end)
+        offset = file.tell()
+        if offset + size > end:
+            raise DamagedRecordError
+        yield fields, offset, size
+        position = offset + size
+
+
+def _decompress(fields: dict[bytes, bytes], data: bytes) -> bytes:
+    """The bytes of a chunk."""
+    kind = fields.get(b"compression", b"").decode(errors="replace")
+    return data if kind == "none" else unpacked_chunk(kind, data, _number(fields, b"size", "<I"))
+
+
+def _chunk_at(file: BinaryIO, position: int) -> bytes:
+    """The unpacked chunk whose record lies at a position."""
+    end = file.seek(0, os.SEEK_END)
+    file.seek(position)
+    fields, size = _read_header(file, end)
+    return _decompress(fields, _read_exactly(file, size, end))
+
+
+def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
+    """Header fields of the next record, and the size of the data that follow."""
+    (header_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
+    fields = _parse_fields(_read_exactly(file, header_size, end))
+    (data_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
+    return fields, data_size
+
+
+def _read_exactly(file: BinaryIO, size: int, end: int) -> bytes:
+    """Bytes of the file, once it is known to hold them: a damaged size allocates nothing."""
+    if file.tell() + size > end:
+        raise DamagedRecordError
+    return file.read(size)
+
+
+def _parse_fields(data: bytes) -> dict[bytes, bytes]:
+    fields, position = {}, 0
+    while position < len(data):
+        if position + 4 > len(data):
+            raise DamagedRecordError
+        (size,) = struct.unpack_from("<I", data, position)
+        name, separator, value = data[position + 4 : position + 4 + size].partition(b"=")
+        if not separator or position + 4 + size > len(data):
+            raise DamagedRecordError
+        fields[name] = value
+        position += 4 + size
+    return fields
+
+
+def _values(fields: dict[bytes, bytes], name: bytes, layout: str) -> tuple[int, ...]:
+    """The numbers that a header field holds."""
+    try:
+        return struct.unpack(layout, fields[name])
+    except (KeyError, struct.error) as error:
+        raise DamagedRecordError from error
+
+
+def _number(fields: dict[bytes, bytes], name: bytes, layout: str) -> int:
+    return _values(fields, name, layout)[0]

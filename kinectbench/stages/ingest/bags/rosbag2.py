@@ -1,0 +1,126 @@
+"""ROS 2 bags: a folder or a bare file, sqlite3 or mcap, compressed by message or as files, or not at all."""
+
+import shutil
+import tempfile
+import weakref
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
+from kinectbench.stages.ingest.bags.ros_messages import (
+    ZSTD_MAGIC,
+    BagTopic,
+    MessagePlace,
+    RosBag,
+    by_stamp,
+    unpacked_message,
+)
+from kinectbench.stages.ingest.bags.ros_recording import RosRecording
+
+MAGICS = (rosbag2_sqlite.MAGIC, rosbag2_mcap.MAGIC)
+
+
+class Rosbag2Recording(RosRecording):
+    """A ROS 2 bag; the files of a bag that was split are read as one."""
+
+    format: ClassVar[str] = "rosbag2"
+    looks_for: ClassVar[str] = "a .mcap or .db3 file, or a folder with such files (and metadata.yaml)"
+    suffixes: ClassVar[tuple[str, ...]] = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+    verified: ClassVar[str] = "files written by rosbags and by mcap's own writer"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the file, or a file in the folder, begins like mcap or sqlite3."""
+        if path.is_dir():
+            return any(_is_bag_file(file) for file in _bag_files(path))
+        return path.is_file() and _is_bag_file(path)
+
+    @classmethod
+    def walk(cls, path: Path) -> RosBag:
+        """Walk through the files of the bag."""
+        files = [file for file in _bag_files(path) if _is_bag_file(file)] if path.is_dir() else [path]
+        bags = [_walk_file(file, cls.wanted) for file in files]
+        if not any(bag.topics for bag in bags) and any(bag.trouble for bag in bags):
+            raise RecordingError(
+                next(bag.trouble for bag in bags if bag.trouble) + ", and nothing in it can be saved"
+            )
+        return _joined(path, bags)
+
+
+def _bag_files(folder: Path) -> list[Path]:
+    """Files that may be a bag's, in the order of recording: NAME_2 before NAME_10."""
+    found = (file for file in folder.iterdir() if file.name.endswith(Rosbag2Recording.suffixes))
+    return sorted(found, key=lambda file: (len(file.name), file.name))
+
+
+def _start_of(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(16)
+
+
+def _is_bag_file(file: Path) -> bool:
+    start = _start_of(file)
+    return start.startswith(MAGICS) or (
+        start.startswith(ZSTD_MAGIC) and file.name.endswith(Rosbag2Recording.suffixes)
+    )
+
+
+def _walk_file(file: Path, types: frozenset[str]) -> RosBag:
+    start = _start_of(file)
+    if start.startswith(ZSTD_MAGIC):
+        return _walk_packed(file, types)
+    is_mcap = start.startswith(rosbag2_mcap.MAGIC)
+    bag = rosbag2_mcap.walk(file, types) if is_mcap else rosbag2_sqlite.walk(file, types)
+    return replace(bag, read=lambda place: unpacked_message(bag.read(place)))
+
+
+class _Unpacked:
+    """A file that is compressed as a whole, unpacked into a temporary folder that goes with this value."""
+
+    def __init__(self, file: Path) -> None:
+        import zstandard
+
+        folder = tempfile.mkdtemp(prefix="kinectbench-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.file = Path(folder) / file.name.removesuffix(".zstd")
+        self.trouble = ""
+        with file.open("rb") as packed, self.file.open("wb") as unpacked:
+            try:
+                zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
+            except zstandard.ZstdError as error:
+                self.trouble = f"{file}: is damaged or cut off ({error})"
+
+
+def _walk_packed(file: Path, types: frozenset[str]) -> RosBag:
+    """Walk through a file that is compressed as a whole."""
+    unpacked = _Unpacked(file)
+    if not _is_bag_file(unpacked.file):
+        trouble = unpacked.trouble or f"{file}: is cut off or holds no ROS 2 bag"
+        return RosBag(file, (), lambda place: b"", trouble)
+    bag = _walk_file(unpacked.file, types)
+
+    def read(place: MessagePlace, _kept: _Unpacked = unpacked) -> bytes:
+        return bag.read(place)
+
+    return replace(bag, read=read, trouble=bag.trouble.replace(str(unpacked.file), str(file)))
+
+
+def _joined(path: Path, bags: list[RosBag]) -> RosBag:
+    """The bags of several files as one."""
+    if len(bags) == 1:
+        return replace(bags[0], path=path)
+    topics: dict[tuple[str, str], BagTopic] = {}
+    for number, bag in enumerate(bags):
+        for topic in bag.topics:
+            moved = tuple(replace(place, file=number) for place in topic.messages)
+            key = (topic.name, topic.type)
+            before = topics[key].messages if key in topics else ()
+            topics[key] = replace(topic, messages=by_stamp((*before, *moved)))
+    return RosBag(
+        path,
+        tuple(topics[key] for key in sorted(topics)),
+        lambda place: bags[place.file].read(place),
+        "; ".join(bag.trouble for bag in bags if bag.trouble),
+    )

@@ -1,0 +1,190 @@
+"""The messages of an mcap file, found by walking its records; a file that was cut off gives what is whole.
+
+Layout: https://mcap.dev/spec. The summary at the end is not needed.
+"""
+
+import struct
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.bags.ros_messages import (
+    BagReader,
+    Connection,
+    DamagedRecordError,
+    Encoding,
+    FoundMessages,
+    RosBag,
+    short_type,
+    unpacked_chunk,
+)
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
+RECORD = struct.Struct("<BQ")
+# channel, sequence, log time, publish time
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+# first and last log time, unpacked size, checksum
+CHUNK_HEAD = struct.Struct("<QQQI")
+# No image shrinks more than this; a chunk that says so is damaged.
+MAX_RATIO = 2000
+ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
+
+
+def walk(path: Path, types: frozenset[str]) -> RosBag:
+    """Find the messages of the wanted types.
+
+    Raises:
+        RecordingError: the topics are serialised in a way that cannot be read.
+    """
+    reader = BagReader(path, _chunk_at)
+    walked = _Walk(types, reader.keep)
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(len(MAGIC))
+        try:
+            complete = walked.take_all(file, len(MAGIC), size, chunk=-1)
+        except DamagedRecordError:
+            complete = False
+    topics = walked.found.topics()
+    if walked.unknown and not topics:
+        raise RecordingError(
+            f"{path}: its messages are encoded as {', '.join(sorted(walked.unknown))}; only cdr (ROS 2) and "
+            "ros1 can be read"
+        )
+    count = sum(len(topic.messages) for topic in topics)
+    trouble = ""
+    if not complete or walked.damaged_chunks:
+        trouble = (
+            f"{path}: is {'damaged' if complete else 'cut off'}: {count} messages were saved "
+            f"({walked.damaged_chunks} chunks are damaged); copy it again, or run `mcap recover`"
+        )
+    return RosBag(path, topics, reader, trouble)
+
+
+class _Walk:
+    """What has been met so far; `unknown` are the encodings of messages that cannot be read."""
+
+    def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None]) -> None:
+        self.found = FoundMessages(types)
+        self.unknown: set[str] = set()
+        self.damaged_chunks = 0
+        self._schemas: dict[int, str] = {}
+        self._keep = keep
+
+    def take_all(
+        self, file: BinaryIO, start: int, end: int, chunk: int = -1, *, nested: bool = False
+    ) -> bool:
+        """Take the records from start to end; whether a footer was among them.
+
+        Args:
+            file: the file, or the unpacked chunk.
+            start: where the first record lies in it.
+            end: where the last ends.
+            chunk: position of the unpacked chunk's record; -1: `file` is the file.
+            nested: they are the records of a chunk.
+        """
+        position = start
+        while position + RECORD.size <= end:
+            file.seek(position)
+            kind, size = RECORD.unpack(file.read(RECORD.size))
+            body = position + RECORD.size
+            if body + size > end:
+                if kind == CHUNK:
+                    self.damaged_chunks += 1
+                raise DamagedRecordError
+            if kind == FOOTER:
+                return True
+            if kind == MESSAGE:
+                self._take_message(file, body, size, chunk)
+            elif kind == CHUNK and not nested:
+                self._take_chunk(file, body, size)
+            elif kind in (SCHEMA, CHANNEL):
+                self._take_definition(kind, file.read(size))
+            position = body + size
+        return False
+
+    def _take_definition(self, kind: int, data: bytes) -> None:
+        try:
+            (number,) = struct.unpack_from("<H", data)
+            if kind == SCHEMA:
+                self._schemas[number] = _string(data, 2)[0]
+                return
+            (schema,) = struct.unpack_from("<H", data, 2)
+            topic, position = _string(data, 4)
+            encoding, _ = _string(data, position)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise DamagedRecordError from error
+        type_ = short_type(self._schemas.get(schema, ""))
+        if encoding not in ENCODINGS:
+            self.unknown.add(encoding)
+            type_ = ""
+        self.found.connections[number] = Connection(topic, type_, ENCODINGS.get(encoding, "cdr"))
+
+    def _take_message(self, file: BinaryIO, body: int, size: int, chunk: int) -> None:
+        if size < MESSAGE_HEAD.size:
+            raise DamagedRecordError
+        channel, _, log_ns, _ = MESSAGE_HEAD.unpack(file.read(MESSAGE_HEAD.size))
+        if channel in self.found.connections:
+            place = (chunk, body + MESSAGE_HEAD.size, size - MESSAGE_HEAD.size)
+            self.found.take(channel, file, log_ns, place)
+
+    def _take_chunk(self, file: BinaryIO, body: int, size: int) -> None:
+        try:
+            parts = _chunk_parts(file, body + size)
+            if not parts.compression:
+                self.take_all(file, parts.start, parts.start + parts.length, nested=True)
+                return
+            data = _unpack_chunk(file, parts)
+            self.take_all(BytesIO(data), 0, len(data), chunk=body - RECORD.size, nested=True)
+            self._keep(body - RECORD.size, data)
+        except DamagedRecordError:
+            self.damaged_chunks += 1
+
+
+class _ChunkParts(NamedTuple):
+    """Compression, unpacked size, and position and size of the records of a chunk, bytes."""
+
+    compression: str
+    unpacked_size: int
+    start: int
+    length: int
+
+
+def _string(data: bytes, position: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", data, position)
+    end = position + 4 + size
+    if end > len(data):
+        raise DamagedRecordError
+    return data[position + 4 : end].decode(), end
+
+
+def _chunk_parts(file: BinaryIO, end: int) -> _ChunkParts:
+    """The parts of the chunk whose body begins here and ends at `end`."""
+    start = file.tell()
+    data = file.read(min(end - start, CHUNK_HEAD.size + 64))
+    try:
+        _, _, unpacked_size, _ = CHUNK_HEAD.unpack_from(data)
+        compression, position = _string(data, CHUNK_HEAD.size)
+        (length,) = struct.unpack_from("<Q", data, position)
+    except (UnicodeDecodeError, struct.error) as error:
+        raise DamagedRecordError from error
+    if start + position + 8 + length > end:
+        raise DamagedRecordError
+    return _ChunkParts(compression, unpacked_size, start + position + 8, length)
+
+
+def _unpack_chunk(file: BinaryIO, parts: _ChunkParts) -> bytes:
+    if parts.unpacked_size > MAX_RATIO * max(parts.length, 1):
+        raise DamagedRecordError
+    file.seek(parts.start)
+    return unpacked_chunk(parts.compression, file.read(parts.length), parts.unpacked_size)
+
+
+def _chunk_at(file: BinaryIO, position: int) -> bytes:
+    """The unpacked chunk whose record lies at a position."""
+    file.seek(position)
+    _, size = RECORD.unpack(file.read(RECORD.size))
+    return _unpack_chunk(file, _chunk_parts(file, file.tell() + size))

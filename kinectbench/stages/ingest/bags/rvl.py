@@ -1,0 +1,123 @@
+"""RVL, the lossless depth code of compressedDepth (Wilson, "Fast Lossless Depth Image Compression", 2017)."""
+
+import struct
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.stages.ingest.images import DamagedImageError
+
+HEADER = struct.Struct("<II")
+# A few bytes can code a whole image of zeros, so that the header alone decides what is allocated.
+MAX_PIXELS = 1 << 24
+
+
+def decode_rvl(data: bytes, name: str) -> NDArray[np.uint16]:
+    """Decode RVL as compressed_depth_image_transport stores it: `uint32 columns, rows`, then nibbles.
+
+    Runs of zeros and of other values alternate; each run's length, and each value's difference to the one
+    before (zigzag), is written three bits a nibble, least significant first, the fourth bit saying that more
+    follow; nibbles fill little-endian 32-bit words from the top (paper, section 3).
+
+    Args:
+        data: header and code.
+        name: where it comes from, for messages.
+
+    Returns:
+        (rows, columns) uint16.
+
+    Raises:
+        DamagedImageError: the header is impossible or the code is cut off.
+    """
+    if len(data) < HEADER.size:
+        raise DamagedImageError(f"{name}: the RVL image is cut off after {len(data)} bytes")
+    columns, rows = HEADER.unpack_from(data)
+    if not 0 < columns * rows <= MAX_PIXELS:
+        raise DamagedImageError(f"{name}: the RVL image says it has {columns}x{rows} pixels")
+    code = data[HEADER.size :]
+    words = np.frombuffer(code[: len(code) // 4 * 4], "<u4")
+    depth = np.zeros(columns * rows, np.uint16)
+    if not _decode(words, depth):
+        raise DamagedImageError(f"{name}: the RVL image is cut off or damaged")
+    return depth.reshape(rows, columns)
+
+
+def encode_rvl(depth: NDArray[np.uint16]) -> bytes:
+    """Encode depth (rows, columns) uint16 as RVL with its header."""
+    flat = np.ascontiguousarray(depth).reshape(-1)
+    nibbles = np.empty(8 * flat.size + 64, np.uint8)
+    count = _encode(flat, nibbles)
+    nibbles[count:] = 0
+    packed = nibbles[: -(-count // 8) * 8].reshape(-1, 8).astype(np.uint32)
+    words = np.zeros(len(packed), np.uint32)
+    for place in range(8):
+        np.bitwise_or(words, packed[:, place] << np.uint32(28 - 4 * place), out=words)
+    return HEADER.pack(depth.shape[1], depth.shape[0]) + words.astype("<u4").tobytes()
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _number(words: NDArray[np.uint32], nibble: int) -> tuple[int, int]:
+    """The number that begins at a nibble, and the nibble after it; -1 if the words end before it does."""
+    value, shift = 0, 0
+    while nibble < 8 * len(words) and shift < 30:
+        bits = (int(words[nibble >> 3]) >> (28 - 4 * (nibble & 7))) & 15
+        nibble += 1
+        value |= (bits & 7) << shift
+        shift += 3
+        if bits < 8:
+            return value, nibble
+    return -1, nibble
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _decode(words: NDArray[np.uint32], depth: NDArray[np.uint16]) -> bool:
+    position, nibble, previous = 0, 0, 0
+    while position < len(depth):
+        zeros, nibble = _number(words, nibble)
+        values, nibble = _number(words, nibble)
+        # The encoder may end after the last zeros.
+        if zeros < 0 or position + zeros > len(depth):
+            return False
+        position += zeros
+        if values < 0 or position + values > len(depth) or zeros + values == 0:
+            return bool(position == len(depth))
+        for _ in range(values):
+            code, nibble = _number(words, nibble)
+            if code < 0:
+                return False
+            previous += (code >> 1) ^ -(code & 1)
+            depth[position] = previous & 0xFFFF
+            position += 1
+    return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _put(nibbles: NDArray[np.uint8], count: int, value: int) -> int:
+    while True:
+        bits = value & 7
+        value >>= 3
+        nibbles[count] = bits | 8 if value else bits
+        count += 1
+        if not value:
+            return count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _encode(depth: NDArray[np.uint16], nibbles: NDArray[np.uint8]) -> int:
+    position, count, previous = 0, 0, 0
+    while position < len(depth):
+        start = position
+        while position < len(depth) and depth[position] == 0:
+            position += 1
+        count = _put(nibbles, count, position - start)
+        end = position
+        while end < len(depth) and depth[end] != 0:
+            end += 1
+        count = _put(nibbles, count, end - position)
+        for index in range(position, end):
+            difference = int(depth[index]) - previous
+            count = _put(nibbles, count, (difference << 1) ^ (difference >> 63))
+            previous = int(depth[index])
+        position = end
+    return count

@@ -1,0 +1,149 @@
+"""Decoding and checking encoded images; damage is found before OpenCV sees it."""
+
+import struct
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.types import Bools
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC = b"\xff\xd8\xff"
+JPEG_SCAN = 0xDA
+# SOF0-SOF15 hold the size; C4, C8 and CC in that range are other segments.
+JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+class DamagedImageError(RecordingError):
+    """One image is missing or damaged; a few of those among many frames can be left out."""
+
+
+def image_header(data: bytes, name: str) -> tuple[str, int, int]:
+    """Read the type and size of a PNG or JPEG and check that it is whole.
+
+    Args:
+        data: the encoded image.
+        name: where it comes from, for messages.
+
+    Returns:
+        (".png" or ".jpg", width, height), pixels.
+
+    Raises:
+        DamagedImageError: it is neither, is cut off, or (PNG) a checksum is wrong.
+    """
+    if data.startswith(PNG_MAGIC):
+        width, height, _, _ = _png_header(data, name)
+        return ".png", width, height
+    if data.startswith(JPEG_MAGIC):
+        return ".jpg", *_jpeg_size(data, name)
+    if not data:
+        raise DamagedImageError(f"{name}: the file is empty")
+    raise DamagedImageError(f"{name}: neither a PNG nor a JPEG image")
+
+
+def is_depth_png(data: bytes) -> bool:
+    """Whether the data begins like a grey PNG with 16 bits a pixel."""
+    return len(data) > 25 and data.startswith(PNG_MAGIC) and data[24:26] == b"\x10\x00"
+
+
+def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
+    """Decode a 16-bit grey PNG: (height, width) uint16.
+
+    Raises:
+        DamagedImageError: the image is damaged or not a PNG.
+        RecordingError: it is whole, but not 16-bit grey.
+    """
+    if not data.startswith(PNG_MAGIC):
+        kind = "is empty" if not data else "is not a PNG image"
+        raise DamagedImageError(f"{name}: {kind}; depth must be a 16-bit grey PNG")
+    _, _, bits, color_type = _png_header(data, name)
+    if bits != 16 or color_type != 0:
+        channels = "1 channel" if color_type in (0, 3) else "several channels"
+        raise RecordingError(
+            f"{name}: depth is {bits}-bit (uint{max(bits, 8)}) with {channels}, not 16-bit grey (uint16): "
+            "export the raw depth again, not a picture of it"
+        )
+    return np.asarray(_decode(data, name, unchanged=True), dtype=np.uint16)
+
+
+def decode_color_bgr(data: bytes, name: str) -> NDArray[np.uint8]:
+    """Decode a PNG or JPEG: (height, width, 3) uint8, channels blue, green, red.
+
+    Raises:
+        DamagedImageError: the image is damaged.
+    """
+    image_header(data, name)
+    return _decode(data, name, unchanged=False).astype(np.uint8, copy=False)
+
+
+def decode_mask(data: bytes, name: str) -> Bools:
+    """Decode a PNG mask: (height, width) bool, True where any channel is not 0.
+
+    Raises:
+        DamagedImageError: the image is damaged.
+    """
+    return np.asarray(decode_color_bgr(data, name).any(axis=2))
+
+
+def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """Encode (height, width) or BGR (height, width, 3), 8 or 16 bits, as PNG: same pixels, same bytes."""
+    import cv2
+
+    done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    assert done
+    return bytes(encoded)
+
+
+def _decode(data: bytes, name: str, *, unchanged: bool) -> NDArray[np.generic]:
+    import cv2
+
+    flag = cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+    except cv2.error as error:
+        raise DamagedImageError(f"{name}: cannot be decoded ({error.err})") from error
+    if image is None:
+        raise DamagedImageError(f"{name}: cannot be decoded; the image is damaged")
+    decoded: NDArray[np.generic] = image
+    return decoded
+
+
+def _png_header(data: bytes, name: str) -> tuple[int, int, int, int]:
+    """Width, height, bits per sample and colour type of a PNG whose every chunk is whole."""
+    position, view = len(PNG_MAGIC), memoryview(data)
+    while position + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, position)
+        kind, end = data[position + 4 : position + 8], position + 12 + length
+        if end > len(data):
+            break
+        if zlib.crc32(view[position + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+            raise DamagedImageError(f"{name}: the PNG is damaged (checksum of a {kind!r} chunk is wrong)")
+        if kind == b"IEND":
+            if data[12:16] != b"IHDR":
+                raise DamagedImageError(f"{name}: the PNG is cut off or damaged")
+            width, height, bits, color_type = struct.unpack_from(">IIBB", data, 16)
+            return width, height, bits, color_type
+        position = end
+    raise DamagedImageError(f"{name}: the PNG is cut off after {len(data)} bytes")
+
+
+def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:
+    """Width and height of a JPEG that has its end marker."""
+    position, size = 2, None
+    while position + 4 <= len(data) and data[position] == 0xFF:
+        marker = data[position + 1]
+        if marker == 0xFF:  # fill byte
+            position += 1
+            continue
+        if marker in JPEG_FRAMES and position + 9 <= len(data):
+            height, width = struct.unpack_from(">HH", data, position + 5)
+            size = (width, height)
+        if marker == JPEG_SCAN:
+            break
+        position += 2 + int(struct.unpack_from(">H", data, position + 2)[0])
+    # Inside the scan 0xFF is stuffed, so the end marker cannot occur by chance.
+    if size is None or data.find(b"\xff\xd9", position) < 0:
+        raise DamagedImageError(f"{name}: the JPEG is cut off after {len(data)} bytes or damaged")
+    return size

@@ -1,0 +1,213 @@
+"""Intrinsics: what a recording says, what the settings say instead, and whether that fits the images."""
+
+import json
+import math
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Camera
+from kinectbench.core.trajectory.text_rows import read_matrix, read_text
+from kinectbench.core.trajectory.trajectory_file import rigid_or_none
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.recording import ColorCalibration
+
+NEEDED = ("fx", "fy", "cx", "cy")
+HELD = "width, height, fx, fy, cx, cy"
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What is known about a depth camera; None = not said. Pixels; depth_scale in native units per metre."""
+
+    width: int | None = None
+    height: int | None = None
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    depth_scale: float | None = None
+    color_registered: bool | None = None
+
+    @classmethod
+    def of_matrix(cls, K: Float64, depth_scale: float | None = None) -> "Intrinsics":
+        """What a pinhole matrix (3, 3) or larger says, pixels; and maybe the depth scale."""
+        fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return cls(fx=fx, fy=fy, cx=cx, cy=cy, depth_scale=depth_scale)
+
+    def overridden_by(self, settings: CameraSettings) -> "Intrinsics":
+        """The same with every value that the settings give in place of its own.
+
+        Where they give all of fx, fy, cx and cy, the recording's image size no longer counts: it belongs to
+        the intrinsics that are replaced.
+        """
+        given = settings.model_dump(exclude_none=True, include={field.name for field in fields(self)})
+        own = replace(self, width=None, height=None) if given.keys() >= set(NEEDED) else self
+        return replace(own, **given)
+
+    def camera(self, size_px: tuple[int, int], path: Path) -> Camera:
+        """The camera, once it is complete and fits the images.
+
+        Args:
+            size_px: width and height of the depth images.
+            path: the recording, for messages.
+
+        Raises:
+            RecordingError: a value is missing, or another image size is declared or implied.
+        """
+        width, height = size_px
+        missing = [name for name in NEEDED if getattr(self, name) is None]
+        if missing:
+            raise RecordingError(
+                f"{path}: the recording does not say its intrinsics ({', '.join(missing)}): give them in "
+                "benchmark.yaml as `camera: {fx: ..., fy: ..., cx: ..., cy: ...}` (pixels)"
+            )
+        declared = (self.width or width, self.height or height)
+        if declared != size_px:
+            raise RecordingError(
+                f"{path}: the intrinsics are for {declared[0]}x{declared[1]} images, but the depth images "
+                f"are {width}x{height}: give those of the depth images under `camera:` in benchmark.yaml"
+            )
+        fx, fy, cx, cy = (float(getattr(self, name)) for name in NEEDED)
+        if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
+            raise RecordingError(f"{path}: the focal lengths {fx:g}, {fy:g} are not positive numbers")
+        if not (0 <= cx < width and 0 <= cy < height):
+            raise RecordingError(
+                f"{path}: the principal point ({cx:g}, {cy:g}) lies outside the {width}x{height} depth "
+                "images: these intrinsics belong to another image size"
+            )
+        return Camera(width, height, fx, fy, cx, cy)
+
+
+def scale_warnings(path: Path, said_scale: float | None, settings: CameraSettings) -> list[str]:
+    """A warning where the settings give another depth scale than the recording itself."""
+    given = settings.depth_scale
+    if said_scale is None or given is None or math.isclose(said_scale, given, rel_tol=1e-6):
+        return []
+    return [
+        f"{path}: says that 1 m is {said_scale:g} units of depth, but `depth_scale: {given:g}` in "
+        "benchmark.yaml is taken; remove it there if that is not meant"
+    ]
+
+
+def read_intrinsics_json(path: Path) -> Intrinsics:
+    """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
+
+    Keys: width, height, fx, fy, cx, cy, depth_scale or depth_factor, color_registered; or
+    `intrinsic_matrix` (nine numbers, column by column, as Open3D writes it) in place of fx ... cy.
+
+    Raises:
+        RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
+    """
+    raw = read_object(path, HELD)
+    known = {key: value for key, value in raw.items() if value is not None}
+    if "depth_factor" in known:
+        known.setdefault("depth_scale", known["depth_factor"])
+    keys = [key for key in (*NEEDED, "depth_scale", "width", "height") if key in known]
+    values: dict[str, Any] = {key: _number(known[key], f"{path}: '{key}'") for key in keys}
+    values |= {key: int(values[key]) for key in ("width", "height") if key in values}
+    if values.get("depth_scale", 1.0) <= 0:
+        raise RecordingError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
+    if "color_registered" in known:
+        if not isinstance(known["color_registered"], bool):
+            raise RecordingError(f"{path}: 'color_registered' must be true or false")
+        values["color_registered"] = known["color_registered"]
+    if "intrinsic_matrix" in known:
+        matrix = _pinhole(_open3d_matrix(known["intrinsic_matrix"], path), path)
+        return replace(matrix, **values)
+    return Intrinsics(**values)
+
+
+def read_color_calibration(path: Path) -> ColorCalibration | None:
+    """Read how colour lies to depth from camera.json: `color_camera` and `T_color_depth` (own rule).
+
+    `color_camera` holds width, height, fx, fy, cx, cy and maybe `distortion` (Brown's coefficients);
+    `T_color_depth` four rows, metres, depth camera to colour camera.
+
+    Returns:
+        None if the file does not hold both.
+
+    Raises:
+        RecordingError: one of them is not what it should be.
+    """
+    raw = read_object(path, HELD)
+    if raw.get("color_camera") is None or raw.get("T_color_depth") is None:
+        return None
+    where = f"{path}: 'color_camera'"
+    said = raw["color_camera"]
+    if not isinstance(said, dict):
+        raise RecordingError(f"{where} must hold an object with {HELD}")
+    values: dict[str, Any] = {
+        key: _number(said.get(key), f"{where}: '{key}'") for key in ("width", "height", *NEEDED)
+    }
+    size_px = (int(values["width"]), int(values["height"]))
+    camera = Intrinsics(**{key: values[key] for key in NEEDED}).camera(size_px, path)
+    distortion = said.get("distortion") or []
+    if not isinstance(distortion, list) or len(distortion) not in (0, 4, 5, 8):
+        raise RecordingError(f"{where}: 'distortion' must hold 4, 5 or 8 numbers (Brown's model)")
+    matrix = numbers_of(raw["T_color_depth"])
+    T = rigid_or_none(matrix) if matrix.shape == (4, 4) else None
+    if T is None:
+        raise RecordingError(f"{path}: 'T_color_depth' must be four rows of a rigid transform")
+    return ColorCalibration(camera, tuple(_number(d, f"{where}: 'distortion'") for d in distortion), T)
+
+
+def numbers_of(value: object) -> Float64:
+    """The numbers in a list of a JSON file, or in lists of it; (0,) where it holds anything else."""
+    try:
+        return np.array(value, np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def read_intrinsics_matrix(path: Path) -> Intrinsics:
+    """Read a text file with the 3x3 intrinsic matrix, row by row.
+
+    Raises:
+        RecordingError: not nine numbers, or no pinhole matrix.
+    """
+    return _pinhole(read_matrix(path, 3), path)
+
+
+def read_object(path: Path, what: str) -> dict[str, Any]:
+    """Read a JSON object; `what` it must hold, for messages.
+
+    Raises:
+        RecordingError: the file is not valid JSON, or no object.
+    """
+    try:
+        raw = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: is not valid JSON ({error})") from error
+    if not isinstance(raw, dict):
+        raise RecordingError(f"{path}: must hold an object with {what}")
+    return raw
+
+
+def _number(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise RecordingError(f"{where} must be a number, not {value!r}")
+    return float(value)
+
+
+def _open3d_matrix(value: object, path: Path) -> Float64:
+    """Nine numbers by column (by row if only that makes a pinhole matrix), or three rows of three."""
+    numbers = numbers_of(value)
+    if numbers.shape == (3, 3):
+        return numbers
+    if numbers.shape != (9,):
+        raise RecordingError(f"{path}: 'intrinsic_matrix' must hold nine numbers")
+    by_row = not numbers[6:8].any()
+    return numbers.reshape(3, 3) if by_row else numbers.reshape(3, 3).T
+
+
+def _pinhole(K: Float64, path: Path) -> Intrinsics:
+    if not np.isfinite(K).all() or K[0, 1] or K[1, 0] or K[2].tolist() != [0, 0, 1]:
+        raise RecordingError(
+            f"{path}: {K.tolist()} is not a pinhole matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
+    return Intrinsics.of_matrix(K)

@@ -1,0 +1,141 @@
+"""What every recording must satisfy, checked frame by frame while it is written."""
+
+import math
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.stamps import format_stamp
+from kinectbench.stages.ingest.images import image_header
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+
+MIN_FRAMES = 3
+# A recording may lose fewer than this share of its frames to damage.
+MAX_DAMAGED = 0.05
+# The median depth of an indoor recording lies in between, metres; typical is the centre of the logarithms.
+NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
+COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
+SAMPLED_FRAMES = 50
+SAMPLED_EVERY_PX = 4
+
+
+class FrameChecks:
+    """Checks each frame against the recording's camera and gathers what can be judged at the end only.
+
+    Damaged frames are left out, and counted.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        """Start before the first frame."""
+        self._recording = recording
+        self._size_px = (recording.camera.width, recording.camera.height)
+        self._every = max(1, len(recording) // SAMPLED_FRAMES)
+        self._left_out: list[str] = []
+        self._seen = 0
+        self._empty: list[str] = []
+        self._medians: list[float] = []
+        self._last_stamp_ns: int | None = None
+
+    def check(self, frame: RawFrame) -> str | None:
+        """Check one frame; the suffix that its colour image should have, None if it has no colour.
+
+        Raises:
+            DamagedImageError: the colour image is damaged.
+            RecordingError: an image has the wrong size, or stamps do not increase.
+        """
+        height, width = frame.depth.shape
+        if (width, height) != self._size_px:
+            raise RecordingError(
+                f"{frame.name}: depth is {width}x{height}, but the first frame's is "
+                f"{self._size_px[0]}x{self._size_px[1]}: a recording must keep one size"
+            )
+        if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
+            raise RecordingError(
+                f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase"
+            )
+        suffix = self._check_color(frame)
+        self._last_stamp_ns = frame.stamp_ns
+        self._look_at_depth(frame)
+        return suffix
+
+    def leave_out(self, why: str) -> None:
+        """Leave out one frame; `why` names it and the damage."""
+        self._left_out.append(why)
+
+    def verdict(self) -> list[str]:
+        """Judge the recording as a whole, after the last frame; returns warnings, one per frame left out.
+
+        Raises:
+            RecordingError: 5 % or more of the recording are left out, or fewer than three frames are left;
+                no depth at all, or an absurd depth scale.
+        """
+        lost, frames = len(self._left_out), len(self._recording)
+        if lost and lost >= MAX_DAMAGED * frames:
+            raise RecordingError(
+                f"{self._left_out[0]} ({lost} of {frames} frames cannot be used; "
+                f"fewer than {MAX_DAMAGED:.0%} may be left out)"
+            )
+        if frames - lost < MIN_FRAMES:
+            raise RecordingError(
+                f"{self._recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed"
+            )
+        warnings = [f"frame left out: {why}" for why in self._left_out]
+        if len(self._empty) == self._seen:
+            raise RecordingError(
+                f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)"
+            )
+        self._check_scale()
+        if self._empty:
+            warnings.append(f"{len(self._empty)} depth images are empty, the first is {self._empty[0]}")
+        return warnings
+
+    def _check_color(self, frame: RawFrame) -> str | None:
+        if frame.color is None:
+            return None
+        suffix, width, height = image_header(frame.color[1], f"colour of {frame.name}")
+        if self._recording.color_registered and (width, height) != self._size_px:
+            raise RecordingError(
+                f"{frame.name}: its colour is {width}x{height}, but its depth is {self._size_px[0]}x"
+                f"{self._size_px[1]}; in a recording whose colour is registered to depth "
+                f"(format {self._recording.format}) the sizes must agree"
+            )
+        return suffix
+
+    def _look_at_depth(self, frame: RawFrame) -> None:
+        if not frame.depth.any():
+            self._empty.append(frame.name)
+        elif (self._seen - len(self._empty)) % self._every == 0:
+            sample = frame.depth[::SAMPLED_EVERY_PX, ::SAMPLED_EVERY_PX]
+            valid = sample[sample > 0] if sample.any() else frame.depth[frame.depth > 0]
+            self._medians.append(float(np.median(valid)))
+        self._seen += 1
+
+    def _check_scale(self) -> None:
+        native = float(np.median(self._medians))
+        scale = self._recording.depth_scale
+        if NEAREST_M <= native / scale <= FARTHEST_M:
+            return
+        better = min(COMMON_SCALES, key=lambda s: abs(math.log(native / s / TYPICAL_M)))
+        raise RecordingError(
+            f"{self._recording.path}: the median depth is {native / scale:.3g} m at {scale:g} native units "
+            f"per metre, which no room has; with `camera: {{depth_scale: {better:g}}}` in benchmark.yaml "
+            f"it is {native / better:.3g} m"
+        )
+
+
+def trajectory_problem(recording: Recording) -> str:
+    """Why the trajectory that came with a recording cannot be used, one line; "" where it can, or is none."""
+    trajectory, stamps_ns = recording.given_trajectory, recording.stamps_ns
+    if trajectory is None or not len(stamps_ns):
+        return recording.trajectory_error
+    first_ns, last_ns = int(trajectory.stamps_ns[0]), int(trajectory.stamps_ns[-1])
+    if first_ns <= stamps_ns[-1] and last_ns >= stamps_ns[0]:
+        return ""
+    return (
+        f"{recording.path}: the trajectory ({_span(first_ns, last_ns)}) shares no time with the frames "
+        f"({_span(int(stamps_ns[0]), int(stamps_ns[-1]))}): it is of another recording or clock; correct it"
+    )
+
+
+def _span(first_ns: int, last_ns: int) -> str:
+    return f"{format_stamp(first_ns)} to {format_stamp(last_ns)} s"

@@ -1,0 +1,135 @@
+"""One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and the masks of an object."""
+
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import rigid
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import Intrinsics, numbers_of, read_object, scale_warnings
+from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, first_file
+
+COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
+MM_PER_M = 1000.0
+
+
+class BopRecording(FileRecording):
+    """A BOP scene; colour is registered to depth, as the format asks; its frames count seconds."""
+
+    format: ClassVar[str] = "bop"
+    looks_for: ClassVar[str] = "a folder with scene_camera.json and depth/ (rgb/, mask_visib/, scene_gt.json)"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has a scene_camera.json and depth/."""
+        return (path / "scene_camera.json").is_file() and (path / "depth").is_dir()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read the cameras, which must be one, and choose the masks of the object."""
+        cameras = _read_by_image(path / "scene_camera.json")
+        if not cameras or not all(isinstance(camera, dict) for camera in cameras.values()):
+            raise RecordingError(f"{path / 'scene_camera.json'}: must hold an object for each image")
+        masks, warnings = _masks(path, settings.mask_object)
+        files = tuple(
+            FrameFiles(
+                number * NS_PER_S,
+                path / "depth" / f"{number:06d}.png",
+                first_file(path / name.format(number) for name in COLOR_FILES),
+                masks.get(number),
+            )
+            for number in sorted(cameras)
+        )
+        K, scale = _shared(path, cameras)
+        said = Intrinsics.of_matrix(K, MM_PER_M / scale)
+        size_px = first_depth_size(files)
+        intrinsics = said.overridden_by(settings)
+        poses = [_pose(cameras[number]) for number in sorted(cameras)]
+        stamps_ns = [file.stamp_ns for file in files]
+        trajectory, lost = trajectory_from_matrices(stamps_ns, poses, str(path))
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or MM_PER_M,
+            color_registered=any(file.color for file in files),
+            given_trajectory=trajectory,
+            warnings=(*warnings, *scale_warnings(path, said.depth_scale, settings), *lost),
+        )
+
+
+def _read_by_image(file: Path) -> dict[int, Any]:
+    """A JSON object whose keys are image numbers."""
+    said = read_object(file, "image numbers")
+    try:
+        return {int(key): value for key, value in said.items() if 0 <= int(key) < 10**9}
+    except ValueError as error:
+        raise RecordingError(f"{file}: is not a JSON object of image numbers ({error})") from error
+
+
+def _shared(path: Path, cameras: dict[int, Any]) -> tuple[Float64, float]:
+    """The matrix and depth scale (mm a unit) that all images share."""
+    file = path / "scene_camera.json"
+    first: tuple[Float64, float] | None = None
+    for number, camera in sorted(cameras.items()):
+        try:
+            K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise RecordingError(f"{file}: image {number} needs cam_K (9 numbers) and depth_scale") from error
+        if not (np.isfinite(K).all() and np.isfinite(scale) and scale > 0):
+            raise RecordingError(f"{file}: cam_K or depth_scale of image {number} is not usable")
+        first = first or (K, scale)
+        if not np.allclose(K, first[0], atol=1e-6) or scale != first[1]:
+            raise RecordingError(
+                f"{file}: image {number} has another camera than the first; a recording must keep one: give "
+                "a scene of one sensor"
+            )
+    assert first is not None
+    return first
+
+
+def _pose(camera: dict[str, Any]) -> Float64 | None:
+    """Camera to world, of `cam_R_w2c` and `cam_t_w2c` (mm); None if it has none."""
+    R, t_mm = numbers_of(camera.get("cam_R_w2c")), numbers_of(camera.get("cam_t_w2c"))
+    if R.size != 9 or t_mm.size != 3:
+        return None
+    R_world_camera = R.reshape(3, 3).T
+    return rigid(R_world_camera, -R_world_camera @ (t_mm.reshape(3) / MM_PER_M))
+
+
+def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str]]:
+    """The mask of the object in each image, of what is visible of it; and warnings.
+
+    Without an object it is the only one of the scene; of one that is in an image twice the first.
+
+    Raises:
+        RecordingError: the object that is asked for is not in the scene.
+    """
+    file = path / "scene_gt.json"
+    if not file.is_file() or not (path / "mask_visib").is_dir():
+        return {}, []
+    rows = _read_by_image(file)
+    try:
+        ids = {number: [int(row["obj_id"]) for row in found] for number, found in rows.items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{file}: every row needs an obj_id") from error
+    known = sorted({found for row in ids.values() for found in row})
+    names = ", ".join(map(str, known))
+    if object_id is None and len(known) != 1:
+        return {}, [f"{path}: has the objects {names}; no masks are read: name one as `mask_object`"]
+    if object_id is not None and object_id not in known:
+        raise RecordingError(
+            f"{path}: `mask_object: {object_id}` is not in the scene; its objects are {names}"
+        )
+    chosen = known[0] if object_id is None else object_id
+    masks = {
+        number: path / "mask_visib" / f"{number:06d}_{row.index(chosen):06d}.png"
+        for number, row in ids.items()
+        if chosen in row
+    }
+    return {number: mask for number, mask in masks.items() if mask.is_file()}, []

@@ -1,0 +1,102 @@
+"""3D Scanner App's folders (all data): depth_, conf_ and frame_ files of each frame, JSON of its camera."""
+
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import numbers_of, read_object
+from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, PhoneRecording, scaled
+from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size, first_file
+
+DEPTH_SCALE = 1000.0
+DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
+# ARKit's camera looks along -z with y up.
+OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+class ScannerAppRecording(PhoneRecording):
+    """A folder of 3D Scanner App; colour is there for some frames only."""
+
+    format: ClassVar[str] = "scanner_app"
+    looks_for: ClassVar[str] = "a folder with depth_00000.png and frame_00000.json (conf_, frame_*.jpg)"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has a depth image with its JSON."""
+        return path.is_dir() and any(
+            found and (path / f"frame_{found[1]}.json").is_file()
+            for found in (DEPTH_NAME.fullmatch(file.name) for file in path.iterdir())
+        )
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """List the frames by number and read every JSON."""
+        found = ((DEPTH_NAME.fullmatch(file.name), file) for file in path.iterdir())
+        stems = sorted((match[1] for match, _ in found if match), key=int)
+        cameras = [_read_camera(path / f"frame_{stem}.json") for stem in stems]
+        stamps_ns, warnings = _stamps_ns(path, cameras)
+        files = tuple(
+            FrameFiles(stamp_ns, path / f"depth_{stem}.png", first_file([path / f"frame_{stem}.jpg"]))
+            for stamp_ns, stem in zip(stamps_ns, stems, strict=True)
+        )
+        size_px = first_depth_size(files)
+        K = next((_matrix(camera, "intrinsics", 3) for camera in cameras if camera), None)
+        color_px = first_color_size(files) or COLOR_PX
+        said = scaled(np.full((3, 3), np.nan) if K is None else K, color_px, size_px)
+        trajectory, lost, error = read_given(
+            lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
+        )
+        intrinsics = said.overridden_by(settings)
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=any(file.color for file in files),
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=(*warnings, *lost),
+            confidence=tuple(first_file([path / f"conf_{stem}.png"]) for stem in stems),
+            min_confidence=settings.min_confidence,
+        )
+
+
+def _read_camera(file: Path) -> dict[str, Any] | None:
+    """The JSON of a frame, or None if it is not there."""
+    if not file.is_file():
+        return None
+    return read_object(file, "intrinsics and cameraPoseARFrame") | {"file": str(file)}
+
+
+def _matrix(camera: dict[str, Any], key: str, side: int) -> Float64:
+    """A square matrix that is stored row by row."""
+    numbers = numbers_of(camera.get(key))
+    if numbers.size != side * side:
+        raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")
+    return numbers.reshape(side, side)
+
+
+def _pose(camera: dict[str, Any] | None) -> Float64 | None:
+    """Camera to world in optical axes."""
+    if camera is None or "cameraPoseARFrame" not in camera:
+        return None
+    return np.asarray(_matrix(camera, "cameraPoseARFrame", 4) @ OPENGL_FROM_OPTICAL)
+
+
+def _stamps_ns(path: Path, cameras: list[dict[str, Any] | None]) -> tuple[list[int], list[str]]:
+    """The times of the frames, where all have one and they increase; else the frames count seconds."""
+    times = [camera.get("time") if camera else None for camera in cameras]
+    if all(isinstance(time, int | float) and np.isfinite(time) for time in times):
+        stamps_ns = [round(float(time) * NS_PER_S) for time in times if time is not None]
+        if all(after > before for before, after in pairwise(stamps_ns)):
+            return stamps_ns, []
+    counted = [index * NS_PER_S for index in range(len(cameras))]
+    return counted, [f"{path}: not every frame has a time of its own; frames are counted instead"]

@@ -1,0 +1,216 @@
+"""ScanNet's .sens files (version 4), read frame by frame; one that was cut off is read to its end.
+
+Layout, little-endian (ScanNet's SensReader): `u32 4, u64 length, name`, four float32 4x4 matrices (colour
+intrinsic and extrinsic, depth intrinsic and extrinsic), `i32 colour compression (0 raw, 1 PNG, 2 JPEG), i32
+depth compression (0 raw, 1 zlib, 2 occi), u32 colour width, height, depth width, height, f32 depth shift, u64
+frames`; per frame a float32 4x4 camera to world, `u64 colour stamp, depth stamp, colour bytes, depth bytes`
+and the data. Metres = depth / shift; stamps are microseconds.
+"""
+
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import encode_png
+from kinectbench.stages.ingest.intrinsics import Intrinsics, scale_warnings
+from kinectbench.stages.ingest.readers.klg import NS_PER_US, PackedFrame, PackedRecording
+from kinectbench.stages.ingest.recording import ColorCalibration
+
+START = struct.Struct("<IQ")
+MATRICES = struct.Struct("<64f")
+FACTS = struct.Struct("<iiIIIIfQ")
+FRAME = struct.Struct("<16f4Q")
+VERSION = 4
+LONGEST_NAME = 4096
+LARGEST_SIDE_PX = 16384
+COLOR_SUFFIXES = {1: ".png", 2: ".jpg"}
+RAW, ZLIB = 0, 1
+# Later stamps are no stamps.
+LATEST_NS = 2**53 * NS_PER_US
+
+
+class SensHead(NamedTuple):
+    """What the file says before its first frame."""
+
+    color_intrinsic: Float64
+    color_extrinsic: Float64
+    depth_intrinsic: Float64
+    depth_extrinsic: Float64
+    color_compression: int
+    depth_compression: int
+    color_px: tuple[int, int]
+    depth_px: tuple[int, int]
+    depth_shift: float
+    frames: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensRecording(PackedRecording):
+    """A .sens file; its intrinsics and extrinsics say how colour lies to depth.
+
+    Attributes:
+        head: what the file says before its first frame.
+    """
+
+    format: ClassVar[str] = "sens"
+    looks_for: ClassVar[str] = "a .sens file of ScanNet (version 4)"
+    suffixes: ClassVar[tuple[str, ...]] = (".sens",)
+    color_first: ClassVar[bool] = True
+
+    head: SensHead
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether it is named .sens, or begins with version 4 and a short printable name."""
+        if not path.is_file():
+            return False
+        if path.suffix.lower() in cls.suffixes:
+            return True
+        with path.open("rb") as file:
+            start = file.read(START.size + 64)
+        if len(start) < START.size:
+            return False
+        version, length = START.unpack_from(start)
+        name = start[START.size : START.size + length]
+        return version == VERSION and 0 < length <= 64 and len(name) == length and name.isascii()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read the head and find the frames; nothing is decoded."""
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = _read_head(file, path, size)
+            frames, matrices, cut = _find_frames(file, head, size)
+        if not frames:
+            raise RecordingError(f"{path}: {'is cut off, and no' if cut else 'no'} frame in it is whole")
+        warnings = (
+            [f"{path}: {cut}: {len(frames)} of {head.frames} frames are whole and are read"] if cut else []
+        )
+        if len({frame.stamp_ns for frame in frames}) == 1 or max(f.stamp_ns for f in frames) > LATEST_NS:
+            # Some files have no stamps: then the frames count seconds.
+            frames = [frame._replace(stamp_ns=index * NS_PER_S) for index, frame in enumerate(frames)]
+        order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
+        if repeated:
+            warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
+        places = tuple(frames[i] for i in order)
+        intrinsics = Intrinsics.of_matrix(head.depth_intrinsic, head.depth_shift).overridden_by(settings)
+        stamps_ns = [place.stamp_ns for place in places]
+        trajectory, lost = _trajectory(stamps_ns, [matrices[i] for i in order], head, path)
+        camera = intrinsics.camera(head.depth_px, path)
+        calibration = _calibration(head, path)
+        registered = calibration is not None and calibration.lies_on(camera)
+        return cls(
+            path=path,
+            head=head,
+            places=places,
+            camera=camera,
+            depth_scale=intrinsics.depth_scale or head.depth_shift,
+            color_registered=registered,
+            color_calibration=None if registered else calibration,
+            given_trajectory=trajectory,
+            warnings=(*warnings, *scale_warnings(path, head.depth_shift, settings), *lost),
+        )
+
+    def is_raw(self, depth: bytes, size: int) -> bool:
+        """Whether the file says that depth is raw, and it is as long."""
+        return self.head.depth_compression == RAW and super().is_raw(depth, size)
+
+    def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
+        """Colour of a frame as it was encoded, or as PNG where it is raw."""
+        suffix = COLOR_SUFFIXES.get(self.head.color_compression)
+        if not data or suffix is not None:
+            return (suffix, data) if data and suffix else None
+        width, height = self.head.color_px
+        if len(data) != 3 * width * height:
+            return None
+        rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+        return ".png", encode_png(np.ascontiguousarray(rgb[..., ::-1]))
+
+
+def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
+    start = file.read(START.size)
+    if len(start) < START.size:
+        raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
+    version, length = START.unpack(start)
+    if version != VERSION:
+        raise RecordingError(f"{path}: is of version {version}; only version {VERSION} can be read")
+    if length > LONGEST_NAME:
+        raise RecordingError(f"{path}: the name of its sensor has {length} bytes: the file is damaged")
+    file.seek(length, os.SEEK_CUR)
+    rest = file.read(MATRICES.size + FACTS.size)
+    if len(rest) < MATRICES.size + FACTS.size:
+        raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
+    matrices = np.array(MATRICES.unpack_from(rest), np.float64).reshape(4, 4, 4)
+    facts = FACTS.unpack_from(rest, MATRICES.size)
+    color, depth, color_px, depth_px = facts[0], facts[1], facts[2:4], facts[4:6]
+    if not all(0 < side <= LARGEST_SIDE_PX for side in depth_px):
+        raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
+    if depth not in (RAW, ZLIB):
+        raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")
+    if not (np.isfinite(facts[6]) and facts[6] > 0):
+        raise RecordingError(f"{path}: its depth shift is {facts[6]:g}, not above 0: the file is damaged")
+    return SensHead(
+        color_intrinsic=matrices[0],
+        color_extrinsic=matrices[1],
+        depth_intrinsic=matrices[2],
+        depth_extrinsic=matrices[3],
+        color_compression=color,
+        depth_compression=depth,
+        color_px=color_px,
+        depth_px=depth_px,
+        depth_shift=float(facts[6]),
+        frames=facts[7],
+    )
+
+
+def _find_frames(file: BinaryIO, head: SensHead, size: int) -> tuple[list[PackedFrame], list[Float64], str]:
+    """Every whole frame in the order of the file, and its pose; and what is wrong with the file, or ""."""
+    frames: list[PackedFrame] = []
+    matrices: list[Float64] = []
+    position = file.tell()
+    while len(frames) < head.frames:
+        if position + FRAME.size > size:
+            return frames, matrices, "is cut off"
+        file.seek(position)
+        *matrix, _, depth_us, color_bytes, depth_bytes = FRAME.unpack(file.read(FRAME.size))
+        start = position + FRAME.size
+        if start + color_bytes + depth_bytes > size:
+            return frames, matrices, "is cut off"
+        frames.append(PackedFrame(depth_us * NS_PER_US, start, depth_bytes, color_bytes))
+        matrices.append(np.array(matrix, np.float64).reshape(4, 4))
+        position = start + color_bytes + depth_bytes
+    return frames, matrices, ""
+
+
+def _trajectory(
+    stamps_ns: list[int], matrices: list[Float64], head: SensHead, path: Path
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """The poses of the depth camera; those of frames that were lost are not finite."""
+    if not any(np.isfinite(matrix).all() for matrix in matrices):
+        return None, []
+    T_camera_depth = rigid_or_none(head.depth_extrinsic)
+    if T_camera_depth is not None:
+        matrices = [m @ T_camera_depth if np.isfinite(m).all() else m for m in matrices]
+    return trajectory_from_matrices(stamps_ns, matrices, str(path))
+
+
+def _calibration(head: SensHead, path: Path) -> ColorCalibration | None:
+    """Extrinsics are each camera's place in the rig; None where intrinsics of colour are not given."""
+    T_rig_color, T_rig_depth = rigid_or_none(head.color_extrinsic), rigid_or_none(head.depth_extrinsic)
+    if T_rig_color is None or T_rig_depth is None or not all(head.color_px):
+        return None
+    try:
+        camera = Intrinsics.of_matrix(head.color_intrinsic).camera(head.color_px, path)
+    except RecordingError:
+        return None
+    return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)

@@ -1,0 +1,156 @@
+"""StrayScanner's folders: rgb.mp4, depth/ and confidence/ as PNG, camera_matrix.csv, odometry.csv."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.stamps import first_by_stamp, parse_stamp_ns
+from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
+from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, PhoneRecording, scaled
+from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
+
+DEPTH_SCALE = 1000.0
+NUMBER = re.compile(r"\d{1,9}")
+COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+@dataclass
+class _Video:
+    """Frames of a video by number; those in a row are read without seeking."""
+
+    path: Path
+    capture: Any = None
+    next: int = 0
+
+    def frame(self, number: int) -> Any:
+        """BGR (height, width, 3) uint8; None if the video does not hold it."""
+        import cv2
+
+        with _quiet():
+            if self.capture is None:
+                self.capture = cv2.VideoCapture(str(self.path))
+            if number != self.next:
+                self.capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+            self.next = number + 1
+            done, bgr = self.capture.read()
+        return bgr if done else None
+
+    def size_px(self) -> tuple[int, int] | None:
+        """Width and height; None if it cannot be read."""
+        first = self.frame(0)
+        return None if first is None else (first.shape[1], first.shape[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrayScannerRecording(PhoneRecording):
+    """A StrayScanner folder; its poses are taken as camera to world in optical axes, as its own tools do.
+
+    Attributes:
+        numbers: of each frame in the video.
+        video: the video, or None.
+    """
+
+    format: ClassVar[str] = "stray"
+    looks_for: ClassVar[str] = "a folder with odometry.csv, camera_matrix.csv, depth/000000.png (rgb.mp4)"
+
+    numbers: tuple[int, ...] = ()
+    video: _Video | None = field(default=None, compare=False)
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has an odometry.csv and depth/."""
+        return (path / "odometry.csv").is_file() and (path / "depth").is_dir()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read the rows of odometry.csv, and take the frames whose depth is there."""
+        depth = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
+        rows = _read_odometry(path / "odometry.csv")
+        paired = [(number, row) for number, row in rows if number in depth]
+        if not paired:
+            raise RecordingError(f"{path}: no row of odometry.csv names an image in depth/")
+        alone = len(depth.keys() - {number for number, _ in paired})
+        order, repeated = first_by_stamp([row.stamp_ns for _, row in paired])
+        warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
+        if alone:
+            warnings.append(f"{path}: {alone} depth images have no row in odometry.csv and were left out")
+        numbers = tuple(paired[i][0] for i in order)
+        files = tuple(FrameFiles(paired[i][1].stamp_ns, depth[paired[i][0]], None) for i in order)
+        size_px = first_depth_size(files)
+        video = _Video(path / "rgb.mp4") if (path / "rgb.mp4").is_file() else None
+        color_px = video.size_px() if video else None
+        if color_px is None:
+            warnings.append(f"{path}: rgb.mp4 is missing or cannot be read; there will be no colour")
+        K = read_matrix(path / "camera_matrix.csv", 3)
+        intrinsics = scaled(K, color_px or COLOR_PX, size_px).overridden_by(settings)
+        poses = [row for _, row in paired]
+        trajectory, pose_warnings, error = read_given(lambda: trajectory_from_poses(poses, str(path)))
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=color_px is not None,
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=(*warnings, *pose_warnings),
+            confidence=tuple(first_file([path / "confidence" / depth[n].name]) for n in numbers),
+            min_confidence=settings.min_confidence,
+            numbers=numbers,
+            video=video if color_px else None,
+        )
+
+    def color(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of a frame at the size of depth, from the video."""
+        if self.video is None:
+            return None
+        number = self.numbers[index]
+        bgr = self.video.frame(number)
+        if bgr is None:
+            raise DamagedImageError(f"{self.video.path}: has no frame {number}; the video is cut off")
+        return self.shrunk(bgr)
+
+
+def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
+    """Each row's frame number, and its pose."""
+    lines = text_rows(path)
+    if not lines:
+        raise RecordingError(f"{path}: is empty")
+    names = [name.strip() for name in lines[0][1].split(",")]
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise RecordingError(f"{path}: its first line does not name the column {missing[0]}")
+    rows = []
+    for where, line in lines[1:]:
+        words = [word.strip() for word in line.split(",")]
+        if len(words) != len(names):
+            raise RecordingError(f"{where}: holds {len(words)} values, not {len(names)}")
+        values = dict(zip(names, words, strict=True))
+        if not NUMBER.fullmatch(values["frame"]):
+            raise RecordingError(f"{where}: '{values['frame']}' is not a frame number")
+        numbers = parse_floats([values[name] for name in COLUMNS[2:]], where)
+        stamp_ns = parse_stamp_ns(values["timestamp"], where)
+        rows.append(
+            (int(values["frame"]), TimedPose(stamp_ns, tuple(numbers[:3]), tuple(numbers[3:]), where))
+        )
+    return rows
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep OpenCV from printing about a video that it cannot read."""
+    import cv2
+
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)

@@ -1,0 +1,96 @@
+"""TUM RGB-D folders: `depth.txt`, `rgb.txt`, maybe `groundtruth.txt`; depth in 1/5000 m."""
+
+from pathlib import Path
+from typing import ClassVar, Self
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.association import associate
+from kinectbench.core.trajectory.stamps import NS_PER_S, check_unit, first_by_stamp, parse_stamp_ns
+from kinectbench.core.trajectory.text_rows import text_rows
+from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import (
+    Intrinsics,
+    read_color_calibration,
+    read_intrinsics_json,
+    scale_warnings,
+)
+from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size
+
+DEPTH_SCALE = 5000.0
+
+
+class TumRecording(FileRecording):
+    """A folder in the layout of the TUM RGB-D benchmark; colour is registered to depth.
+
+    Intrinsics come from `camera.json` in the folder or from the settings.
+    """
+
+    format: ClassVar[str] = "tum"
+    looks_for: ClassVar[str] = "a folder with depth.txt (and rgb.txt, groundtruth.txt, camera.json)"
+    verified: ClassVar[str] = "fr3/cabinet and fr1/xyz"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has a depth.txt."""
+        return (path / "depth.txt").is_file()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read the lists, pair colour with depth, and read the trajectory."""
+        depth, depth_ns, warnings = _read_list(path / "depth.txt")
+        if not depth:
+            raise RecordingError(f"{path / 'depth.txt'}: lists no images")
+        color, color_ns, color_warnings = (
+            _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [], [])
+        )
+        delay_ns = round(settings.color_delay_s * NS_PER_S)
+        partners = associate([stamp for stamp, _ in depth], [stamp - delay_ns for stamp, _ in color])
+        alone = sum(partner is None for partner in partners)
+        if color and alone:
+            warnings.append(f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms")
+        files = tuple(
+            FrameFiles(stamp_ns, file, None if partner is None else color[partner][1])
+            for (stamp_ns, file), partner in zip(depth, partners, strict=True)
+        )
+        camera_json = path / "camera.json"
+        said = read_intrinsics_json(camera_json) if camera_json.is_file() else Intrinsics()
+        intrinsics = said.overridden_by(settings)
+        trajectory, trajectory_warnings, error = read_given(lambda: _read_groundtruth(path))
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(first_depth_size(files), path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=True if said.color_registered is None else said.color_registered,
+            color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
+            recorded=(tuple(depth_ns), tuple(color_ns)),
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=(
+                *warnings,
+                *color_warnings,
+                *scale_warnings(path, said.depth_scale, settings),
+                *trajectory_warnings,
+            ),
+        )
+
+
+def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
+    """Rows `stamp file` as (ns, path), ordered by stamp, each stamp once; stamps as listed; and warnings."""
+    rows = []
+    for where, row in text_rows(path):
+        words = row.split(maxsplit=1)
+        if len(words) != 2:
+            raise RecordingError(f"{where}: '{row}' is not 'stamp file'")
+        rows.append((parse_stamp_ns(words[0], where), path.parent / words[1]))
+    stamps_ns = [stamp for stamp, _ in rows]
+    order, repeated = first_by_stamp(stamps_ns)
+    warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
+    return [rows[i] for i in order], stamps_ns, [*warnings, *check_unit(stamps_ns, str(path))]
+
+
+def _read_groundtruth(path: Path) -> tuple[GivenTrajectory | None, list[str]]:
+    file = path / "groundtruth.txt"
+    return read_trajectory(file) if file.is_file() else (None, [])

@@ -1,0 +1,268 @@
+"""What every reader of recordings offers: frames one after another, a camera, maybe a trajectory."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Camera
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """One frame as it was recorded.
+
+    Attributes:
+        name: where it comes from, for messages.
+        stamp_ns: stamp of the depth image, nanoseconds.
+        depth: (height, width) uint16 in native units, 0 = no measurement.
+        color: (".jpg" or ".png", the encoded image), or None.
+        mask: (height, width) bool, the pixels that a given mask says are the object, or None.
+    """
+
+    name: str
+    stamp_ns: int
+    depth: NDArray[np.uint16]
+    color: tuple[str, bytes] | None
+    mask: Bools | None = None
+
+
+@dataclass(frozen=True)
+class DamagedFrame:
+    """A frame that is listed but cannot be read; `why` names the file and the damage."""
+
+    why: str
+
+
+@dataclass(frozen=True)
+class ColorCalibration:
+    """How colour that does not lie on depth pixels can be brought there.
+
+    Attributes:
+        camera: intrinsics of the colour images, pixels.
+        distortion: k1 k2 p1 p2 [k3 [k4 k5 k6]] of the colour images (Brown 1971); empty: none.
+        T_color_depth: (4, 4) float64, depth camera to colour camera, metres.
+    """
+
+    camera: Camera
+    distortion: tuple[float, ...]
+    T_color_depth: Float64
+
+    def lies_on(self, depth: Camera) -> bool:
+        """Whether colour has the depth camera's pixels: it is registered as it stands."""
+        return (
+            self.camera == depth
+            and not self.distortion
+            and np.allclose(self.T_color_depth, np.eye(4), atol=1e-7)
+        )
+
+
+class Listed(Protocol):
+    """A frame that is listed: where it lies is the reader's own affair."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the depth image, nanoseconds."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording(ABC):
+    """A recording that was opened: its camera is known, its frames are read when asked for.
+
+    Attributes:
+        path: the folder or file.
+        format: name of the format, as in the registry.
+        looks_for: what a folder or file must hold to be taken for this format.
+        suffixes: how names of such files end; what an id of a recording does without.
+        verified: on what real files, or files of other programs, the reader was tried; "" if it was written
+            from documents only.
+        places: where each frame lies, damaged ones included; stamps are strictly increasing.
+        camera: intrinsics of the depth images, pixels.
+        depth_scale: native depth units per metre.
+        color_registered: colour pixels lie on depth pixels.
+        color_calibration: how colour can be registered, where it is not and that is known; or None.
+        given_trajectory: the trajectory that came with it, or None.
+        trajectory_error: why the trajectory that came with it cannot be used, or "".
+        color_delay_s: taken off the stamps of colour, as the settings say, seconds.
+        trajectory_delay_s: taken off the stamps of given poses, as the settings say, seconds.
+        warnings: what its user should know, one line each.
+        recorded: stamps of depth and of colour in the order of recording, where that is known.
+    """
+
+    format: ClassVar[str]
+    looks_for: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    verified: ClassVar[str] = ""
+    path: Path
+    places: tuple[Listed, ...]
+    camera: Camera
+    depth_scale: float
+    color_registered: bool
+    color_calibration: ColorCalibration | None = None
+    given_trajectory: GivenTrajectory | None = None
+    trajectory_error: str = ""
+    color_delay_s: float = 0.0
+    trajectory_delay_s: float = 0.0
+    warnings: tuple[str, ...] = ()
+    recorded: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+
+    @classmethod
+    @abstractmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder or file has this format's layout; reads a few bytes at most."""
+
+    @classmethod
+    @abstractmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Open the recording; what the settings give wins over what it says.
+
+        Raises:
+            RecordingError: it cannot be used; the message says what is wrong and where.
+        """
+
+    def __len__(self) -> int:
+        """Number of frames listed, damaged ones included."""
+        return len(self.places)
+
+    @property
+    def stamps_ns(self) -> Int64:
+        """Stamp of each frame listed, nanoseconds, strictly increasing; nothing is decoded for it."""
+        return np.array([place.stamp_ns for place in self.places], np.int64)
+
+    @property
+    def recorded_stamps_ns(self) -> tuple[Int64, Int64]:
+        """Stamps of every depth and of every colour image, in the order in which they were recorded.
+
+        They can repeat or go back, and colour need not have a partner; a format without stamps of its own for
+        colour gives none.
+        """
+        depth_ns, color_ns = self.recorded or (self.stamps_ns, ())
+        return np.array(depth_ns, np.int64), np.array(color_ns, np.int64)
+
+    @abstractmethod
+    def frame(self, index: int) -> RawFrame:
+        """Read any frame.
+
+        Raises:
+            DamagedImageError: its depth is damaged.
+        """
+
+    def frames(self) -> Iterator[RawFrame | DamagedFrame]:
+        """Read the frames in stamp order, one at a time."""
+        for index in range(len(self)):
+            try:
+                yield self.frame(index)
+            except DamagedImageError as error:
+                yield DamagedFrame(str(error))
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """The files of one frame.
+
+    Attributes:
+        stamp_ns: stamp of the depth image, nanoseconds.
+        depth: 16-bit PNG.
+        color: JPEG or PNG, or None.
+        mask: PNG, not 0 where the object is, or None.
+    """
+
+    stamp_ns: int
+    depth: Path
+    color: Path | None
+    mask: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileRecording(Recording):
+    """A recording whose every image is a file; the folder formats derive from it."""
+
+    places: tuple[FrameFiles, ...]
+
+    def frame(self, index: int) -> RawFrame:
+        """Read the files of a frame."""
+        files = self.places[index]
+        depth = decode_depth_png(read_image_file(files.depth), str(files.depth))
+        depth = self.clean_depth(depth, index)
+        mask = None if files.mask is None else decode_mask(read_image_file(files.mask), str(files.mask))
+        return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
+
+    def color(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of a frame as it was encoded: (suffix, bytes), or None."""
+        file = self.places[index].color
+        return None if file is None else (file.suffix, read_image_file(file))
+
+    def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
+        """Give invalid pixels of a frame the value 0."""
+        return depth
+
+
+def read_image_file(path: Path) -> bytes:
+    """Read a file whole.
+
+    Raises:
+        DamagedImageError: it is missing or cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise DamagedImageError(f"{path}: the recording lists this image, but it is missing") from error
+    except OSError as error:
+        raise DamagedImageError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def first_file(candidates: Iterable[Path]) -> Path | None:
+    """The first of several places where there is a file, or None."""
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:
+    """What `read` makes of the first image or message that is not damaged.
+
+    Raises:
+        DamagedImageError: all are damaged; the message is about the first.
+    """
+    complaint: DamagedImageError | None = None
+    for item in items:
+        try:
+            return read(item)
+        except DamagedImageError as error:
+            complaint = complaint or error
+    raise complaint or DamagedImageError("there is no image")
+
+
+def _size_px(file: Path) -> tuple[int, int]:
+    return image_header(read_image_file(file), str(file))[1:]
+
+
+def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
+    """Width and height in pixels of the first colour image that is whole, or None."""
+    with suppress(DamagedImageError):
+        return first_whole(_size_px, (frame.color for frame in files if frame.color is not None))
+    return None
+
+
+def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
+    """Width and height in pixels of the first depth image that is whole.
+
+    Raises:
+        RecordingError: none of them is; the message is about the first.
+    """
+    try:
+        return first_whole(_size_px, (frame.depth for frame in files))
+    except DamagedImageError as error:
+        raise RecordingError(f"{error}; none of the {len(files)} depth images is usable") from error

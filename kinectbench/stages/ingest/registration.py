@@ -1,0 +1,162 @@
+"""Bringing colour onto the pixels of depth, by where the colour camera sees each point; lens distortion."""
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.types import Bools, Float32
+from kinectbench.stages.ingest.recording import ColorCalibration
+
+# What lies farther behind the nearest surface on its ray, as a share of the distance, is hidden.
+HIDDEN_SHARE = 0.02
+# A depth pixel covers about this many pixels of the z-buffer in each direction, so that it has no holes.
+SPLAT_PX = 1
+
+
+class Undistortion:
+    """Maps distorted images of a camera to the pinhole images with the same intrinsics."""
+
+    def __init__(self, camera: Camera, coefficients: Sequence[float]) -> None:
+        """Prepare the maps.
+
+        Args:
+            camera: intrinsics of the distorted images, kept for the pinhole ones.
+            coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], as ROS's plumb_bob and rational_polynomial and OpenCV
+                order them (Brown 1971).
+        """
+        import cv2
+
+        K, D = camera.K, np.asarray(coefficients, np.float64)
+        size = (camera.width, camera.height)
+        self._maps = cv2.initUndistortRectifyMap(K, D, np.eye(3), K, size, cv2.CV_32FC1)
+
+    def depth(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Undistort depth (height, width): each pixel takes the nearest one's depth, or 0 outside."""
+        import cv2
+
+        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), np.uint16)
+
+    def color(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Undistort colour (height, width, 3) with linear interpolation; black outside."""
+        import cv2
+
+        return np.asarray(cv2.remap(color, *self._maps, cv2.INTER_LINEAR), np.uint8)
+
+
+class ColorRegistration:
+    """Maps colour images of one camera, `color_px` large, onto another's depth by a z-buffer (own rule)."""
+
+    def __init__(self, depth: Camera, calibration: ColorCalibration) -> None:
+        """Prepare for images of these cameras.
+
+        Args:
+            depth: intrinsics of the depth images, pinhole.
+            calibration: of the colour images.
+        """
+        self._rays = depth.rays().astype(np.float32)
+        self._color = calibration.camera
+        self.color_px = (calibration.camera.width, calibration.camera.height)
+        distorted = bool(calibration.distortion)
+        self._pinhole = Undistortion(calibration.camera, calibration.distortion) if distorted else None
+        self._T = np.asarray(calibration.T_color_depth, np.float32)
+        # The z-buffer has pixels at least as wide as depth pixels are in the colour image.
+        self._shrink = max(1.0, calibration.camera.fx / depth.fx, calibration.camera.fy / depth.fy)
+
+    def __call__(self, depth_m: Float32, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Colour of every depth pixel.
+
+        Args:
+            depth_m: (height, width), metres, 0 = none; such a pixel is taken to be as far as its nearest
+                neighbour with depth, and hides nothing.
+            bgr: (colour height, colour width, 3), as recorded.
+
+        Returns:
+            (height, width, 3); black where the colour camera does not see the point: it is outside the image,
+            or hidden behind another surface.
+        """
+        import cv2
+
+        if not depth_m.any():
+            return np.zeros((*depth_m.shape, 3), np.uint8)
+        image = bgr if self._pinhole is None else self._pinhole.color(bgr)
+        u, v, z = self._project(_filled(depth_m))
+        zbuffer = np.full(self._buffer_shape, np.inf, np.float32)
+        _splat(u, v, z, depth_m > 0, np.float32(self._shrink), zbuffer)
+        seen = np.empty(depth_m.shape, np.bool_)
+        _find_seen(u, v, z, np.float32(self._shrink), zbuffer, np.array(self.color_px, np.float32), seen)
+        sampled = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.where(seen[..., None], sampled, np.uint8(0)).astype(np.uint8)
+
+    @property
+    def _buffer_shape(self) -> tuple[int, int]:
+        return int(self._color.height / self._shrink) + 2, int(self._color.width / self._shrink) + 2
+
+    def _project(self, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
+        """Where each pixel's point is in the colour image (pixels), and its depth there (metres)."""
+        points = self._rays * depth_m[..., None] @ self._T[:3, :3].T + self._T[:3, 3]
+        z = np.ascontiguousarray(points[..., 2], np.float32)
+        near = np.maximum(z, 1e-3)
+        u = points[..., 0] / near * np.float32(self._color.fx) + np.float32(self._color.cx)
+        v = points[..., 1] / near * np.float32(self._color.fy) + np.float32(self._color.cy)
+        return np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32), z
+
+
+def _filled(depth_m: Float32) -> Float32:
+    """Depth where every pixel without one has that of its nearest neighbour."""
+    import cv2
+
+    holes = (depth_m <= 0).astype(np.uint8)
+    if not holes.any():
+        return depth_m
+    _, labels = cv2.distanceTransformWithLabels(holes, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    values = np.zeros(int(labels.max()) + 1, np.float32)
+    known = holes == 0
+    values[labels[known]] = depth_m[known]
+    return np.asarray(values[labels], np.float32)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _splat(
+    u: Float32,
+    v: Float32,
+    z: Float32,
+    known: Bools,
+    shrink: float,
+    zbuffer: Float32,
+) -> None:
+    """Enter the nearest depth into every z-buffer pixel that a depth pixel covers."""
+    height, width = zbuffer.shape
+    for row in range(u.shape[0]):
+        for column in range(u.shape[1]):
+            if not known[row, column] or z[row, column] <= 0:
+                continue
+            x, y = (u[row, column] + 0.5) / shrink, (v[row, column] + 0.5) / shrink
+            if not (-1 < x < width and -1 < y < height):
+                continue
+            for j in range(max(int(y - 0.5), 0), min(int(y + 0.5) + SPLAT_PX, height)):
+                for i in range(max(int(x - 0.5), 0), min(int(x + 0.5) + SPLAT_PX, width)):
+                    zbuffer[j, i] = min(zbuffer[j, i], z[row, column])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _find_seen(
+    u: Float32,
+    v: Float32,
+    z: Float32,
+    shrink: float,
+    zbuffer: Float32,
+    size: Float32,
+    seen: Bools,
+) -> None:
+    """Whether each point is in the colour image and not behind the nearest surface there."""
+    for row in range(u.shape[0]):
+        for column in range(u.shape[1]):
+            x, y, depth = u[row, column], v[row, column], z[row, column]
+            inside = depth > 0 and -0.5 <= x < size[0] - 0.5 and -0.5 <= y < size[1] - 0.5
+            if inside:
+                nearest = zbuffer[int((y + 0.5) / shrink), int((x + 0.5) / shrink)]
+                inside = depth <= nearest * (1 + HIDDEN_SHARE)
+            seen[row, column] = inside

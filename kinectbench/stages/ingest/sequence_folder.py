@@ -1,0 +1,261 @@
+"""A Sequence on disk: written from a recording frame by frame, read at random.
+
+camera.json           `CameraFile`: the camera, and what is to be known of the recording as a whole
+frames.json           `FramesFile`: where each frame lies
+depth/000000.kbd      uint16 in native units, 0 = no measurement, as `depth_code` packs it; PNG in version 1
+color/000000.jpg|png  as it was encoded; a PNG where it was brought onto the pixels of depth
+mask/000000.png       0 or 255 = the object; only if the recording has masks
+given_trajectory.txt  TUM text, camera to world; only if the recording has one
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.sequence import AGAIN, CameraFile, FrameRow, FramesFile
+from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
+from kinectbench.core.sequence import Sequence, depth_in_metres
+from kinectbench.core.storage import storage_errors
+from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_text
+from kinectbench.core.types import Bools, Progress
+from kinectbench.stages.ingest.depth_code import decode_depth, encode_depth
+from kinectbench.stages.ingest.images import (
+    DamagedImageError,
+    decode_color_bgr,
+    decode_depth_png,
+    decode_mask,
+    encode_png,
+)
+from kinectbench.stages.ingest.plausibility import FrameChecks, trajectory_problem
+from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
+from kinectbench.stages.ingest.registration import ColorRegistration
+
+TRAJECTORY = "given_trajectory.txt"
+DEPTH_SUFFIX = ".kbd"
+
+
+class Watch(Protocol):
+    """Looks on while frames are written."""
+
+    def see(self, index: int, frame: RawFrame) -> None:
+        """Look at a frame of the recording."""
+        ...
+
+    def warnings(self) -> list[str]:
+        """What there is to say after the last one, one line each."""
+        ...
+
+
+def write_sequence(
+    recording: Recording,
+    folder: Path,
+    progress: Progress | None = None,
+    *,
+    needs_trajectory: bool = True,
+    watch: Watch | None = None,
+) -> list[str]:
+    """Write a recording into an empty folder, holding one frame at a time, and check it on the way.
+
+    Args:
+        recording: what to write; its damaged frames are left out while they are less than 5 %.
+        folder: is made if it is not there.
+        progress: called with (frames done, frames in all) after each.
+        needs_trajectory: refuse a recording whose given trajectory is broken or of another time; else it is
+            left out with a warning.
+        watch: is shown each frame that is whole, as it was recorded, and adds its warnings.
+
+    Returns:
+        Warnings, one line each; they are stored in camera.json too.
+
+    Raises:
+        RecordingError: the recording cannot be used; the message says what is wrong and where.
+        StorageError: the folder cannot be written.
+    """
+    problem = trajectory_problem(recording)
+    if problem and needs_trajectory:
+        raise RecordingError(f"{problem}; `trajectory: ignore` does without it")
+    with storage_errors(folder):
+        for name in ("depth", "color"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+    checks = FrameChecks(recording)
+    rows = _write_frames(recording, folder, checks, progress, watch)
+    warnings = [*recording.warnings, *checks.verdict()]
+    if problem:
+        warnings.append(f"{problem}; it is ignored")
+    if watch:
+        warnings += watch.warnings()
+    head = CameraFile(
+        format_version=CameraFile.FORMAT_VERSION,
+        **asdict(recording.camera),
+        depth_scale=recording.depth_scale,
+        color_registered=recording.color_registered or recording.color_calibration is not None,
+        registered_by=_registered_by(recording),
+        source_format=recording.format,
+        frames=len(rows),
+        warnings=tuple(warnings),
+        trajectory_error=problem,
+    )
+    with storage_errors(folder):
+        head.write(folder)
+        FramesFile(rows=tuple(rows)).write(folder)
+        if recording.given_trajectory is not None and not problem:
+            (folder / TRAJECTORY).write_text(trajectory_text(recording.given_trajectory))
+    return warnings
+
+
+def read_sequence(folder: Path) -> Sequence:
+    """Open a folder that `write_sequence` made; images are read when asked for.
+
+    Raises:
+        StorageError: the folder is incomplete, damaged or of another format version.
+    """
+    head, listed = CameraFile.read(folder), FramesFile.read(folder)
+    try:
+        trajectory = read_trajectory(folder / TRAJECTORY)[0] if (folder / TRAJECTORY).is_file() else None
+    except (OSError, KinectBenchError) as error:
+        raise StorageError(f"{error}; {AGAIN}") from error
+    frames = FolderFrames(folder, listed.rows)
+    return Sequence(
+        camera=head.camera,
+        depth_scale=head.depth_scale,
+        stamps_ns=listed.stamps_ns,
+        color_registered=head.color_registered,
+        given_trajectory=trajectory,
+        trajectory_error=head.trajectory_error,
+        frames=frames,
+        masks=frames.mask if any(row.mask for row in listed.rows) else None,
+    )
+
+
+@dataclass(frozen=True)
+class FolderFrames:
+    """Frames that lie in a sequence folder.
+
+    Attributes:
+        folder: the sequence folder.
+        rows: where each frame lies in it.
+    """
+
+    folder: Path
+    rows: tuple[FrameRow, ...]
+
+    def depth_native(self, index: int) -> NDArray[np.uint16]:
+        """Depth of one frame: (height, width) uint16, 0 = no measurement.
+
+        Raises:
+            StorageError: the image is missing or damaged.
+        """
+        data = self._bytes(self.rows[index].depth)
+        name = str(self.folder / self.rows[index].depth)
+        try:
+            return decode_depth(data) if name.endswith(DEPTH_SUFFIX) else decode_depth_png(data, name)
+        except (ValueError, RecordingError) as error:
+            raise StorageError(f"{name}: is damaged ({error}); {AGAIN}") from error
+
+    def mask(self, index: int) -> Bools | None:
+        """The mask that came with a frame: (height, width) bool, or None.
+
+        Raises:
+            StorageError: the image is missing or damaged.
+        """
+        name = self.rows[index].mask
+        if name is None:
+            return None
+        try:
+            return decode_mask(self._bytes(name), name)
+        except RecordingError as error:
+            raise StorageError(f"{self.folder / name}: is damaged; {AGAIN}") from error
+
+    def color_encoded(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of one frame as it was encoded: (suffix, bytes), or None.
+
+        Raises:
+            StorageError: the image is missing.
+        """
+        name = self.rows[index].color
+        return None if name is None else (Path(name).suffix, self._bytes(name))
+
+    def _bytes(self, name: str) -> bytes:
+        try:
+            return (self.folder / name).read_bytes()
+        except OSError as error:
+            reason = error.strerror
+            raise StorageError(f"{self.folder / name}: cannot be read ({reason}); {AGAIN}") from error
+
+
+def _registered_by(recording: Recording) -> Literal["recording", "calibration"] | None:
+    """What puts the colour of a recording onto its depth."""
+    if recording.color_registered:
+        return "recording"
+    return "calibration" if recording.color_calibration is not None else None
+
+
+def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
+    """A frame whose colour is brought onto its depth."""
+    if frame.color is None:
+        return frame
+    bgr = decode_color_bgr(frame.color[1], f"colour of {frame.name}")
+    if bgr.shape[1::-1] != register.color_px:
+        raise RecordingError(
+            f"{frame.name}: its colour is {bgr.shape[1]}x{bgr.shape[0]}, but its camera makes "
+            f"{register.color_px[0]}x{register.color_px[1]}: correct the calibration, or remove it"
+        )
+    depth_m = depth_in_metres(frame.depth, depth_scale)
+    return replace(frame, color=(".png", encode_png(register(depth_m, bgr))))
+
+
+def _write_frames(
+    recording: Recording,
+    folder: Path,
+    checks: FrameChecks,
+    progress: Progress | None,
+    watch: Watch | None,
+) -> list[FrameRow]:
+    """Write every frame that is whole; the rows of frames.json."""
+    register = None
+    if recording.color_calibration is not None and not recording.color_registered:
+        onto_depth = ColorRegistration(recording.camera, recording.color_calibration)
+        register = partial(_registered, onto_depth, recording.depth_scale)
+    rows: list[FrameRow] = []
+    for done, frame in enumerate(recording.frames(), start=1):
+        try:
+            if isinstance(frame, DamagedFrame):
+                raise DamagedImageError(frame.why)
+            rows.append(_write_checked(frame, len(rows), folder, checks, register))
+            if watch:
+                watch.see(done - 1, frame)
+        except DamagedImageError as error:
+            checks.leave_out(str(error))
+        if progress:
+            progress(done, len(recording))
+    return rows
+
+
+def _write_checked(
+    frame: RawFrame,
+    index: int,
+    folder: Path,
+    checks: FrameChecks,
+    register: Callable[[RawFrame], RawFrame] | None,
+) -> FrameRow:
+    """Check and write one frame; its row."""
+    color_suffix = checks.check(frame)
+    if register is not None:
+        frame, color_suffix = register(frame), color_suffix and ".png"
+    depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
+    color = None if frame.color is None else f"color/{index:06d}{color_suffix}"
+    mask = None if frame.mask is None else f"mask/{index:06d}.png"
+    with storage_errors(folder):
+        (folder / depth).write_bytes(encode_depth(frame.depth))
+        if frame.color is not None:
+            (folder / f"{color}").write_bytes(frame.color[1])
+        if frame.mask is not None:
+            (folder / "mask").mkdir(exist_ok=True)
+            pixels = np.where(frame.mask, np.uint8(255), np.uint8(0))
+            (folder / f"{mask}").write_bytes(encode_png(pixels))
+    return FrameRow(index=index, stamp_ns=frame.stamp_ns, depth=depth, color=color, mask=mask)

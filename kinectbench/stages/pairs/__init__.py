@@ -1,0 +1,1 @@
+"""The partial and the full shape of each view."""

@@ -1,0 +1,173 @@
+"""The stage `pairs`: for each view the partial shape, and the full shape turned into the view's axes."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.stored import known
+from kinectbench.core.artefacts.views import PairRow, PairsFile, Refused
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
+from kinectbench.core.voxels.morphology import packed_containment, packed_count, packed_shell
+from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.seen_cells import seen_cells
+from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.view_grids import object_cube, partial_grids, view_cube
+from kinectbench.settings.models import PairSettings
+from kinectbench.stages.sample_views.views import View
+from kinectbench.stages.segment.object_model import ObjectModel
+
+MAX_CUT_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class MadePair:
+    """A pair and its figures, or why it was refused.
+
+    Attributes:
+        pair: the pair, or None if refused.
+        cut_share: share of the full shape's volume outside the cube.
+        reason: why it was refused, or None.
+    """
+
+    pair: Pair | None
+    cut_share: float
+    reason: str | None
+
+
+@dataclass(frozen=True)
+class FullShape:
+    """An object as all its pairs need it, made once.
+
+    Attributes:
+        mesh: closed.
+        volume_m3: of the mesh.
+        known: where its truth is trusted: not labelled UNKNOWN, on the fine grid and the coarse one around.
+        surface_sigma_m: standard deviation of its surface, metres.
+    """
+
+    mesh: TriangleMesh
+    volume_m3: float
+    known: tuple[KnownGrid, KnownGrid]
+    surface_sigma_m: float
+
+
+def full_shape(model: ObjectModel) -> FullShape:
+    """What the pairs need of an object."""
+    mesh = model.shape.mesh
+    fine, coarse = model.shape.labels != Label.UNKNOWN, model.surround_labels != Label.UNKNOWN
+    grids = known_grid(model.shape.grid, fine), known_grid(model.surround, coarse)
+    return FullShape(mesh, mesh.volume_m3, grids, model.surface_sigma_m)
+
+
+def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSettings) -> MadePair:
+    """Voxelise a view's depth and the full shape in one cube, in the view's optical axes.
+
+    The closed mesh is voxelised anew for each view (paper, Sec. 4.1: the full shape is turned into the
+    view's camera orientation); resampling one volume would be slower and less exact.
+
+    Args:
+        view: frame, pose and mask.
+        sequence: the recording.
+        shape: `full_shape` of the object.
+        settings: framing, partial rule and least containment.
+    """
+    camera = sequence.camera
+    T_world_camera = view.alignment.T_world_camera
+    depth_m = sequence.depth_m(view.frame)
+    object_m = np.where(view.mask, depth_m, np.float32(0))
+    mesh = shape.mesh
+    if not object_m.any():
+        return MadePair(None, 0.0, "no pixel of the mask has depth: draw another mask")
+    if settings.framing == "object":
+        grid = object_cube(mesh.vertices, T_world_camera)
+    else:
+        grid = view_cube(camera.backproject(depth_m)[object_m > 0], T_world_camera)
+    full = voxelize_solid(mesh.vertices, mesh.faces, grid)
+    partial_256, partial = partial_grids(object_m, camera, T_world_camera, grid)
+    cut_share = max(0.0, 1.0 - packed_count(full) * grid.voxel_size_m**3 / shape.volume_m3)
+    reason = _refusal(settings, cut_share, packed_containment(partial, full))
+    if reason:
+        return MadePair(None, cut_share, reason)
+    if settings.partial_rule != "any":
+        partial = pack(reduce_blocks(unpack(partial_256), settings.partial_rule))
+    pair = Pair(
+        partial=partial,
+        partial_256=partial_256,
+        full=full,
+        shell=packed_shell(full),
+        known=known_in(*shape.known, grid),
+        seen=seen_cells(depth_m, camera, T_world_camera, grid),
+        T_world_grid=grid.T_world_grid,
+        T_world_camera=T_world_camera,
+        K=camera.K,
+        voxel_size_m=grid.voxel_size_m,
+        surface_sigma_m=shape.surface_sigma_m,
+        framing=settings.framing,
+        partial_rule=settings.partial_rule,
+    )
+    return MadePair(pair, cut_share, None)
+
+
+def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | None:
+    """Why a pair must not be used, or None."""
+    if settings.framing == "view" and cut_share > MAX_CUT_SHARE:
+        return (
+            f"the cube of framing view cuts off {cut_share:.1%} of the shape, more than {MAX_CUT_SHARE:.0%}"
+        )
+    if inside < settings.min_containment:
+        # The view itself has passed: its mask was drawn by a person, or the cube cuts the shape.
+        least = f"less than {settings.min_containment:.0%}"
+        return f"only {inside:.1%} of the masked partial lies in the shape, {least}: see the view's mask"
+    return None
+
+
+def write_pairs(
+    views: Collection[View],
+    sequence: Sequence,
+    shape: FullShape,
+    settings: PairSettings,
+    folder: Path,
+    progress: Progress,
+) -> None:
+    """Write a pair of each view that allows it, one after the other, and pairs.json.
+
+    Args:
+        views: of one recording.
+        sequence: the recording.
+        shape: `full_shape` of the object.
+        settings: framing, partial rule and least containment.
+        folder: to fill.
+        progress: called with (done, total).
+    """
+    made, refused = [], []
+    for done, view in enumerate(views, start=1):
+        result = make_pair(view, sequence, shape, settings)
+        if result.reason is not None:
+            refused.append(Refused(view=view.name, frame=view.frame, reason=result.reason))
+        if result.pair is not None:
+            (folder / f"{view.name}.npz").write_bytes(pair_bytes(result.pair))
+            made.append(pair_row(view, result))
+        progress(done, len(views))
+    PairsFile(pairs=tuple(made), refused=tuple(refused)).write(folder)
+
+
+def pair_row(view: View, made: MadePair) -> PairRow:
+    """The figures of a pair as pairs.json keeps them; shares in [0, 1], metres."""
+    return PairRow(
+        view=view.name,
+        frame=view.frame,
+        containment=known(view.fit.containment, 4),
+        residual_m=known(view.fit.residual_m, 6),
+        dropped_share=known(view.fit.dropped_share, 4),
+        visible_share=known(view.fit.visible_share, 4),
+        moved_m=known(view.alignment.moved_m, 6),
+        turned_rad=known(view.alignment.turned_rad, 6),
+        cut_share=round(made.cut_share, 4),
+    )

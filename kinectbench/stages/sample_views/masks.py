@@ -1,0 +1,171 @@
+"""Masks of a view: the rendered object where the measured depth agrees, the recording's own, a person's."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.types import Bools, Float32
+
+AGREEMENT_SIGMAS = 5.0
+ERODE_PX = 2
+# Along edges a sensor's depth wanders by a pixel or two; beside the silhouette one is enough.
+WITHIN_PX, FRINGE_PX = 2, 1
+# What lies so many standard deviations of the depth above the floor is not the floor.
+CLEAR_SIGMAS = 3.0
+# What was measured lower than this is the floor: feet are drawn square to the floor, and round ones are
+# narrower there.
+FLOOR_M = 0.002
+# What follows a view's name in those of a person's PNGs.
+OVERRIDES = ("", ".include", ".exclude")
+
+
+def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float, beside_px: int = 0) -> Bools:
+    """Pixels whose depth agrees with the rendered object there, or so near, within max(5 sigma, tolerance).
+
+    Generous on purpose: a tight mask would delete the sensor's noise from the input and leak the truth
+    into it.
+
+    Args:
+        measured_m: (height, width) metres, 0 = none.
+        rendered_m: (height, width) metres, 0 = not on the object.
+        tolerance_m: least difference allowed, metres.
+        beside_px: up to so many rows and columns away any rendered pixel may agree.
+    """
+    allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m).astype(np.float32)
+    agrees: Bools = _agrees(measured_m, rendered_m, allowed_m, beside_px)
+    return agrees
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _agrees(measured_m, rendered_m, allowed_m, beside_px):  # type: ignore[no-untyped-def]
+    height, width = measured_m.shape
+    agrees = np.zeros((height, width), np.bool_)
+    for row in range(height):
+        for column in range(width):
+            depth_m = measured_m[row, column]
+            if depth_m <= 0:
+                continue
+            for i in range(max(row - beside_px, 0), min(row + beside_px + 1, height)):
+                for j in range(max(column - beside_px, 0), min(column + beside_px + 1, width)):
+                    if rendered_m[i, j] > 0 and abs(depth_m - rendered_m[i, j]) <= allowed_m[i, j]:
+                        agrees[row, column] = True
+                        break
+                if agrees[row, column]:
+                    break
+    return agrees
+
+
+def object_mask(
+    measured_m: Float32,
+    rendered_m: Float32,
+    heights_m: NDArray[np.floating],
+    tolerance_m: float,
+    clear_m: float,
+) -> Bools:
+    """The object in a view: where depth agrees with it rendered, and its fringe (own rule).
+
+    The sensor's depth wanders along edges, and a solid made of noisy depth is often a pixel too narrow in the
+    image. So a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it
+    may do so one pixel away, if it lies above the floor beyond doubt. What was measured at the floor's height
+    belongs to the floor.
+
+    Args:
+        measured_m: (height, width) metres, 0 = none.
+        rendered_m: (height, width) metres, 0 = not on the object.
+        heights_m: (height, width) metres, of the measured points above the floor.
+        tolerance_m: least difference allowed, metres.
+        clear_m: what lies lower may be the floor, metres.
+    """
+    on_object = rendered_m > 0
+    within = agreement_mask(measured_m, rendered_m, tolerance_m, WITHIN_PX) & on_object
+    fringe = agreement_mask(measured_m, rendered_m, tolerance_m, FRINGE_PX) & ~on_object
+    above = heights_m > np.maximum(clear_m, CLEAR_SIGMAS * depth_sigma_m(measured_m))
+    return np.asarray((within & (heights_m >= FLOOR_M)) | (fringe & above))
+
+
+def recorded_mask(
+    measured_m: Float32,
+    recorded: Bools,
+    points_floor: NDArray[np.floating],
+    box: OrientedBox,
+    margin_m: float,
+) -> Bools:
+    """The object in a view by the mask that came with the recording (own rule).
+
+    Its pixels with depth whose points lie in the object's box: along outlines a mask also covers pixels whose
+    depth is that of the background.
+
+    Args:
+        measured_m: (height, width) metres, 0 = none.
+        recorded: (height, width), the mask that came with the recording.
+        points_floor: (height, width, 3) metres, the measured points.
+        box: of the object.
+        margin_m: by how much the box is grown on every side, metres.
+    """
+    inside: Bools = recorded & (measured_m > 0) & box.grown(margin_m).contains(points_floor)
+    return inside
+
+
+def inner_silhouette(rendered_m: Float32) -> Bools:
+    """The rendered silhouette, eroded by 2 pixels: where depth should be the object's."""
+    import cv2
+
+    silhouette = (rendered_m > 0).astype(np.uint8)
+    kernel = np.ones((2 * ERODE_PX + 1,) * 2, np.uint8)
+    return np.asarray(cv2.erode(silhouette, kernel), dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class GivenMasks:
+    """A person's masks of views, in files called `<view>.png`, `<view>.include.png` or `<view>.exclude.png`.
+
+    Attributes:
+        folder: where they are, for messages.
+        names: of the files that are there, sorted.
+        read: the mask of one of these names, (height, width) bool; raises SegmentationError for a bad file.
+    """
+
+    folder: str
+    names: tuple[str, ...]
+    read: Callable[[str], Bools]
+
+
+def override_mask(mask: Bools, given: GivenMasks, view: str) -> Bools:
+    """Apply a person's masks, if there are any, to the automatic mask of a view.
+
+    `<view>.png` replaces the mask; `<view>.include.png` adds its pixels, `<view>.exclude.png` takes its
+    pixels away.
+
+    Raises:
+        SegmentationError: one cannot be read, or is not of the depth image's size.
+    """
+    result = mask
+    for suffix in OVERRIDES:
+        name = f"{view}{suffix}.png"
+        if name not in given.names:
+            continue
+        own = given.read(name)
+        if own.shape != mask.shape:
+            raise SegmentationError(
+                f"{given.folder}/{name}: the mask is {own.shape[1]}x{own.shape[0]}, the depth image "
+                f"{mask.shape[1]}x{mask.shape[0]}; draw it in depth pixels"
+            )
+        result = {"": own, ".include": result | own, ".exclude": result & ~own}[suffix]
+    return result
+
+
+def stray_masks(given: GivenMasks, views: list[str]) -> list[str]:
+    """One warning per file whose name is no mask's, and which is therefore not used."""
+    names = {f"{view}{suffix}.png" for view in views for suffix in OVERRIDES}
+    return [
+        f"{given.folder}/{name}: not used, no view's mask has that name; masks are called <view>.png, "
+        f"<view>.include.png or <view>.exclude.png, as in {views[0]}.png"
+        for name in given.names
+        if name not in names and not name.startswith(".")
+    ]

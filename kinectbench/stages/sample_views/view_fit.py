@@ -1,0 +1,133 @@
+"""How well a view's depth fits the object, and whether that is enough for a view."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.morphology import containment_of_cells
+from kinectbench.core.voxels.pair_file import BLOCK, unpack
+from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.view_grids import depth_cells, object_cube
+from kinectbench.settings.models import PairSettings, ViewSettings
+from kinectbench.stages.sample_views.masks import inner_silhouette
+from kinectbench.stages.segment.object_model import ObjectModel
+
+# The outline beyond the image is looked for this far around it, in image sizes, at every n-th pixel.
+AROUND = 1
+OUTLINE_STRIDE_PX = 8
+
+
+@dataclass(frozen=True)
+class ViewFit:
+    """How well a view's depth fits the object. Shares are in [0, 1].
+
+    Attributes:
+        pixels: valid depth pixels on the object.
+        visible_share: of the rendered silhouette, what carries valid depth of the object.
+        border_share: of the silhouette's pixels, those within 1 px of the image border.
+        dropped_share: valid depth inside the eroded silhouette that the mask leaves out.
+        containment: share of partial cells (64^3, unmasked depth inside the eroded silhouette) that lie
+            in the full shape, dilated once.
+        residual_m: median absolute difference of measured and rendered depth there, metres.
+        truncated_share: of the object's outline, what lies beyond the image.
+    """
+
+    pixels: int
+    visible_share: float
+    border_share: float
+    dropped_share: float
+    containment: float
+    residual_m: float
+    truncated_share: float = 0.0
+
+
+def fit_of_view(
+    depth_m: Float32,
+    rendered_m: Float32,
+    mask: Bools,
+    sequence: Sequence,
+    T_world_camera: Float64,
+    model: ObjectModel,
+    renderer: DepthRenderer,
+) -> ViewFit:
+    """How well a view's depth fits the object.
+
+    Args:
+        depth_m: (height, width) float32, metres, 0 = none.
+        rendered_m: (height, width) float32, the object as it should be seen, 0 = not on it.
+        mask: (height, width) bool, by depth or as recorded; a person's PNGs do not count.
+        sequence: the recording.
+        T_world_camera: (4, 4), the view's pose.
+        model: the object.
+        renderer: of its mesh.
+    """
+    silhouette = rendered_m > 0
+    inner = inner_silhouette(rendered_m) & (depth_m > 0)
+    pixels, area = int(mask.sum()), int(silhouette.sum())
+    if pixels == 0 or not inner.any():
+        return ViewFit(pixels, 0.0, 0.0, 1.0, 0.0, float("inf"))
+    grid = object_cube(model.shape.mesh.vertices, T_world_camera)
+    cells = depth_cells(depth_m, inner, sequence.camera, T_world_camera, grid.coarser(BLOCK))
+    full = unpack(voxelize_solid(model.shape.mesh.vertices, model.shape.mesh.faces, grid))
+    border = silhouette.copy()
+    border[1:-1, 1:-1] = False
+    return ViewFit(
+        pixels=pixels,
+        visible_share=pixels / area,
+        border_share=int(border.sum()) / area,
+        truncated_share=truncated_share(sequence.camera, T_world_camera, renderer),
+        dropped_share=int((inner & ~mask).sum()) / int(inner.sum()),
+        containment=containment_of_cells(cells, full, BLOCK),
+        residual_m=float(np.median(np.abs(depth_m[inner] - rendered_m[inner]))),
+    )
+
+
+def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRenderer) -> float:
+    """The share of an object's outline that the image border cuts off (own rule).
+
+    Counted at every 8th pixel of an image three times as wide and high, the camera's own in its middle.
+
+    Args:
+        camera: intrinsics.
+        T_world_camera: (4, 4).
+        renderer: of the object's mesh.
+
+    Returns:
+        In [0, 1]; 0 if no ray meets the object.
+    """
+    step = OUTLINE_STRIDE_PX
+    across, down = camera.width // step, camera.height // step
+    wide = replace(
+        camera,
+        width=(2 * AROUND + 1) * across,
+        height=(2 * AROUND + 1) * down,
+        fx=camera.fx / step,
+        fy=camera.fy / step,
+        cx=camera.cx / step + AROUND * across,
+        cy=camera.cy / step + AROUND * down,
+    )
+    outline = renderer.depth_m(wide, T_world_camera) > 0
+    inside = outline[AROUND * down : (AROUND + 1) * down, AROUND * across : (AROUND + 1) * across]
+    return 1 - int(inside.sum()) / int(outline.sum()) if outline.any() else 0.0
+
+
+def refusal(fit: ViewFit, settings: ViewSettings, pairs: PairSettings) -> str | None:
+    """Why a frame is no view, or None if it is one."""
+    if fit.pixels < settings.min_pixels:
+        return f"only {fit.pixels} pixels on the object, less than {settings.min_pixels}"
+    if fit.residual_m > pairs.max_residual_m:
+        most_mm = pairs.max_residual_m * 1000
+        return f"depth is {fit.residual_m * 1000:.1f} mm (median) off the object, more than {most_mm:g} mm"
+    if fit.containment < pairs.min_containment:
+        least = pairs.min_containment
+        return f"only {fit.containment:.1%} of the partial lies in the object, less than {least:.0%}"
+    outlined = fit.visible_share * (1 - fit.truncated_share)
+    if outlined < pairs.min_visible_share:
+        cut = f"{fit.truncated_share:.0%} is cut by the image"
+        least = pairs.min_visible_share
+        return f"depth on only {outlined:.1%} of the object's outline, less than {least:.0%} ({cut})"
+    return None

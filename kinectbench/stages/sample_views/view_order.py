@@ -1,0 +1,99 @@
+"""In which order the good frames are tried as views."""
+
+from collections.abc import Sequence as Rows
+from itertools import zip_longest
+
+import numpy as np
+
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import SegmentationSettings, ViewSettings
+from kinectbench.stages.sample_views.masks import agreement_mask
+from kinectbench.stages.segment.object_model import ObjectModel
+
+SECTOR_RAD = np.radians(30)
+BAND_RAD = np.radians(15)
+SHARES = (0.0, 0.5, 0.8, 1.0)
+STRIDE_PX = 8
+
+Stratum = tuple[int, int, int]
+
+
+def frame_order(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    model: ObjectModel,
+    renderer: DepthRenderer,
+    settings: ViewSettings,
+    segmentation: SegmentationSettings,
+) -> list[tuple[int, str]]:
+    """All good frames in the order in which they are tried, each with the reason.
+
+    `random` (paper, Sec. 4.1): a seeded permutation. `coverage` (own rule): the frames are sorted into
+    sectors of 30 degrees about the object, those into heights of 15 degrees, and those into thirds of the
+    visible share (up to 50 %, up to 80 %, more); the sectors take turns, in a sector the heights, in a height
+    the thirds, and within one it is the order of `random`.
+    """
+    order = np.random.default_rng(settings.seed).permutation(trajectory.good_frames).tolist()
+    if settings.strategy == "random":
+        return [(frame, "random") for frame in order]
+    poses = trajectory.T_world_camera
+    strata = {
+        frame: (
+            *direction(poses[frame], model),
+            share_class(visible_share(sequence, frame, poses[frame], renderer, segmentation)),
+        )
+        for frame in order
+    }
+    return [(frame, stratum_text(strata[frame])) for frame in taking_turns(order, strata)]
+
+
+def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
+    """The sector (0 to 11, from the floor's x axis) and the height (from -6 to 5) that a camera stands in."""
+    x, y, z = transform_points(model.floor.T_floor_world, T_world_camera[:3, 3]) - model.box.center_m
+    azimuth_rad, height_rad = np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
+    return int(azimuth_rad / SECTOR_RAD) % 12, min(5, int(np.floor(height_rad / BAND_RAD)))
+
+
+def visible_share(
+    sequence: Sequence,
+    frame: int,
+    T_world_camera: Float64,
+    renderer: DepthRenderer,
+    segmentation: SegmentationSettings,
+) -> float:
+    """The visible share of a view (`ViewFit`), estimated at every 8th pixel before the pose is corrected."""
+    depth_m = sequence.depth_m(frame)[::STRIDE_PX, ::STRIDE_PX]
+    rendered_m = renderer.depth_m(sequence.camera.every(STRIDE_PX), T_world_camera)
+    silhouette = int((rendered_m > 0).sum())
+    agreeing = int(agreement_mask(depth_m, rendered_m, segmentation.mask_tolerance_m).sum())
+    return agreeing / silhouette if silhouette else 0.0
+
+
+def share_class(share: float) -> int:
+    """0, 1 or 2: up to 50 %, up to 80 %, more."""
+    return int(np.searchsorted(SHARES[1:-1], share, side="right"))
+
+
+def stratum_text(stratum: Stratum) -> str:
+    """Sector, height and visible share in words."""
+    sector, band, share = stratum
+    return (
+        f"coverage: azimuth {30 * sector} to {30 * sector + 30} deg, "
+        f"height {15 * band} to {15 * band + 15} deg, "
+        f"{SHARES[share]:.0%} to {SHARES[share + 1]:.0%} visible"
+    )
+
+
+def taking_turns(frames: Rows[int], strata: dict[int, Stratum], depth: int = 0) -> list[int]:
+    """Frames so that the sectors take turns, in each sector the heights, and so on; else in their order."""
+    if depth == 3:
+        return list(frames)
+    groups: dict[int, list[int]] = {}
+    for frame in frames:
+        groups.setdefault(strata[frame][depth], []).append(frame)
+    queues = [taking_turns(groups[key], strata, depth + 1) for key in sorted(groups)]
+    return [frame for turn in zip_longest(*queues) for frame in turn if frame is not None]

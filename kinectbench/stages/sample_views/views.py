@@ -1,0 +1,298 @@
+"""The stage `sample-views`: 50 frames of the recording, with the object's mask in each; how they are stored.
+
+On disk they are views.json with depth, colour and mask images.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.stored import known
+from kinectbench.core.artefacts.views import Refused, ViewRow, ViewsFile
+from kinectbench.core.errors import SegmentationError, StorageError
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Bools, Float32, Float64, Progress
+from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
+from kinectbench.stages.sample_views.alignment import Alignment, align_view
+from kinectbench.stages.sample_views.masks import (
+    GivenMasks,
+    object_mask,
+    override_mask,
+    recorded_mask,
+    stray_masks,
+)
+from kinectbench.stages.sample_views.view_fit import ViewFit, fit_of_view, refusal
+from kinectbench.stages.sample_views.view_order import frame_order
+from kinectbench.stages.segment.floor import low_cut_m
+from kinectbench.stages.segment.object_model import ObjectModel
+
+JPEG_QUALITY = 90
+# Shares and metres of a view's fit: views.json calls them the same.
+FIT_FIGURES = tuple(field.name for field in fields(ViewFit) if field.name != "pixels")
+
+
+@dataclass(frozen=True)
+class View:
+    """One sampled view.
+
+    Attributes:
+        name: zero-padded index, "000" on.
+        frame: index of the frame in the sequence.
+        stamp_ns: its depth stamp.
+        reason: why it was chosen.
+        alignment: its pose, corrected by its own depth.
+        mask: (height, width) bool, the object, in depth pixels.
+        fit: figures of the mask before a person's PNGs.
+        blur: of the colour against the recording's sharpest frames, as health.json has it; None if unknown.
+        pose_residual_m: distance to other frames under the trajectory's pose, metres; None if unknown.
+    """
+
+    name: str
+    frame: int
+    stamp_ns: int
+    reason: str
+    alignment: Alignment
+    mask: Bools
+    fit: ViewFit
+    blur: float | None = None
+    pose_residual_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Views:
+    """The views of one recording, the frames that were refused (frame, why), and warnings."""
+
+    views: list[View]
+    refused: list[tuple[int, str]]
+    warnings: list[str]
+
+
+def sample_views(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    model: ObjectModel,
+    settings: ViewSettings,
+    segmentation: SegmentationSettings,
+    pairs: PairSettings,
+    masks: GivenMasks | None = None,
+    progress: Progress | None = None,
+) -> Views:
+    """Walk the good frames, in the order of the strategy, until enough of them fit the object.
+
+    With `random` every good frame is equally likely (paper, Sec. 4.1: 50 random views of the trajectory).
+    Refused frames do not shrink the set as long as others are left.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses.
+        model: floor, closed mesh.
+        settings: how many, which strategy and seed; whether masks that came with the recording are the
+            object's, in the frames that have one.
+        segmentation: tolerance of the masks, and how near to the floor they reach.
+        pairs: least containment, largest residual, least visible share.
+        masks: a person's, or None.
+        progress: called with (views found, views wanted).
+
+    Raises:
+        SegmentationError: no frame fits, or a person's mask is unusable.
+    """
+    renderer = DepthRenderer(model.shape.mesh)
+    order = frame_order(sequence, trajectory, model, renderer, settings, segmentation)
+    health = {row.frame: row for row in trajectory.health.per_frame} if trajectory.health else {}
+    views: list[View] = []
+    refused: list[tuple[int, str]] = []
+    for frame, why in order:
+        if len(views) == settings.count:
+            break
+        alignment, mask, fit = _look(frame, sequence, trajectory, model, renderer, settings, segmentation)
+        reason = refusal(fit, settings, pairs)
+        if reason:
+            refused.append((frame, reason))
+            continue
+        name = f"{len(views):03d}"
+        if masks is not None:
+            mask = override_mask(mask, masks, name)
+        stamp_ns = int(sequence.stamps_ns[frame])
+        row = health.get(frame)
+        figures = (row.blur, row.residual_m) if row else (None, None)
+        views.append(View(name, frame, stamp_ns, why, alignment, mask, fit, *figures))
+        if progress:
+            progress(len(views), settings.count)
+    if not views:
+        first = refused[0][1] if refused else "no frame has a pose"
+        raise SegmentationError(f"no view fits the object: {len(refused)} frames refused ({first})")
+    warnings = _warnings(views, settings, len(order))
+    if masks is not None:
+        warnings += stray_masks(masks, [view.name for view in views])
+    return Views(views, refused, warnings)
+
+
+def _look(
+    frame: int,
+    sequence: Sequence,
+    trajectory: Trajectory,
+    model: ObjectModel,
+    renderer: DepthRenderer,
+    settings: ViewSettings,
+    segmentation: SegmentationSettings,
+) -> tuple[Alignment, Bools, ViewFit]:
+    """A frame's corrected pose, the object's mask in it, and how well its depth fits the object."""
+    camera, depth_m = sequence.camera, sequence.depth_m(frame)
+    recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
+    if recorded is not None:
+        # What stands before the object or touches it says nothing of how well it fits.
+        depth_m = np.where(recorded, depth_m, np.float32(0))
+    pose_sigma_m = trajectory.assumed_pose_sigma_m(frame)
+    alignment = align_view(depth_m, camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m)
+    T_world_camera = alignment.T_world_camera
+    rendered_m = renderer.depth_m(camera, T_world_camera)
+    mask = _mask(depth_m, rendered_m, sequence, T_world_camera, model, segmentation, recorded)
+    fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
+    return alignment, mask, fit
+
+
+def _mask(
+    depth_m: Float32,
+    rendered_m: Float32,
+    sequence: Sequence,
+    T_world_camera: Float64,
+    model: ObjectModel,
+    segmentation: SegmentationSettings,
+    recorded: Bools | None,
+) -> Bools:
+    """The mask of a view by its recorded mask, or else by its depth."""
+    tolerance_m = segmentation.mask_tolerance_m
+    if recorded is None:
+        heights_m = model.floor.heights_m(depth_m, sequence.camera, T_world_camera)
+        clear_m = low_cut_m(model.floor, segmentation)
+        return object_mask(depth_m, rendered_m, heights_m, tolerance_m, clear_m)
+    points = sequence.camera.backproject(depth_m)
+    points_floor = transform_points(model.floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
+    return recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
+
+
+def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> list[str]:
+    warnings = []
+    if len(views) < settings.count:
+        warnings.append(
+            f"{len(views)} views instead of {settings.count}: all {good_frames} good frames were tried"
+        )
+    cut = sum(view.fit.truncated_share > 0.02 or view.fit.border_share > 0.01 for view in views)
+    if cut > len(views) / 2:
+        warnings.append(f"the image border cuts the object in {cut} of {len(views)} views: step back")
+    return warnings
+
+
+def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
+    """Write views.json and, for each view, depth (uint16 mm), mask (255 = object) and colour (JPEG)."""
+    for view in views.views:
+        depth_mm = np.rint(sequence.depth_m(view.frame) * 1000).astype(np.uint16)
+        (folder / f"{view.name}.depth.png").write_bytes(_encode(".png", depth_mm))
+        (folder / f"{view.name}.mask.png").write_bytes(_encode(".png", view.mask.astype(np.uint8) * 255))
+        encoded = sequence.frames.color_encoded(view.frame)
+        if encoded is not None:
+            (folder / f"{view.name}.color.jpg").write_bytes(_jpeg(*encoded))
+    ViewsFile(
+        color_registered=sequence.color_registered,
+        views=tuple(_row(view) for view in views.views),
+        refused=tuple(Refused(frame=frame, reason=reason) for frame, reason in views.refused),
+        warnings=tuple(views.warnings),
+    ).write(folder)
+
+
+def _row(view: View) -> ViewRow:
+    fit: dict[str, Any] = {name: known(getattr(view.fit, name), 6) for name in FIT_FIGURES}
+    return ViewRow(
+        view=view.name,
+        frame=view.frame,
+        stamp_ns=view.stamp_ns,
+        reason=view.reason,
+        T_world_camera=view.alignment.T_world_camera,
+        moved_m=known(view.alignment.moved_m, 6),
+        turned_rad=known(view.alignment.turned_rad, 6),
+        blur=view.blur,
+        pose_residual_m=view.pose_residual_m,
+        pixels=view.fit.pixels,
+        **fit,
+    )
+
+
+def read_views(folder: Path) -> list[View]:
+    """Read the views and their masks back.
+
+    Raises:
+        StorageError: a file is missing or damaged.
+    """
+    return [_view(row, folder) for row in ViewsFile.read(folder).views]
+
+
+def _view(row: ViewRow, folder: Path) -> View:
+    if row.frame is None or row.stamp_ns is None or row.reason is None or row.T_world_camera is None:
+        raise StorageError(f"{folder / ViewsFile.FILE}: view {row.view} has no frame; {ViewsFile.ADVICE}")
+    path = folder / f"{row.view}.mask.png"
+    mask = _read_mask(path)
+    if mask is None:
+        raise StorageError(f"{path}: not a readable PNG; {ViewsFile.ADVICE}")
+    return View(
+        name=row.view,
+        frame=row.frame,
+        stamp_ns=row.stamp_ns,
+        reason=row.reason,
+        alignment=Alignment(row.T_world_camera, _figure(row.moved_m), _figure(row.turned_rad)),
+        mask=mask,
+        fit=ViewFit(row.pixels or 0, **{name: _figure(getattr(row, name)) for name in FIT_FIGURES}),
+        blur=row.blur,
+        pose_residual_m=row.pose_residual_m,
+    )
+
+
+def read_masks(folder: Path) -> GivenMasks:
+    """The masks that a person drew: PNGs in which every pixel but 0 counts, each read when asked for."""
+
+    def read(name: str) -> Bools:
+        mask = _read_mask(folder / name)
+        if mask is None:
+            raise SegmentationError(f"{folder / name}: not a readable PNG; save the mask again")
+        return mask
+
+    return GivenMasks(str(folder), tuple(sorted(path.name for path in folder.iterdir())), read)
+
+
+def _read_mask(path: Path) -> Bools | None:
+    """The pixels of a picture that are not 0; None if there is no such picture or it is damaged."""
+    import cv2
+
+    data = path.read_bytes() if path.is_file() else b""
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    return None if image is None else np.asarray(image, dtype=np.uint8) > 0
+
+
+def _figure(value: float | None) -> float:
+    """JSON has no NaN and no infinity, so null stands for them."""
+    return math.nan if value is None else value
+
+
+def _jpeg(suffix: str, data: bytes) -> bytes:
+    """Colour as JPEG: as it was recorded if it is one, else encoded once."""
+    import cv2
+
+    if suffix in (".jpg", ".jpeg"):
+        return data
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise StorageError("a stored colour image is damaged; `kinectbench build --force` makes it again")
+    encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    return bytes(encoded.tobytes())
+
+
+def _encode(suffix: str, image: NDArray[Any]) -> bytes:
+    import cv2
+
+    return bytes(cv2.imencode(suffix, image)[1].tobytes())

@@ -1,0 +1,1 @@
+"""The closed solid shape, its labels and its quality."""

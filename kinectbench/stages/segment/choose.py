@@ -1,0 +1,146 @@
+"""Floor and object of a fused scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.settings.models import SegmentationSettings
+from kinectbench.stages.segment.doubts import FINE_CELL_M, Selection, doubts
+from kinectbench.stages.segment.find_object import find_object, find_scene
+from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.select import (
+    CELL_M,
+    NOTHING_STANDS,
+    select_in_box,
+    spacing_m,
+)
+
+MIN_BOX_POINTS = 20
+NO_FLOOR = "no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """Which part of the scene is the object.
+
+    Attributes:
+        floor: the floor.
+        box: upright box around the object (or the given one), floor frame.
+        object_cells: (n, 3) int64, cells of 30 mm in the floor frame that hold its surface.
+        other_cells: (m, 3) int64, the same for everything else that stands on the floor.
+        how: "automatic" or "box".
+        doubts: why the choice may be wrong, one line for people each.
+    """
+
+    floor: Floor
+    box: OrientedBox
+    object_cells: Int64
+    other_cells: Int64
+    how: str
+    doubts: tuple[str, ...] = ()
+
+    def excluded(self, grid: Grid) -> Bools:
+        """Voxels of an upright grid that cannot be the object: bool of the grid's shape.
+
+        Outside a given box, and where a neighbour's surface is and the object's is not.
+        """
+        T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
+        # The grid is upright: x and y in the floor frame depend on the first two axes, z on the last.
+        nx, ny, nz = grid.shape
+        ground = np.stack(
+            np.meshgrid(np.arange(nx) + 0.5, np.arange(ny) + 0.5, [0.5], indexing="ij"), axis=-1
+        )
+        ground_floor = transform_points(T_floor_grid, ground * grid.voxel_size_m)[:, :, 0]
+        heights_m = T_floor_grid[2, 3] + (np.arange(nz) + 0.5) * grid.voxel_size_m
+        cells = np.floor(ground_floor[..., :2] / CELL_M).astype(np.int64)
+        levels = np.floor(heights_m / CELL_M).astype(np.int64)
+        first = np.append(cells.reshape(-1, 2).min(axis=0), levels.min())
+        shape = np.append(cells.reshape(-1, 2).max(axis=0), levels.max()) + 1 - first
+        foreign = _dilated(self.other_cells, first, shape) & ~_dilated(self.object_cells, first, shape)
+        x, y = (cells[..., axis, None] - first[axis] for axis in (0, 1))
+        excluded: Bools = foreign[x, y, levels - first[2]]
+        if self.how == "box":
+            at_middle = np.dstack([ground_floor[..., :2], np.full((nx, ny), self.box.center_m[2])])
+            inside = np.abs(heights_m - self.box.center_m[2]) <= self.box.size_m[2] / 2
+            excluded = excluded | ~(self.box.contains(at_middle)[:, :, None] & inside)
+        return excluded
+
+
+def segment(
+    mesh: TriangleMesh,
+    trajectory: Trajectory,
+    given_box: OrientedBox | None,
+    settings: SegmentationSettings,
+) -> Segmentation:
+    """Find the floor, and on it the object: the piece the cameras look at, or what a given box holds.
+
+    Args:
+        mesh: the fused scene, world frame.
+        trajectory: poses of the frames.
+        given_box: floor frame, or None.
+        settings: seed, floor cut and low cut.
+
+    Raises:
+        SegmentationError: no floor (without a box), no object where the cameras look, or nothing in the box.
+    """
+    scene = find_scene(mesh, trajectory, settings, given_box is not None)
+    points_floor, above = scene.points_floor, scene.points_floor[:, 2] > settings.floor_cut_m
+    vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
+    left = vertices_floor[:, 2] > settings.floor_cut_m
+    cell_m = max(FINE_CELL_M, spacing_m(mesh))
+    feet = np.zeros(len(vertices_floor), dtype=bool)
+    if given_box is None:
+        found = find_object(scene, vertices_floor, settings, cell_m)
+        chosen, feet, box = found.chosen, found.feet, found.box
+    else:
+        box = given_box
+        chosen = np.zeros(len(points_floor), dtype=bool)
+        chosen[above] = _held(points_floor[above], given_box)
+    own = chosen[scene.owner]
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    chose = Selection(
+        vertices_floor[(left & own) | feet],
+        vertices_floor[left & ~own & ~feet],
+        box,
+        given_box is not None,
+        scene.focus_floor,
+        cell_m,
+    )
+    lines = doubts(chose) if scene.floor.found else (NO_FLOOR, *doubts(chose))
+    how = "automatic" if given_box is None else "box"
+    return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines)
+
+
+def _held(points_floor: Float64, box: OrientedBox) -> Bools:
+    """Which of the points (n, 3) above the floor are the object that a person's box holds."""
+    in_box = box.contains(points_floor)
+    if not len(in_box):
+        raise SegmentationError(NOTHING_STANDS)
+    if in_box.sum() < MIN_BOX_POINTS:
+        low, high = points_floor.min(axis=0), points_floor.max(axis=0)
+        raise SegmentationError(
+            f"the box in benchmark.yaml holds nothing of the scene, which reaches from {_text(low)} to "
+            f"{_text(high)} m in the floor frame; correct center_m and size_m, or choose one of those "
+            "that `kinectbench segment --suggest` lists"
+        )
+    return select_in_box(points_floor, in_box)
+
+
+def _dilated(cells: Int64, first: Int64, shape: Int64) -> Bools:
+    """A dense grid with the cells and their 26 neighbours set."""
+    from scipy import ndimage
+
+    local = cells - first
+    inside = np.all((local >= 0) & (local < shape), axis=1)
+    dense = np.zeros(shape, dtype=bool)
+    dense[tuple(local[inside].T)] = True
+    dilated: Bools = ndimage.binary_dilation(dense, np.ones((3, 3, 3)))
+    return dilated
+
+
+def _text(point: Float64) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in point) + ")"

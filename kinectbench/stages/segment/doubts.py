@@ -1,0 +1,136 @@
+"""Whether what was chosen can be one object that stands alone; each doubt is a warning in quality.json."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.types import Float64, Int32, Int64
+from kinectbench.stages.segment.select import label_pieces, standing
+
+MAX_EXTENT_M = 2.5
+# Parts of at least this share of the largest one's surface are things of their own.
+PART_SHARE = 0.2
+# Things that touch at 30 mm cells come apart at these, where there is a gap of a finger's breadth.
+FINE_CELL_M = 0.02
+MIN_PART_CELLS = 60
+BESIDE_M = 0.1
+# A box cuts its object if this share of the object's cells goes on right beyond it.
+CUT_SHARE, CUT_CELLS = 0.02, 1.5
+LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was chosen, and what was not; floor frame, metres.
+
+    Attributes:
+        object_points: (n, 3) points of the fused surface, at least one per cell of `cell_m`.
+        other_points: (m, 3) the same for everything else above the floor.
+        box: upright box around the object.
+        given: whether a person gave the box.
+        focus: (3,) where the cameras look.
+        cell_m: what these cells leave apart are parts: 20 mm, or more if the surface is coarser.
+    """
+
+    object_points: Float64
+    other_points: Float64
+    box: OrientedBox
+    given: bool
+    focus: Float64
+    cell_m: float = FINE_CELL_M
+
+
+def doubts(selection: Selection) -> tuple[str, ...]:
+    """Why the choice may be wrong: one line for people each; none if nothing speaks against it (own rules).
+
+    A box that a person gave is doubted only if several things stand in it, or if it cuts what it holds.
+    """
+    parts = separate_parts(selection.object_points, selection.cell_m)
+    if selection.given:
+        parts = max(parts, 1 + things_beside(selection.object_points, selection.cell_m))
+        held = (
+            f"the box holds {parts} things that stand apart, or one whose joints no frame shows; if they are "
+            f"several, give a box around one of them: {LOOK}"
+        )
+        cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
+        return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
+    lines = []
+    extent_m = max(selection.box.size_m)
+    if extent_m > MAX_EXTENT_M:
+        lines.append(f"the object is {extent_m:.1f} m long: hardly one piece of furniture; {LOOK}")
+    if parts > 1:
+        lines.append(f"the object falls into {parts} things that stand side by side and hardly touch; {LOOK}")
+    neighbours = large_neighbours(selection)
+    gap_m = _nearest_m(neighbours, selection.object_points)
+    if gap_m < BESIDE_M:
+        lines.append(f"another large thing stands {100 * gap_m:.0f} cm beside the object; {LOOK}")
+    elif (
+        _nearest_m(neighbours, selection.focus)
+        < _nearest_m(selection.object_points, selection.focus) + BESIDE_M
+    ):
+        lines.append(f"another large thing stands as near to where the cameras look as the object; {LOOK}")
+    return tuple(lines)
+
+
+def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
+    """How many large parts, each standing on the floor, the points (n, 3) fall into in cells of this edge."""
+    if not len(points_floor):
+        return 0
+    label = label_pieces(points_floor, cell_m)
+    sizes = _cells(points_floor, label)
+    sizes[~standing(label, points_floor)] = 0
+    return int((sizes >= max(MIN_PART_CELLS, PART_SHARE * sizes.max())).sum())
+
+
+def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
+    """How many parts, however small, stand 0.1 m or more beside the largest one, seen from above."""
+    from scipy.spatial import cKDTree
+
+    if not len(points_floor):
+        return 0
+    label = label_pieces(points_floor, cell_m)
+    sizes = _cells(points_floor, label)
+    largest = cKDTree(points_floor[label == np.argmax(sizes), :2])
+    stands = standing(label, points_floor)
+    # The largest part is none: it lies at a distance of 0 from itself.
+    parts = np.flatnonzero((sizes >= MIN_PART_CELLS) & stands)
+    return sum(float(largest.query(points_floor[label == part, :2])[0].min()) >= BESIDE_M for part in parts)
+
+
+def cut_share(selection: Selection) -> float:
+    """What share of the object's cells has surface right beside it that lies beyond the box."""
+    from scipy.spatial import cKDTree
+
+    inside, outside = selection.object_points, selection.other_points
+    outside = outside[~selection.box.contains(outside)]
+    if not len(inside) or not len(outside):
+        return 0.0
+    reach_m = CUT_CELLS * selection.cell_m
+    beside = np.isfinite(cKDTree(outside).query(inside, distance_upper_bound=reach_m)[0])
+    return float(_cells(inside[beside], None).max(initial=0) / _cells(inside, None).max())
+
+
+def large_neighbours(selection: Selection) -> Float64:
+    """The points (k, 3) of other standing things that have at least a fifth of the object's surface."""
+    others = selection.other_points
+    if not len(others):
+        return others
+    label = label_pieces(others, selection.cell_m)
+    sizes = _cells(others, label)
+    least = max(MIN_PART_CELLS, PART_SHARE * _cells(selection.object_points, None).max())
+    large: Float64 = others[((sizes >= least) & standing(label, others))[label]]
+    return large
+
+
+def _nearest_m(points: Float64, to: Float64) -> float:
+    """The least distance between points (n, 3) and others (m, 3) or one (3,); inf if n is 0."""
+    from scipy.spatial import cKDTree
+
+    return float(np.min(cKDTree(points).query(to)[0])) if len(points) else np.inf
+
+
+def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
+    """How many cells of 20 mm the points of each label occupy."""
+    cells, first = np.unique(np.floor(points_floor / FINE_CELL_M).astype(np.int64), axis=0, return_index=True)
+    return np.asarray(np.bincount(np.zeros(len(cells), int) if label is None else label[first]))

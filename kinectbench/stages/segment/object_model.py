@@ -1,0 +1,126 @@
+"""The value of the stage `segment`: the object; and how it is stored."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object import FloorFile, ObjectVolume, QualityFile, Surround
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry import Grid, OrientedBox
+from kinectbench.core.geometry.mesh import read_ply, write_ply
+from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M, Trajectory
+from kinectbench.core.voxels.observation import Observation
+from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.grids import surround_labels
+from kinectbench.stages.segment.quality import measure_quality, solid_box
+from kinectbench.stages.segment.solid import SolidShape
+from kinectbench.stages.segment.witness import Witness
+
+MESH = "mesh.ply"
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """The object, as every view will be compared with it.
+
+    Attributes:
+        floor: the floor and frame `floor`.
+        box: upright box around the object, floor frame.
+        shape: solid, labels, probability and closed mesh on a fine grid around the object.
+        surround: coarse grid around that, as far as any pair's cube can reach.
+        surround_labels: uint8 of the coarse grid's shape: FREE, OTHER or UNKNOWN.
+        surface_sigma_m: standard deviation of the fused surface, metres.
+        quality: how good it is, for people and scores; no later stage computes with it.
+    """
+
+    floor: Floor
+    box: OrientedBox
+    shape: SolidShape
+    surround: Grid
+    surround_labels: NDArray[np.uint8]
+    surface_sigma_m: float
+    quality: QualityFile
+
+
+def object_model(
+    chosen: Segmentation,
+    shapes: tuple[SolidShape, SolidShape, SolidShape],
+    sigma_m: float,
+    seen: Witness,
+    around: Observation,
+    pose_error_m: float,
+) -> ObjectModel:
+    """Judge an object's solid, and put together all that is known of it.
+
+    Args:
+        chosen: floor and object.
+        shapes: the solid from all, from the odd and from the even frames.
+        sigma_m: standard deviation of the surface, metres.
+        seen: what the recording could see of it.
+        around: what some frames say about the surround.
+        pose_error_m: `usual_pose_error_m`.
+    """
+    floor, whole = chosen.floor, shapes[0]
+    box = solid_box(whole, floor)
+    quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error_m)
+    return ObjectModel(floor, box, whole, around.grid, surround_labels(around, floor), sigma_m, quality)
+
+
+def usual_pose_error_m(trajectory: Trajectory) -> float:
+    """By how much a usual pose may be off, metres; given poses are taken at their word."""
+    if trajectory.source == "trust":
+        return 0.0
+    usual_m = trajectory.usual_pose_sigma_m
+    return UNCHECKED_POSE_SIGMA_M if usual_m is None else usual_m
+
+
+def write_object(model: ObjectModel, folder: Path) -> None:
+    """Write floor.json, mesh.ply, volume.npz, surround.npz and quality.json."""
+    floor, shape = model.floor, model.shape
+    FloorFile(
+        plane_world=floor.plane_world,
+        T_floor_world=floor.T_floor_world,
+        noise_m=round(floor.noise_m, 6),
+        inlier_share=round(floor.inlier_share, 4),
+        tilt_rad=round(floor.tilt_rad, 4),
+        found=floor.found,
+    ).write(folder)
+    write_ply(shape.mesh, folder / MESH)
+    ObjectVolume(shape.grid, shape.solid, shape.labels, shape.probability).write(folder)
+    Surround(model.surround, model.surround_labels).write(folder)
+    model.quality.write(folder)
+
+
+def read_object(folder: Path) -> ObjectModel:
+    """Read the files that `write_object` wrote.
+
+    Raises:
+        StorageError: a file is missing or damaged.
+    """
+    stored, quality = FloorFile.read(folder), QualityFile.read(folder)
+    volume, surround = ObjectVolume.read(folder), Surround.read(folder)
+    if quality.box is None or quality.surface_sigma_m is None:
+        raise StorageError(
+            f"{folder / QualityFile.FILE}: without `box` or `surface_sigma_m`; {QualityFile.ADVICE}"
+        )
+    floor = Floor(
+        stored.plane_world,
+        stored.T_floor_world,
+        stored.noise_m,
+        stored.inlier_share,
+        stored.tilt_rad or 0.0,
+        stored.found is not False,
+    )
+    shape = SolidShape(
+        volume.grid,
+        volume.solid,
+        volume.labels,
+        volume.probability.astype(np.float32),
+        read_ply(folder / MESH),
+        quality.doubtful_share or 0.0,
+    )
+    sigma_m = quality.surface_sigma_m
+    return ObjectModel(floor, quality.box.box(), shape, surround.grid, surround.labels, sigma_m, quality)

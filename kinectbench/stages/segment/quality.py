@@ -1,0 +1,197 @@
+"""What the recording itself says about how good its ground truth is."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object import BoxPart, Label, LabelCounts, QualityFile
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.voxels.observation import Observation
+from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.select import fit_box
+from kinectbench.stages.segment.solid import METHOD, SolidShape
+from kinectbench.stages.segment.witness import Witness
+
+GOOD_REPEATABILITY = 0.90
+MAX_UNKNOWN_SHARE = 0.15
+MAX_DOUBTFUL_SHARE = 0.1
+# What is missing from an IoU of 1 to the truth, fitted on simulated objects of 4 families (seeds 18 to 27):
+# of what the probabilities expect to be missing, of what halves disagree by, and of what changes if the
+# surface is off by as much as a usual pose.
+MISSING_PER_EXPECTED, MISSING_PER_DISAGREEMENT, MISSING_PER_SHIFT = 0.22, 0.92, 2.3
+GOOD_ESTIMATED_IOU = 0.82
+# A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
+MAX_VOLUME_SHARE_PER_MM = 0.1
+# A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
+MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
+# So that a handle or a speck that one half of the frames shows does not move a side of the box.
+BOX_LEFT_OUT = 0.005
+BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
+
+
+def surface_sigma_m(odd: Observation, even: Observation) -> float:
+    """Standard deviation of the surface fused from all frames, metres.
+
+    The two halves' signed distances differ by twice the deviation of their mean, if their errors are
+    independent: robust deviation of the difference near the surface, halved. One voxel where the
+    halves have no surface in common.
+    """
+    near = (odd.weight > 0) & (even.weight > 0)
+    near &= np.abs(odd.tsdf + even.tsdf) < 2 * odd.grid.voxel_size_m
+    if not near.any():
+        return odd.grid.voxel_size_m
+    return float(1.4826 * np.median(np.abs(odd.tsdf[near] - even.tsdf[near])) / 2)
+
+
+def volume_share_per_mm(mesh: TriangleMesh) -> float:
+    """What share of the volume of a closed mesh (metres) changes if its surface moves by 1 mm."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    area_m2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    return 0.001 * area_m2 / max(mesh.volume_m3, 1e-9)
+
+
+def expected_iou(shape: SolidShape) -> float:
+    """The IoU to the truth that the probabilities of the voxels expect: expected intersection over union."""
+    solid, probability = shape.solid, shape.probability
+    inside = float(probability[solid].sum(dtype=np.float64))
+    return inside / (int(solid.sum()) + float(probability[~solid].sum(dtype=np.float64)))
+
+
+def estimated_iou(expected: float, repeatability: float, shifted_share: float) -> float:
+    """An estimate of the IoU to the unknown truth, in [0, 1].
+
+    What is missing from 1 is a sum of what the voxels' probabilities expect to be missing, of what odd and
+    even frames disagree by, and of what the poses' errors cost, which both share (own rule, fitted on
+    simulated objects; docs/ground-truth.md has its errors).
+
+    Args:
+        expected: `expected_iou` of the solid.
+        repeatability: IoU of the solids from odd and from even frames.
+        shifted_share: of the volume, what changes if the surface moves by what a usual pose may be off.
+    """
+    missing = (
+        MISSING_PER_EXPECTED * (1 - expected)
+        + MISSING_PER_DISAGREEMENT * (1 - repeatability)
+        + MISSING_PER_SHIFT * shifted_share
+    )
+    return float(np.clip(1 - missing, 0, 1))
+
+
+def measure_quality(
+    chosen: Segmentation,
+    box: OrientedBox,
+    shapes: tuple[SolidShape, SolidShape, SolidShape],
+    sigma_m: float,
+    seen: Witness,
+    pose_error_m: float,
+) -> QualityFile:
+    """Repeatability (IoU of the solids from odd and from even frames), estimated IoU, boxes, warnings.
+
+    Args:
+        chosen: floor and object.
+        box: `solid_box` of the solid from all frames.
+        shapes: the solid from all, from the odd and from the even frames.
+        sigma_m: standard deviation of the surface, metres.
+        seen: what the recording could see of it; its warnings come first.
+        pose_error_m: by how much a usual pose may be off, metres; 0 if the poses are taken at their word.
+    """
+    together, odd, even = shapes
+    repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
+    solid = int(together.solid.sum())
+    unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
+    shifted_share = 1000 * pose_error_m * volume_share_per_mm(together.mesh)
+    estimated = estimated_iou(expected_iou(together), repeatability, shifted_share)
+    warnings = (*seen.warnings, *_warnings(chosen, together, repeatability, estimated, unknown))
+    boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
+    whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
+    return QualityFile(
+        format_version=1,
+        verdict="look at the warnings" if warnings else "good",
+        warnings=warnings,
+        repeatability_iou=round(repeatability, 4),
+        estimated_iou=round(estimated, 4),
+        surface_sigma_m=sigma_m,
+        unknown_share=round(unknown, 4),
+        doubtful_share=round(together.doubtful_share, 4),
+        volume_m3=round(solid * together.grid.voxel_size_m**3, 6),
+        labels=_label_counts(together.labels),
+        box=whole,
+        box_odd=of_odd,
+        box_even=of_even,
+        selection=chosen.how,
+        good_frames=seen.good_frames,
+        unseen_side=seen.unseen_side,
+        moving=seen.moving,
+        method=METHOD,
+    )
+
+
+def solid_box(shape: SolidShape, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
+    """The upright box around a solid, floor frame; without a yaw, the one of least ground area."""
+    points_floor = transform_points(floor.T_floor_world, shape.mesh.vertices)
+    return fit_box(points_floor, yaw_rad, BOX_LEFT_OUT)
+
+
+def _label_counts(labels: NDArray[np.uint8]) -> LabelCounts:
+    return LabelCounts(**{label.name.lower(): int((labels == label).sum()) for label in Label})
+
+
+def _warnings(
+    chosen: Segmentation, shape: SolidShape, repeatability: float, estimated: float, unknown: float
+) -> list[str]:
+    """A line for people for each thing that is wrong with a solid."""
+    share_per_mm, doubtful = volume_share_per_mm(shape.mesh), shape.doubtful_share
+    never_seen = unknown - doubtful
+    fused = (
+        (
+            repeatability < GOOD_REPEATABILITY,
+            f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh",
+        ),
+        (
+            estimated < GOOD_ESTIMATED_IOU,
+            f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin, hidden, "
+            "without depth or cut off: record from closer, and from low down, too",
+        ),
+        (
+            share_per_mm > MAX_VOLUME_SHARE_PER_MM,
+            f"the object's parts are thin: a surface that is off by 1 mm changes {share_per_mm:.0%} of the "
+            "volume, and any IoU by as much",
+        ),
+    )
+    seen = (
+        (
+            never_seen > MAX_UNKNOWN_SHARE,
+            f"{never_seen:.0%} of the solid was never measured nor enclosed: walk around the object",
+        ),
+        (
+            doubtful > MAX_DOUBTFUL_SHARE,
+            f"{doubtful:.0%} of the solid is a thick slab, or a hollow that no frame looked "
+            "into: it lies under a top, behind flush sides, and open below; record from low down, too",
+        ),
+    )
+    return [
+        *(line for wrong, line in fused if wrong),
+        *_unsupported(chosen, shape),
+        *(line for wrong, line in seen if wrong),
+    ]
+
+
+def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
+    """Warnings of a solid that hangs in the air, or whose large pieces do: something of it is missing."""
+    from scipy import ndimage
+
+    warnings = []
+    gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
+    if chosen.floor.found and gap_m > MAX_GAP_M:
+        warnings.append(
+            f"the solid begins {gap_m:.2f} m above the floor: what carries it gave no depth (black, glass or "
+            "mirror-like), or the box cuts it off; all is well if it stands on something else"
+        )
+    sizes = np.bincount(ndimage.label(shape.solid, np.ones((3, 3, 3)))[0].reshape(-1))[1:]
+    pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())
+    if pieces > 1:
+        warnings.append(
+            f"the solid is in {pieces} large pieces that do not touch: what joins them gave no depth, or "
+            "they are several things: look at object/mesh.ply"
+        )
+    return warnings

@@ -1,0 +1,225 @@
+"""The connected pieces of the fused surface above the floor, and which of them is the object."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import OrientedBox, TriangleMesh
+from kinectbench.core.geometry.boxes import yaw_rotation
+from kinectbench.core.types import Bools, Float64, Int32, Int64
+
+# A piece whose lowest point is higher hangs in the air, and something not too far away holds it.
+GROUNDED_M = 0.12
+MAX_HANGING_GAP_M = 0.3
+MIN_HANGING_CELLS = 10
+JUDGED_FACES = 20_000
+CELL_M = 0.03
+MIN_CELLS = 30
+# A piece that ends inside a box is what a person meant if it has this share of the largest one's cells.
+ENDING_SHARE = 0.3
+NOTHING_STANDS = (
+    "no object found: nothing stands on the floor; is the object in view? A black, glass or mirror-like one "
+    "gives no depth: make it matt"
+)
+
+
+def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
+    """Label each point with the connected piece of surface that it belongs to.
+
+    One that hangs in the air, such as a table top whose underside nobody saw, belongs to the nearest one
+    that stands on the floor.
+
+    Args:
+        points_floor: (n, 3) points above the floor, at least one a cell, floor frame, metres; n > 0.
+        cell_m: cells of this edge that touch are connected.
+        through_faces: they must share a face; else a corner will do.
+
+    Returns:
+        (n,) int32, from 1; not every number need occur.
+    """
+    return _with_hanging(connected(points_floor, cell_m, through_faces), points_floor)
+
+
+def connected(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
+    """Label points (n, 3) as `label_pieces` does, but for those that hang in the air: (n,) int32, from 1."""
+    from scipy import ndimage
+
+    cells = np.floor(points_floor / cell_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    occupied[tuple(cells.T)] = True
+    labels, _ = ndimage.label(occupied, structure=None if through_faces else np.ones((3, 3, 3)))
+    label: Int32 = labels[tuple(cells.T)]
+    return label
+
+
+def spacing_m(mesh: TriangleMesh) -> float:
+    """How far apart a mesh's neighbouring vertices are, metres: 95 % of its edges are shorter.
+
+    Smaller cells would not touch, though the surface goes on.
+    """
+    corners = mesh.vertices[mesh.faces[:: max(1, len(mesh.faces) // JUDGED_FACES)]]
+    edges_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    return float(np.quantile(edges_m, 0.95)) if edges_m.size else 0.0
+
+
+def standing(label: Int32, points_floor: Float64) -> Bools:
+    """Which labels reach down to the floor: (largest label + 1,) bool."""
+    lowest_m = np.full(int(label.max()) + 1, np.inf)
+    np.minimum.at(lowest_m, label, points_floor[:, 2])
+    stands: Bools = lowest_m <= GROUNDED_M
+    return stands
+
+
+def _with_hanging(label: Int32, points_floor: Float64) -> Int32:
+    """Labels (n,) in which pieces that do not reach down to the floor have the label of what holds them."""
+    from scipy.spatial import cKDTree
+
+    stands = standing(label, points_floor)
+    sizes = np.bincount(label)
+    if not stands[label].any():
+        return label
+    on_floor = np.flatnonzero(stands[label])
+    tree = cKDTree(points_floor[on_floor])
+    holder = np.arange(len(sizes), dtype=label.dtype)
+    for piece in np.flatnonzero(~stands & (sizes >= MIN_HANGING_CELLS)):
+        distance_m, nearest = tree.query(points_floor[label == piece])
+        closest = int(np.argmin(distance_m))
+        if distance_m[closest] <= MAX_HANGING_GAP_M:
+            holder[piece] = label[on_floor[nearest[closest]]]
+    return holder[label]
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points spread evenly over a surface: one per cubic cell that it passes through.
+
+    Attributes:
+        points: (n, 3) float64, metres: mean of the mesh vertices in the cell.
+        normals: (n, 3) float64, unit: their mean normal.
+        cells: (n, 3) int64, the cell each lies in.
+        owner: (v,) int64, the point that each vertex of the mesh belongs to.
+    """
+
+    points: Float64
+    normals: Float64
+    cells: Int64
+    owner: Int64
+
+
+def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
+    """Thin a mesh out to one point per cell, so that area counts and vertex density does not."""
+    corners = mesh.vertices[mesh.faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(mesh.vertices)
+    for corner in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(
+                mesh.faces[:, corner], weights=face_normals[:, axis], minlength=len(mesh.vertices)
+            )
+    cells, owner, counts = np.unique(
+        np.floor(mesh.vertices / cell_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    owner = owner.reshape(-1)
+    points, mean_normals = np.zeros((len(cells), 3)), np.zeros((len(cells), 3))
+    for axis in range(3):
+        points[:, axis] = np.bincount(owner, weights=mesh.vertices[:, axis], minlength=len(cells)) / counts
+        mean_normals[:, axis] = np.bincount(owner, weights=normals[:, axis], minlength=len(cells))
+    mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
+    return SurfacePoints(points, mean_normals, cells, owner)
+
+
+def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float64) -> Bools:
+    """Choose the piece above the floor that lies nearest to a target point.
+
+    Pieces are connected surface. One that hangs in the air, such as a table top whose underside nobody
+    saw, belongs to the nearest one that stands on the floor.
+
+    Args:
+        points_floor: (n, 3) evenly spread surface points, floor frame, metres.
+        floor_cut_m: lower points belong to the floor.
+        target_floor: (3,) where the optical axes converge, floor frame.
+
+    Returns:
+        (n,) bool, the points of the object.
+
+    Raises:
+        SegmentationError: nothing stands on the floor.
+    """
+    above = np.flatnonzero(points_floor[:, 2] > floor_cut_m)
+    if len(above) < MIN_CELLS:
+        raise SegmentationError(NOTHING_STANDS)
+    label = label_pieces(points_floor[above], CELL_M)
+    sizes = np.bincount(label)
+    distance_m = np.full(len(sizes), np.inf)
+    np.minimum.at(distance_m, label, np.linalg.norm(points_floor[above] - target_floor, axis=1))
+    distance_m[sizes < MIN_CELLS] = np.inf
+    if not np.isfinite(distance_m).any():
+        raise SegmentationError(
+            "no object found: only specks stand on the floor; a black, glass or mirror-like thing gives no "
+            "depth: make it matt, or record closer"
+        )
+    chosen = np.zeros(len(points_floor), dtype=bool)
+    chosen[above[label == np.argmin(distance_m)]] = True
+    return chosen
+
+
+def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
+    """Choose the object among the pieces of the scene that a person's box holds.
+
+    The object is the largest piece that ends inside the box, with all others that do; a piece that runs on
+    beyond it, such as the corner of a table top over a chair, is something else. Where all that ends inside
+    is much smaller than what runs on, the box cuts the object, and the largest piece counts, too.
+
+    Args:
+        points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
+        in_box: (n,) bool, at least one.
+
+    Returns:
+        (n,) bool, the points of the object.
+    """
+    from scipy import ndimage
+
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    cells -= cells.min(axis=0) - 1
+    shape = cells.max(axis=0) + 2
+    inside, outside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    inside[tuple(cells[in_box].T)] = True
+    outside[tuple(cells[~in_box].T)] = True
+    around = np.ones((3, 3, 3))
+    labels, count = ndimage.label(inside, structure=around)
+    runs_on = np.zeros(count + 1, dtype=bool)
+    runs_on[np.unique(labels[ndimage.binary_dilation(outside, around)])] = True
+    sizes = np.bincount(labels.reshape(-1), minlength=count + 1)
+    sizes[0] = 0
+    kept = ~runs_on
+    if sizes[kept].max(initial=0) < ENDING_SHARE * sizes.max():
+        kept[np.argmax(sizes)] = True
+    kept[0] = False
+    chosen: Bools = in_box & kept[labels[tuple(cells.T)]]
+    return chosen
+
+
+def fit_box(points_floor: Float64, yaw_rad: float | None = None, left_out: float = 0.0005) -> OrientedBox:
+    """The upright box around points (n, 3), from the floor to their top.
+
+    Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. A share
+    of the points is left out on every side, so that single specks do not move it.
+    """
+    import cv2
+
+    if yaw_rad is None:
+        (_, _, angle_deg) = cv2.minAreaRect(points_floor[:, :2].astype(np.float32))
+        yaw_rad = float(np.radians((angle_deg + 45.0) % 90.0 - 45.0))
+    turned = points_floor @ yaw_rotation(yaw_rad)
+    low, high = np.quantile(turned, [left_out, 1 - left_out], axis=0)
+    low[2] = 0.0
+    center = yaw_rotation(yaw_rad) @ ((low + high) / 2)
+    size = np.maximum(high - low, 1e-3)
+    return OrientedBox(_triple(center), _triple(size), yaw_rad)
+
+
+def _triple(values: Float64) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

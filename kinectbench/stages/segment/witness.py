@@ -1,0 +1,172 @@
+"""What the recording could see of the object: sides never looked at, too few frames, things that moved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64, Int64
+from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.floor import Floor
+
+JUDGED_FRAMES = 40
+COLUMNS = 160
+NEARER_M = 0.1
+NEARER_SIGMAS = 5.0
+MOVING_SHARE = 0.02
+# Speckle and the edges of things are thinner than this many of the pixels looked at.
+THICK_PX = 3
+# A Kinect measures surfaces up to about this slant: an upright side is seen from so far around.
+SEEN_WITHIN_RAD = np.radians(75.0)
+MIN_FRAMES = 10
+# Real floors scatter by up to 6 mm, what is refused as no plane by 20 mm.
+MAX_FLOOR_NOISE_M = 0.010
+
+
+def moving_frames(
+    sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor
+) -> MovingPart:
+    """Find frames with something that moved: at least 2 % of the pixels nearer than the scene (own rule).
+
+    A pixel is nearer by more than max(5 sigma, 0.1 m), more than 0.1 m above the floor (which is measured
+    badly far away, where it is seen at a grazing angle), and in a patch three of the pixels looked at
+    wide. What moves leaves no surface in the fused scene, because other frames saw through it.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses.
+        scene: the fused surface, world frame.
+        floor: its floor.
+    """
+    import cv2
+
+    good = trajectory.good_frames
+    judged = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), JUDGED_FRAMES)).astype(int))]
+    step_px = max(1, round(sequence.camera.width / COLUMNS))
+    camera = sequence.camera.every(step_px)
+    renderer = DepthRenderer(scene)
+    shares = []
+    for frame in map(int, judged):
+        measured_m = sequence.depth_m(frame)[::step_px, ::step_px]
+        T_world_camera = trajectory.T_world_camera[frame]
+        heights_m = floor.heights_m(measured_m, camera, T_world_camera)
+        scene_m = renderer.depth_m(camera, T_world_camera)
+        least_m = np.maximum(NEARER_SIGMAS * depth_sigma_m(scene_m), NEARER_M)
+        nearer = (measured_m > 0) & (scene_m > 0) & (scene_m - measured_m > least_m)
+        nearer &= heights_m > NEARER_M
+        opened = cv2.morphologyEx(
+            nearer.astype(np.uint8), cv2.MORPH_OPEN, np.ones((THICK_PX, THICK_PX), np.uint8)
+        )
+        shares.append(float(opened.mean()))
+    found: Int64 = judged[np.array(shares) > MOVING_SHARE]
+    return MovingPart(judged=len(judged), frames=tuple(found.tolist()), largest_share=round(max(shares), 4))
+
+
+@dataclass(frozen=True)
+class UnseenSide:
+    """The widest range of directions from which the object was not looked at.
+
+    Attributes:
+        gap_rad: its width, radians, 0 to 2 pi.
+        towards_rad: its middle, seen from the object, from the floor's x axis, counter-clockwise from above.
+        share: share of all upright directions that a side may face in which no camera would have seen it.
+    """
+
+    gap_rad: float
+    towards_rad: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What quality.json says of it; a line for people for each thing that is wrong."""
+
+    good_frames: int
+    unseen_side: UnseenSidePart
+    moving: MovingPart
+    warnings: tuple[str, ...]
+
+
+def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
+    """The widest gap between the cameras around the object, seen from above (own rule).
+
+    A side within 75 degrees of a camera's direction counts as seen, so that a gap of 150 degrees hides
+    nothing upright.
+
+    Args:
+        T_floor_camera: (n, 4, 4), n > 0.
+        center_floor: (3,) the middle of the object.
+    """
+    x, y, _ = (T_floor_camera[:, :3, 3] - center_floor).T
+    angles = np.sort(np.arctan2(y, x))
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    widest = int(np.argmax(gaps))
+    gap_rad = float(gaps[widest])
+    towards_rad = float(np.angle(np.exp(1j * (angles[widest] + gap_rad / 2))))
+    return UnseenSide(gap_rad, towards_rad, max(0.0, gap_rad - 2 * SEEN_WITHIN_RAD) / (2 * np.pi))
+
+
+def _of_trajectory(trajectory: Trajectory) -> list[str]:
+    """What its own health says against it: shape and poses cannot be better than that."""
+    health = trajectory.health
+    if health is None or health.grade != "not good":
+        return []
+    better = health.recommended
+    if better not in (None, trajectory.source):
+        remedy = f"; `trajectory: {better}` is recommended"
+    elif trajectory.source == "trust":
+        remedy = "; if odd and even frames agree better with `trajectory: refine`, take that"
+    else:
+        remedy = ""
+    return [f"the trajectory is {health.verdict}{remedy}"]
+
+
+def _of_floor(floor: Floor) -> list[str]:
+    """A warning of a floor that is hardly flat: it may be something else."""
+    if not floor.found or floor.noise_m <= MAX_FLOOR_NOISE_M:
+        return []
+    return [
+        f"the floor found scatters by {1000 * floor.noise_m:.0f} mm, a flat one by 1 to 6: it may be another "
+        "surface; record with more of the floor in view, or give a box"
+    ]
+
+
+def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, chosen: Segmentation) -> Witness:
+    """Say what speaks against the recording: bad poses, a side never seen, few frames, movement, the choice.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses.
+        scene: the fused surface, world frame.
+        chosen: floor and object.
+    """
+    good = trajectory.good_frames
+    T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
+    side = unseen_side(T_floor_camera, np.array(chosen.box.center_m))
+    moving = moving_frames(sequence, trajectory, scene, chosen.floor)
+    warnings = [*_of_trajectory(trajectory), *_of_floor(chosen.floor), *chosen.doubts]
+    if side.share > 0:
+        x, y = np.cos(side.towards_rad), np.sin(side.towards_rad)
+        warnings.append(
+            f"no frame looks at the object's side towards ({x:.1f}, {y:.1f}) of the floor frame, "
+            f"{side.share:.0%} of the way around: what is there is inferred; walk around the object"
+        )
+    if len(good) < MIN_FRAMES:
+        warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")
+    if moving.frames:
+        warnings.append(
+            f"in {len(moving.frames)} of {moving.judged} frames looked at (such as {moving.frames[0]}) "
+            "something stands before the scene that the others do not see: a person walking through, or "
+            "poses that are off? record without, or let the poses be tracked"
+        )
+    figures = UnseenSidePart(
+        gap_rad=np.radians(round(np.degrees(side.gap_rad), 1)),
+        towards_rad=np.radians(round(np.degrees(side.towards_rad), 1)),
+        share=round(side.share, 4),
+    )
+    return Witness(len(good), figures, moving, tuple(warnings))

@@ -1,0 +1,1 @@
+"""How far poses can be trusted."""

@@ -1,0 +1,164 @@
+"""How far a given trajectory can be trusted: each frame against those around it, and distant ones."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.artefacts.stored import known
+from kinectbench.core.artefacts.trajectory import GivenFigures
+from kinectbench.core.errors import TrackingError
+from kinectbench.core.geometry.depth import DepthCalibration
+from kinectbench.core.sequence import Sequence, counts_frames
+from kinectbench.core.trajectory.compare import compare_poses, has_pose
+from kinectbench.core.types import Float64, Progress
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.track.check.disagreement import distant_residual_m, tie_distant
+from kinectbench.stages.track.check.figures import median
+from kinectbench.stages.track.check.frame_check import FrameCheck, check_frames, evenly_spread
+from kinectbench.stages.track.depth_calibration import calibrate_posed
+from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.map_kernels import MAX_DEPTH_M, MIN_DEPTH_M
+from kinectbench.stages.track.tracked import State, Tie, Tracked
+
+NO_POSE = "the given trajectory has no pose at its time"
+NO_DEPTH = f"it has no depth between {MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m"
+CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
+MAX_JUMPS_TOLD = 5
+# If more of the frames disagree, something is wrong with all of them.
+MANY = 0.2
+# Drift that is more likely due to a wrong scale or clock.
+IMPLAUSIBLE_DRIFT_M = 0.1
+
+
+@dataclass(frozen=True)
+class GivenCheck:
+    """A given trajectory and what the depth says of it.
+
+    Attributes:
+        T_given: (n, 4, 4), NaN where there is none.
+        frames: each frame against those around it.
+        distant: frames that are far apart in time, registered from the given poses.
+        figures: as health.json has them. Where no refined poses are made, the residual "with refined poses"
+            between distant frames is that of frames as registered in pairs.
+        sharpness: of the colour, by frame, where it was read.
+        calibration: of the depth, as frames agree best under these poses; all figures are with it.
+    """
+
+    T_given: Float64
+    frames: FrameCheck
+    distant: tuple[Tie, ...]
+    figures: GivenFigures
+    sharpness: Mapping[int, float]
+    calibration: DepthCalibration
+
+
+def check_given(
+    sequence: Sequence,
+    T_given: Float64,
+    settings: TrackingSettings,
+    progress: Progress | None = None,
+) -> GivenCheck:
+    """Compare the depth of frames that see the same place under the given poses.
+
+    Args:
+        sequence: the recording, n frames.
+        T_given: (n, 4, 4), NaN where there is none.
+        settings: what counts as disagreement.
+        progress: called with (done, total).
+    """
+    maps, every = MapCache(sequence), settings.check_stride_px
+    posed = np.flatnonzero(has_pose(T_given))
+    calibration = calibrate_posed(maps, T_given, evenly_spread(posed))
+    maps.calibrate(calibration)
+    frames = check_frames(maps, T_given, settings, progress)
+    sound = frames.compared[~frames.disagrees[frames.compared]]
+    distant, shifts_m, unmatched = tie_distant(maps, T_given, sound, every)
+    figures = GivenFigures(
+        disagreeing=tuple(np.flatnonzero(frames.disagrees).tolist()),
+        median_shift_m=known(median(frames.shift_m)),
+        distant_shift_m=known(median(shifts_m)),
+        distant_unmatched=known(unmatched, 4),
+        refined_apart_m=None,
+        largest_jump_m=max((by_m for _, by_m in frames.jumps), default=0.0),
+        distant_residual_m=known(distant_residual_m(maps, distant, every, T_given)),
+        refined_distant_residual_m=known(distant_residual_m(maps, distant, every)),
+    )
+    return GivenCheck(T_given, frames, distant, figures, maps.sharpness, calibration)
+
+
+def as_refined(
+    sequence: Sequence, checked: GivenCheck, T_refined: Float64, settings: TrackingSettings
+) -> GivenCheck:
+    """The figures, with those that compare the given poses with refined ones (n, 4, 4)."""
+    maps, every = MapCache(sequence), settings.check_stride_px
+    maps.calibrate(checked.calibration)
+    found_m = distant_residual_m(maps, checked.distant, every, T_refined)
+    both = has_pose(checked.T_given) & has_pose(T_refined)
+    apart_m = compare_poses(T_refined[both], checked.T_given[both]).ate_m.rmse if both.sum() >= 3 else np.nan
+    compared = {"refined_distant_residual_m": known(found_m), "refined_apart_m": known(apart_m)}
+    return replace(checked, figures=GivenFigures(**{**dict(checked.figures), **compared}))
+
+
+def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
+    """The given poses as they are, but for those that the depth contradicts.
+
+    Raises:
+        TrackingError: most frames disagree.
+    """
+    posed, wrong, blind = has_pose(checked.T_given), checked.frames.disagrees, checked.frames.blind
+    compared = int(np.isfinite(checked.frames.shift_m).sum())
+    if wrong.sum() > 0.5 * compared:
+        raise TrackingError(
+            f"the given trajectory does not fit the depth: {wrong.sum()} of {compared} frames disagree by "
+            f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
+            "without them"
+        )
+    kept = posed & ~wrong & ~blind
+    states: tuple[State, ...] = tuple("tracked" if each else "lost" for each in kept)
+    return Tracked(
+        T_world_camera=np.where(kept[:, None, None], checked.T_given, np.nan),
+        states=states,
+        reasons=dict.fromkeys(np.flatnonzero(~posed).tolist(), NO_POSE)
+        | dict.fromkeys(np.flatnonzero(posed & blind).tolist(), NO_DEPTH),
+        keyframes=checked.frames.compared[kept[checked.frames.compared]],
+        ties=checked.distant,
+        refused=(),
+        residual_m=checked.frames.residual_m,
+        noise_m=checked.frames.noise_m,
+        inlier_share=checked.frames.inlier_share,
+        degenerate=checked.frames.degenerate,
+        sharpness=checked.sharpness,
+        calibration=checked.calibration,
+    )
+
+
+def warnings_of(sequence: Sequence, checked: GivenCheck) -> list[str]:
+    """What people should know of a given trajectory: jumps, implausible drift, frames that nothing checks."""
+    jumps = checked.frames.jumps
+    # Stamps that only count the frames tell nothing more.
+    counted = counts_frames(sequence.stamps_ns)
+    told = [
+        f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame}"
+        + ("" if counted else f" ({sequence.stamps_ns[frame] / 1e9:.3f} s)")
+        for frame, by_m in jumps[:MAX_JUMPS_TOLD]
+    ]
+    if len(jumps) > MAX_JUMPS_TOLD:
+        told.append(f"it jumps {len(jumps) - MAX_JUMPS_TOLD} more times")
+    drift_m = checked.figures.distant_shift_m or 0.0
+    if drift_m > IMPLAUSIBLE_DRIFT_M:
+        told.append(
+            f"distant frames disagree by {drift_m * 1000:.0f} mm: if the given trajectory does not drift so "
+            "much, depth_scale or the clock of its stamps is wrong"
+        )
+    disagreeing, compared = checked.frames.disagrees.sum(), np.isfinite(checked.frames.shift_m).sum()
+    if disagreeing > MANY * compared:
+        told.append(f"{disagreeing} of {compared} frames disagree with the given trajectory: {CAUSES}?")
+    posed = has_pose(checked.T_given)
+    unchecked = int((posed & np.isnan(checked.frames.shift_m)).sum())
+    if unchecked > 0.5 * posed.sum():
+        told.append(
+            f"{unchecked} of {posed.sum()} poses could not be checked: too little of the frames overlaps; "
+            "are the poses in metres?"
+        )
+    return told

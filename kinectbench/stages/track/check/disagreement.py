@@ -1,0 +1,207 @@
+"""By how much two or more frames disagree with the poses they are said to have.
+
+A given trajectory that drifts shows it between frames that are far apart in time and see the same place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.core.geometry.rigid import twist_from_rigid
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.covisibility import covisible, glimpse
+from kinectbench.stages.track.frame_maps import FrameMaps, Level, MapCache
+from kinectbench.stages.track.odometry import is_believable, tie
+from kinectbench.stages.track.registration import PLACED, Registration, register
+from kinectbench.stages.track.tracked import Tie
+
+# Of a shift, so many of its standard deviations are put down to the registration.
+SIGMAS = 3.0
+# Frames of which no more than this falls on measurements of others are not compared.
+MIN_OVERLAP = 0.05
+# Points that tell how far a motion moves what is seen.
+MOVED_POINTS = 1000
+# Residuals: how far along the ray a measurement may lie from the point it is taken for, and the least cosine
+# between their normals.
+GATE_M = 0.1
+MIN_FACING = 0.5
+MIN_DEPTH_M = 0.1
+# At most so many pairs are registered, those farthest apart in time first; and no more than this per frame.
+MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
+# Of the recording's length, what lies between two distant frames at least.
+MIN_APART = 1 / 6
+MIN_SHARED_VIEW = 0.3
+# Of fewer pairs no share is told.
+MIN_TRIED = 8
+# Fewer residuals than this say nothing.
+MIN_RESIDUALS = 100
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """How a frame would move to agree with others.
+
+    Attributes:
+        registration: of the frame to the first of the others, from where its pose puts it.
+        shift_m: how far its points move, median, metres.
+        certain_shift_m: of this, what the registration cannot be wrong by.
+        turn_rad: by how much the camera turns, radians.
+    """
+
+    registration: Registration
+    shift_m: float
+    certain_shift_m: float
+    turn_rad: float
+
+
+def ask(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_targets_source: Sequence[Float64],
+    coarsest: int,
+    every: int,
+) -> Disagreement | None:
+    """Register a frame to others from where the poses put it; None if they have too little in common.
+
+    Args:
+        source: the frame.
+        targets: one or more others, that stand still to each other.
+        T_targets_source: (4, 4) each, as the poses say.
+        coarsest: level to start at; 0 finds less than half of a shift of 100 mm, 2 all of it.
+        every: only every n-th point is used.
+    """
+    found = register(source, targets, T_targets_source, coarsest, PLACED, every)
+    if found.overlap < MIN_OVERLAP or found.over_noise == 0:
+        return None
+    return disagreement(source, T_targets_source[0], found)
+
+
+def disagreement(source: FrameMaps, T_target_source: Float64, found: Registration) -> Disagreement:
+    """How far a registration is from where the poses put the frame (own rule).
+
+    A shift is as certain as the information along it says; along an open motion there is none.
+
+    Args:
+        source: the frame.
+        T_target_source: (4, 4), as the poses say.
+        found: its registration to the same target.
+    """
+    off = invert_rigid(T_target_source) @ found.T_target_source
+    points = source.levels[0].points[:, :3].astype(np.float64)
+    points = points[:: max(1, len(points) // MOVED_POINTS)]
+    shift_m = float(np.median(np.linalg.norm(transform_points(off, points) - points, axis=1)))
+    twist = twist_from_rigid(off)
+    over_sigma = np.sqrt(max(float(twist @ found.information @ twist), 1e-12))
+    certain_shift_m = shift_m * max(0.0, 1 - SIGMAS / float(over_sigma))
+    return Disagreement(found, shift_m, certain_shift_m, float(rotation_angle_rad(off[:3, :3])))
+
+
+def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, every: int) -> Float64:
+    """Point-to-plane distances (m,) of all points of a frame that lie within 0.1 m of what they fall on.
+
+    Unlike a registration's they are not cut off at the noise, so they tell how wrong a pose is.
+
+    Args:
+        source: the frame.
+        target: the finest level of the other.
+        T_target_source: (4, 4).
+        every: only every n-th point is used.
+    """
+    return np.asarray(
+        _residuals(
+            source.levels[0].points[::every],
+            target.depth_m,
+            target.normals,
+            target.intrinsics,
+            np.ascontiguousarray(T_target_source),
+        )
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untyped-def]
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    found = np.empty(len(points))
+    count = 0
+    for i in range(len(points)):
+        p = points[i]
+        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        if z <= MIN_DEPTH_M:
+            continue
+        u, v = fx * x / z + cx + 0.5, fy * y / z + cy + 0.5
+        if u < 0 or v < 0 or u >= width or v >= height:
+            continue
+        column, row = int(u), int(v)
+        d, m = depth[row, column], normals[row, column]
+        if d <= 0 or abs(d - z) > GATE_M:
+            continue
+        nx = T[0, 0] * p[3] + T[0, 1] * p[4] + T[0, 2] * p[5]
+        ny = T[1, 0] * p[3] + T[1, 1] * p[4] + T[1, 2] * p[5]
+        nz = T[2, 0] * p[3] + T[2, 1] * p[4] + T[2, 2] * p[5]
+        if nx * m[0] + ny * m[1] + nz * m[2] < MIN_FACING:
+            continue
+        dx, dy = (column - cx) / fx * d - x, (row - cy) / fy * d - y
+        found[count] = abs(nx * dx + ny * dy + nz * (d - z))
+        count += 1
+    return found[:count].copy()
+
+
+def tie_distant(
+    maps: MapCache, T_given: Float64, frames: NDArray[np.int64], every: int
+) -> tuple[tuple[Tie, ...], Float64, float]:
+    """Register frames that are far apart in time and see the same place by the given poses.
+
+    Args:
+        maps: of the recording, n frames.
+        T_given: (n, 4, 4).
+        frames: (k,) that have a pose, ascending.
+        every: only every n-th point is used.
+
+    Returns:
+        What convinces, as loops; (m,) how far each moves b's points from where the poses put them, metres;
+        and the share of pairs that ought to see the same place and fit nowhere near, NaN of few pairs.
+    """
+    apart = MIN_APART * len(T_given)
+    seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_given[frames])
+    pairs = [(int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW]
+    pairs = sorted(((a, b) for a, b in pairs if b - a >= apart), key=lambda pair: (pair[0] - pair[1], pair))
+    ties, shifts_m = [], []
+    tried = pairs[: min(MAX_PAIRS, int(PAIRS_PER_FRAME * len(T_given)))]
+    for a, b in tried:
+        T_a_b = invert_rigid(T_given[a]) @ T_given[b]
+        asked = (ask(maps[b], [maps[a]], [T_a_b], coarsest, every) for coarsest in (1, 2))
+        found = next((each for each in asked if each and is_believable(each.registration)), None)
+        if found is not None:
+            ties.append(tie(a, b, found.registration, "loop"))
+            shifts_m.append(found.shift_m)
+    unmatched = 1 - len(ties) / len(tried) if len(tried) >= MIN_TRIED else np.nan
+    return tuple(ties), np.array(shifts_m), unmatched
+
+
+def distant_residual_m(
+    maps: MapCache, ties: tuple[Tie, ...], every: int, T_world_camera: Float64 | None = None
+) -> float:
+    """Median over the ties of the median absolute residual from b to a, metres; NaN if none tells.
+
+    Args:
+        maps: of the recording, n frames.
+        ties: between distant frames.
+        every: only every n-th point is used.
+        T_world_camera: (n, 4, 4), NaN where a frame has no pose; None: as the ties say.
+    """
+    medians = []
+    for each in ties:
+        T_a_b = each.T_a_b
+        if T_world_camera is not None:
+            T_a_b = invert_rigid(T_world_camera[each.a]) @ T_world_camera[each.b]
+        if np.isfinite(T_a_b).all():
+            found = residuals_m(maps[each.b], maps[each.a].levels[0], T_a_b, every)
+            medians += [float(np.median(found))] if len(found) >= MIN_RESIDUALS else []
+    return float(np.median(medians)) if medians else np.nan

@@ -1,0 +1,226 @@
+"""What health.json says of ties and of frames.
+
+Of ties: how far they disagree with the final poses, and so how sure a pose is. Of frames: state, residual,
+motion and blur; and where the camera was lost.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from collections.abc import Sequence as Rows
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.stored import known
+from kinectbench.core.artefacts.trajectory import FrameHealth, FrameState, LostStretch
+from kinectbench.core.geometry import Camera, invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.core.images import image_sharpness, relative_blur
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.compare import has_pose
+from kinectbench.core.types import Bools, Float64
+from kinectbench.stages.track.frame_maps import read_gray, reduced_gray
+from kinectbench.stages.track.tracked import Tie, Tracked
+
+# A loop is believed if the robust kernel left it at least this weight.
+BELIEVED_WEIGHT = 0.5
+# Keyframes whose ties the robust kernel all but removed are held by nothing.
+MIN_WEIGHT = 0.1
+# A correction is taken over so many points across and down the image.
+GRID = 5
+# For views without any depth.
+USUAL_DEPTH_M = 1.5
+
+
+@dataclass(frozen=True)
+class TieCorrection:
+    """A tie, and by how much the final poses move and turn its frame b against what it measured.
+
+    Attributes:
+        tie: the tie.
+        shift_m: rms over a grid of pixels at b's median depth, metres; NaN if a frame has no pose.
+        turn_rad: angle, radians; NaN likewise.
+    """
+
+    tie: Tie
+    shift_m: float
+    turn_rad: float
+
+    @property
+    def believed(self) -> bool:
+        """Whether the pose graph holds on to it."""
+        return self.tie.weight >= BELIEVED_WEIGHT
+
+
+def median(values: Float64) -> float:
+    """The median of the values (n,) that are known; NaN if none is."""
+    of = values[np.isfinite(values)]
+    return float(np.median(of)) if len(of) else np.nan
+
+
+def median_depths_m(sequence: Sequence, frames: Iterable[int]) -> dict[int, float]:
+    """Median measured depth of each frame, metres; of frames without depth a usual 1.5 m."""
+    medians = {}
+    for frame in sorted(set(frames)):
+        depth_m = sequence.depth_m(frame)[::4, ::4]
+        measured = depth_m[depth_m > 0]
+        medians[frame] = float(np.median(measured)) if len(measured) else USUAL_DEPTH_M
+    return medians
+
+
+def tie_correction(tie: Tie, T_world_camera: Float64, camera: Camera, depth_m: float) -> TieCorrection:
+    """Compare one tie with the final poses (own rule).
+
+    Args:
+        tie: between frames a and b.
+        T_world_camera: (n, 4, 4), NaN where there is no pose.
+        camera: intrinsics.
+        depth_m: at which points of b are taken.
+    """
+    T_a_b = invert_rigid(T_world_camera[tie.a]) @ T_world_camera[tie.b]
+    if not np.isfinite(T_a_b).all():
+        return TieCorrection(tie, np.nan, np.nan)
+    T_measured_final = invert_rigid(tie.T_a_b) @ T_a_b
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, GRID), np.linspace(0, camera.height - 1, GRID))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+    points = depth_m * rays.reshape(-1, 3)
+    moved_m = np.linalg.norm(transform_points(T_measured_final, points) - points, axis=1)
+    turn_rad = float(rotation_angle_rad(T_measured_final[:3, :3]))
+    return TieCorrection(tie, float(np.sqrt(np.mean(moved_m**2))), turn_rad)
+
+
+def pose_sigma_m(sequence: Sequence, tracked: Tracked, corrections: Iterable[TieCorrection]) -> Float64:
+    """By how much each frame's pose may be off: what the ties of its keyframe disagree with it by (own rule).
+
+    The weighted rms of their corrections over the square root of 2, because a correction may be due to either
+    of a tie's frames. A frame's keyframe is the nearest one in time.
+
+    Returns:
+        (n,) metres; NaN where there is no pose, or no tie.
+    """
+    n = len(sequence)
+    if not len(tracked.keyframes):
+        return np.full(n, np.nan)
+    weights, squares_m2 = np.zeros(n), np.zeros(n)
+    for each in corrections:
+        if np.isfinite(each.shift_m):
+            ends = [each.tie.a, each.tie.b]
+            weights[ends] += each.tie.weight
+            squares_m2[ends] += each.tie.weight * each.shift_m**2
+    tied = weights >= MIN_WEIGHT
+    sigma_m = np.full(n, np.nan)
+    sigma_m[tied] = np.sqrt(squares_m2[tied] / weights[tied] / 2)
+    posed = has_pose(tracked.T_world_camera)
+    return np.where(posed, sigma_m[_nearest_keyframes(sequence.stamps_ns, tracked.keyframes)], np.nan)
+
+
+def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The keyframe (n,) nearest in time to each frame, the earlier one of two."""
+    after = np.clip(np.searchsorted(keyframes, np.arange(len(stamps_ns))), 0, len(keyframes) - 1)
+    before = np.maximum(after - 1, 0)
+    to_after_ns = np.abs(stamps_ns[keyframes[after]] - stamps_ns)
+    to_before_ns = np.abs(stamps_ns - stamps_ns[keyframes[before]])
+    return keyframes[np.where(to_before_ns <= to_after_ns, before, after)]
+
+
+def frame_rows(
+    stamps_ns: NDArray[np.int64],
+    tracked: Tracked,
+    states: Rows[FrameState],
+    *,
+    shift_m: Float64,
+    residual_m: Float64,
+    sharpness: Float64,
+) -> tuple[FrameHealth, ...]:
+    """A row of figures per frame.
+
+    Args:
+        stamps_ns: (n,).
+        tracked: what the tracker found.
+        states: (n,) tracked, relocalised, lost or rejected.
+        shift_m: (n,) by how much each pose may be off, metres; NaN where unknown.
+        residual_m: (n,) to other frames, metres; NaN where unknown.
+        sharpness: (n,) of the colour; NaN where there is none.
+    """
+    speed_m_per_s, turn_rad_per_s = motion(tracked.T_world_camera, stamps_ns)
+    blurred = relative_blur(sharpness)
+    return tuple(
+        FrameHealth(
+            frame=frame,
+            state=state,
+            residual_m=known(residual_m[frame]),
+            shift_m=known(shift_m[frame]),
+            inlier_share=known(tracked.inlier_share[frame], 4),
+            speed_m_per_s=known(speed_m_per_s[frame], 4),
+            turn_rad_per_s=known(turn_rad_per_s[frame], 4),
+            blur=known(blurred[frame], 4),
+        )
+        for frame, state in enumerate(states)
+    )
+
+
+def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float64, Float64]:
+    """How fast each camera moved and turned since the frame before.
+
+    Args:
+        T_world_camera: (n, 4, 4), NaN where there is no pose.
+        stamps_ns: (n,) strictly increasing.
+
+    Returns:
+        (n,) metres per second and (n,) radians per second; NaN where one of the two frames has no pose.
+    """
+    speed_m_per_s, turn_rad_per_s = (np.full(len(stamps_ns), np.nan) for _ in range(2))
+    T_before_now = invert_rigid(T_world_camera[:-1]) @ T_world_camera[1:]
+    elapsed_s = np.diff(stamps_ns) / 1e9
+    speed_m_per_s[1:] = np.linalg.norm(T_before_now[:, :3, 3], axis=1) / elapsed_s
+    turn_rad_per_s[1:] = rotation_angle_rad(T_before_now[:, :3, :3]) / elapsed_s
+    return speed_m_per_s, turn_rad_per_s
+
+
+def lost_stretches(
+    stamps_ns: NDArray[np.int64], lost: Bools, reasons: Mapping[int, str]
+) -> list[LostStretch]:
+    """Runs of lost frames: from where to where, and the most frequent reason.
+
+    Args:
+        stamps_ns: (n,).
+        lost: (n,).
+        reasons: why, per lost frame.
+
+    Returns:
+        A row each; times in seconds from the first frame of the recording on.
+    """
+    frames = np.flatnonzero(lost)
+    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1) if len(frames) else []
+    return [
+        LostStretch(
+            first_frame=int(run[0]),
+            last_frame=int(run[-1]),
+            from_s=round(int(stamps_ns[run[0]] - stamps_ns[0]) / 1e9, 3),
+            to_s=round(int(stamps_ns[run[-1]] - stamps_ns[0]) / 1e9, 3),
+            reason=Counter(reasons.get(f, "no pose") for f in run.tolist()).most_common(1)[0][0],
+        )
+        for run in runs
+    ]
+
+
+def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
+    """Sharpness of the colour of each frame (`image_sharpness`): (n,); NaN where there is none.
+
+    Args:
+        sequence: the recording.
+        known: of frames whose colour has been read already.
+    """
+    frames = range(len(sequence))
+    return np.array([known[f] if f in known else _frame_sharpness(sequence, f) for f in frames])
+
+
+def _frame_sharpness(sequence: Sequence, index: int) -> float:
+    """Of one frame, read at the resolution the tracker works at, or at half its own."""
+    import cv2
+
+    if sequence.color_registered:
+        gray = reduced_gray(sequence, index)
+    else:
+        gray = read_gray(sequence, index, cv2.IMREAD_REDUCED_GRAYSCALE_2)
+    return np.nan if gray is None else image_sharpness(gray)

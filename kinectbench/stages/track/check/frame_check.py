@@ -1,0 +1,268 @@
+"""Does each frame's depth agree with the frames around it, under the poses it was given?
+
+A right pose stays where it is when its depth is registered to that of others; a wrong one moves. Drift moves
+distant frames against each other, but hardly those that follow each other: see `disagreement.tie_distant`.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.trajectory.compare import has_pose
+from kinectbench.core.types import Bools, Float64, Int64, Progress
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.track.check.disagreement import Disagreement, ask, disagreement, residuals_m
+from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.odometry import is_believable
+from kinectbench.stages.track.registration import Registration, register, score, search
+
+# Frames that others are compared with, evenly spread.
+COMPARED_FRAMES = 60
+# A frame that moves by half of what is allowed, and by so many times what is usual, is asked again.
+DOUBTFUL_TIMES = 2.0
+# Before and after a frame that disagrees, so many frames that do not are asked.
+NEXT_IN_TIME = 3
+# A frame of which less than this agrees with others wherever it is put shows something else.
+MIN_INLIERS = 0.65
+# Nine of ten frames agree better than the usual limits, which leave this much besides.
+USUAL_PERCENTILE, UNUSUAL_INLIERS, UNUSUAL_CORRELATION = 10, 0.03, 0.1
+# A place found by a search is believed if it convinces by this much more than where the frame is said to be.
+CLEARLY_BETTER = 0.05
+
+
+@dataclass(frozen=True)
+class FrameCheck:
+    """How the frames of a recording agree with each other under given poses; NaN where it is not known.
+
+    Attributes:
+        compared: (k,) the frames that others were compared with.
+        shift_m: (n,) how far each frame's points move to agree with others, metres.
+        turn_rad: (n,) by how much the camera turns, radians.
+        residual_m: (n,) median absolute point-to-plane residual as given, metres.
+        noise_m: (n,) what the noise of a Kinect's depth makes of it, at the frame's median depth, metres.
+        inlier_share: (n,) share of its points that agree once it has moved.
+        degenerate: (n,) bool, the depth leaves a motion open.
+        disagrees: (n,) bool.
+        blind: (n,) bool, it measured nothing that could be compared.
+        jumps: where the trajectory jumps: the frame behind it, and by how much, metres.
+    """
+
+    compared: Int64
+    shift_m: Float64
+    turn_rad: Float64
+    residual_m: Float64
+    noise_m: Float64
+    inlier_share: Float64
+    degenerate: Bools
+    disagrees: Bools
+    blind: Bools
+    jumps: tuple[tuple[int, float], ...]
+
+
+def check_frames(
+    maps: MapCache,
+    T_given: Float64,
+    settings: TrackingSettings,
+    progress: Progress | None = None,
+) -> FrameCheck:
+    """Compare every frame that has a pose with frames that look at the same place from nearby.
+
+    A frame that disagrees is asked again among the agreeing frames before it and after it in time: next to a
+    jump it agrees with one side, and one wrong frame does not drag its right neighbours along.
+
+    Args:
+        maps: of the recording, n frames.
+        T_given: (n, 4, 4), NaN where there is none.
+        settings: how many points and neighbours, and what counts as disagreement.
+        progress: called with (done, total).
+    """
+    posed = np.flatnonzero(has_pose(T_given))
+    compared = evenly_spread(posed)
+    checker = _Checker(maps, T_given, settings, compared)
+    for done, frame in enumerate(posed.tolist(), start=1):
+        checker.compare(frame)
+        if done > 1:
+            checker.step(int(posed[done - 2]), frame)
+        if progress:
+            progress(done, len(posed))
+    checker.ask_again(posed)
+    return checker.result(posed)
+
+
+def evenly_spread(frames: Int64) -> Int64:
+    """Of frames (k,) those that others are compared with."""
+    return frames[np.unique(np.linspace(0, len(frames) - 1, COMPARED_FRAMES).astype(np.int64))]
+
+
+class _Checker:
+    """The figures while they are found."""
+
+    def __init__(self, maps: MapCache, T_given: Float64, settings: TrackingSettings, compared: Int64) -> None:
+        n = len(T_given)
+        self.maps, self.T, self.compared = maps, T_given, compared
+        self.every, self.neighbours = settings.check_stride_px, settings.check_neighbours
+        self.max_shift_m = settings.max_disagreement_m
+        self.found: dict[int, Disagreement] = {}
+        self.residual_m, self.noise_m, self.step_m = (np.full(n, np.nan) for _ in range(3))
+        self.blind = np.zeros(n, bool)
+
+    def compare(self, frame: int) -> None:
+        """With the frames that look at the same place from nearby."""
+        self.blind[frame] = len(self.maps[frame].levels[0].points) == 0
+        near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
+        found = self._ask(frame, near, coarsest=0) if near else None
+        if found is None:
+            return
+        self.found[frame] = found
+        residuals = np.concatenate(
+            [
+                residuals_m(self.maps[frame], self.maps[k].levels[0], T, 2 * self.every)
+                for k, T in zip(near, self._starts(frame, near), strict=True)
+            ]
+        )
+        self.residual_m[frame] = np.median(residuals) if len(residuals) else np.nan
+        # A residual is the difference of two measurements.
+        self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame].levels[0].points[:, 6])
+
+    def step(self, before: int, frame: int) -> None:
+        """With the frame before it."""
+        found = self._across(before, frame, coarsest=1)
+        if found is not None:
+            self.step_m[frame] = found.certain_shift_m
+
+    def ask_again(self, posed: Int64) -> None:
+        """Ask the frames that disagree, or of which less agrees than is usual, a second time."""
+        # The finest level, where every frame was asked first, sees only part of a large shift.
+        usual_m = np.median([found.shift_m for found in self.found.values()] or [0.0])
+        doubtful_m = max(self.max_shift_m / 2, DOUBTFUL_TIMES * usual_m)
+        wrong = [f for f, each in self.found.items() if self._disagrees(each) or each.shift_m > doubtful_m]
+        sound = np.setdiff1d(self.compared, wrong)
+        if len(sound) < 2:
+            return
+        usual = _Usual.of(found.registration for f, found in self.found.items() if f not in set(wrong))
+        unusual = [f for f, found in self.found.items() if not usual.includes(found.registration)]
+        missing = np.setdiff1d(posed, list(self.found)).tolist()
+        # If most are wrong it is not them that have to be found elsewhere.
+        few = len(wrong) + len(missing) < 0.5 * len(posed)
+        for frame in sorted({*wrong, *unusual, *missing}):
+            first = [self.found[frame]] if frame in self.found else []
+            sides = self._both_sides(frame, sound)
+            answers = sides or first if frame in set(wrong) else sides + first
+            answers.sort(key=lambda each: (not usual.includes(each.registration), each.shift_m))
+            best = answers[0] if answers else None
+            if few and (best is None or not usual.includes(best.registration)):
+                best = self._elsewhere(frame, sound, best)
+            if best is not None:
+                self.found[frame] = best
+
+    def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
+        """What the agreeing frames next before it say, and those next after it."""
+        sides = sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]
+        asked = [self._ask(frame, side.tolist(), coarsest=2) for side in sides if len(side)]
+        return [each for each in asked if each is not None]
+
+    def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
+        """Search around the given pose, and around that of the next frame; one that fits clearly better."""
+        others = sound[sound != frame]
+        near = int(others[np.argmin(np.abs(others - frame))])
+        source, T_given = self.maps[frame], self._starts(frame, [near])[0]
+        found = max((search(source, self.maps[near], T) for T in (T_given, np.eye(4))), key=score)
+        as_given = self._ask(frame, [near], coarsest=1)
+        known = 0.0 if as_given is None else score(as_given.registration)
+        return disagreement(source, T_given, found) if score(found) > known + CLEARLY_BETTER else best
+
+    def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
+        """With a frame just before it; if that does not convince, as after a jump, from a standstill."""
+        found = self._ask(frame, [before], coarsest)
+        if found is not None and is_believable(found.registration):
+            return found
+        source, T_given = self.maps[frame], self._starts(frame, [before])[0]
+        still = register(source, [self.maps[before]], [np.eye(4)], 2, every=self.every)
+        return disagreement(source, T_given, still) if is_believable(still) else found
+
+    def _ask(self, frame: int, others: list[int], coarsest: int) -> Disagreement | None:
+        targets = [self.maps[k] for k in others]
+        # Several together say enough with half of the points.
+        every = self.every if len(others) == 1 else 2 * self.every
+        return ask(self.maps[frame], targets, self._starts(frame, others), coarsest, every)
+
+    def _starts(self, frame: int, others: list[int]) -> list[Float64]:
+        return [invert_rigid(self.T[k]) @ self.T[frame] for k in others]
+
+    def _disagrees(self, found: Disagreement) -> bool:
+        return found.certain_shift_m > self.max_shift_m or found.registration.inlier_share < MIN_INLIERS
+
+    def jumps(self, kept: Int64) -> tuple[tuple[int, float], ...]:
+        """Steps that are off alone, if the frames before and behind confirm it: a wrong frame makes two."""
+        rows = np.arange(1, len(kept))
+        off = np.concatenate([[False], self.step_m[kept[rows]] > self.max_shift_m, [False]])
+        found = []
+        for row in rows[off[1:-1] & ~off[:-2] & ~off[2:]].tolist():
+            across = [
+                (a, b)
+                for a, b in ((row - 1, row), (row - 2, row), (row - 1, row + 1))
+                if a >= 0 and b < len(kept)
+            ]
+            asked = [self._across(int(kept[a]), int(kept[b]), coarsest=2) for a, b in across]
+            shifts_m = [0.0 if each is None else each.certain_shift_m for each in asked]
+            if min(shifts_m) > self.max_shift_m:
+                found.append((int(kept[row]), float(np.median(shifts_m))))
+        return tuple(found)
+
+    def result(self, posed: Int64) -> FrameCheck:
+        """What was found of the frames (k,) that have a pose."""
+        n = len(self.T)
+        shift_m, turn_rad, inlier_share = (np.full(n, np.nan) for _ in range(3))
+        degenerate, disagrees = np.zeros(n, bool), np.zeros(n, bool)
+        for frame, found in self.found.items():
+            shift_m[frame], turn_rad[frame] = found.shift_m, found.turn_rad
+            inlier_share[frame] = found.registration.inlier_share
+            degenerate[frame], disagrees[frame] = found.registration.degenerate, self._disagrees(found)
+        return FrameCheck(
+            compared=self.compared,
+            shift_m=shift_m,
+            turn_rad=turn_rad,
+            residual_m=self.residual_m,
+            noise_m=self.noise_m,
+            inlier_share=inlier_share,
+            degenerate=degenerate,
+            disagrees=disagrees,
+            blind=self.blind,
+            jumps=self.jumps(posed[~disagrees[posed]]),
+        )
+
+
+@dataclass(frozen=True)
+class _Usual:
+    """What nearly all registrations of a recording reach."""
+
+    inlier_share: float
+    correlation: float
+
+    @classmethod
+    def of(cls, registrations: Iterable[Registration]) -> "_Usual":
+        """What nine of ten registrations reach, and some slack."""
+        figures = [(each.inlier_share, each.intensity_correlation) for each in registrations]
+        inliers, correlation = np.array(figures or [(0.0, np.nan)]).T
+        known = correlation[np.isfinite(correlation)]
+        return cls(
+            float(np.percentile(inliers, USUAL_PERCENTILE)) - UNUSUAL_INLIERS,
+            float(np.percentile(known, USUAL_PERCENTILE)) - UNUSUAL_CORRELATION if len(known) else -1.0,
+        )
+
+    def includes(self, registration: Registration) -> bool:
+        return (
+            registration.inlier_share >= self.inlier_share
+            and not registration.intensity_correlation < self.correlation
+        )
+
+
+def nearest_views(T: Float64, frame: int, among: Int64) -> Int64:
+    """The other frames, most similar view first: 1 m apart counts as much as 1 rad turned."""
+    others = among[among != frame]
+    apart_m = np.linalg.norm(T[others, :3, 3] - T[frame, :3, 3], axis=1)
+    cosine = T[others, :3, 2] @ T[frame, :3, 2]
+    order = np.argsort(apart_m + np.arccos(np.clip(cosine, -1, 1)), kind="stable")
+    return np.asarray(others[order])

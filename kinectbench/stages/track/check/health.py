@@ -1,0 +1,249 @@
+"""The health of a trajectory without a truth: what health.json holds, from what the tracker found."""
+
+from collections import Counter
+from collections.abc import Sequence as Rows
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.artefacts.stored import known
+from kinectbench.core.artefacts.trajectory import (
+    ConstraintCounts,
+    Covisibility,
+    FrameState,
+    LoopClosure,
+    Recommendation,
+    RejectedFrame,
+    Source,
+    TrajectoryHealth,
+)
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.compare import has_pose
+from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility
+from kinectbench.core.types import Bools, Float64
+from kinectbench.stages.track.check.check_given import GivenCheck
+from kinectbench.stages.track.check.figures import (
+    TieCorrection,
+    frame_rows,
+    lost_stretches,
+    median,
+    median_depths_m,
+    pose_sigma_m,
+    sharpness,
+    tie_correction,
+)
+from kinectbench.stages.track.check.verdict import judge, recommend
+from kinectbench.stages.track.tracked import Tie, Tracked
+
+COVISIBLE_KEYFRAMES = 60
+
+
+def health(
+    sequence: Sequence,
+    source: Source,
+    tracked: Tracked,
+    warnings: Rows[str],
+    given: GivenCheck | None = None,
+) -> TrajectoryHealth:
+    """The figures of health.json, and a verdict; docs/tracking.md says what each of them is.
+
+    Args:
+        sequence: the recording, n frames.
+        source: trust: the poses are the given ones; refine: these, corrected; tracked: found without.
+        tracked: what the tracker found. Frames that are left out have no pose in it.
+        warnings: for people, one line each.
+        given: of the given trajectory, if there is one; trust needs it.
+    """
+    case = _Case(sequence, source, tracked, given)
+    figures = TrajectoryHealth(
+        source=source,
+        verdict="",
+        grade="not good",
+        recommended=None if given is None else _recommended(given, case.posed),
+        warnings=tuple(warnings),
+        frames=len(case.posed),
+        tracked=int(case.posed.sum()),
+        lost=_indices(case.lost),
+        lost_stretches=tuple(lost_stretches(sequence.stamps_ns, case.lost, tracked.reasons)),
+        relocalised=_indices(np.array(case.states) == "relocalised"),
+        rejected=tuple(_rejected(case, frame) for frame in _indices(case.rejected)),
+        degenerate=_indices(tracked.degenerate),
+        unchecked=int((case.posed & ~case.checked).sum()),
+        keyframes=tuple(tracked.keyframes.tolist()),
+        **_residual_figures(case),
+        **_path_figures(case),
+        **_tie_figures(case),
+        given=None if given is None else given.figures,
+        covisibility=_covisibility(case),
+        per_frame=frame_rows(
+            sequence.stamps_ns,
+            tracked,
+            case.states,
+            shift_m=case.shift_m,
+            residual_m=case.residual_m,
+            sharpness=sharpness(sequence, tracked.sharpness),
+        ),
+    )
+    grade, verdict = judge(figures)
+    return figures.model_copy(update={"grade": grade, "verdict": verdict})
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What is judged, and what several figures are taken from."""
+
+    sequence: Sequence
+    source: Source
+    tracked: Tracked
+    given: GivenCheck | None
+
+    @cached_property
+    def posed(self) -> Bools:
+        return has_pose(self.tracked.T_world_camera)
+
+    @cached_property
+    def rejected(self) -> Bools:
+        return np.zeros_like(self.posed) if self.given is None else self.given.frames.disagrees & ~self.posed
+
+    @property
+    def lost(self) -> Bools:
+        return ~self.posed & ~self.rejected
+
+    @property
+    def states(self) -> list[FrameState]:
+        """Per frame: tracked, relocalised, lost or rejected."""
+        named = zip(self.tracked.states, self.posed, self.rejected, strict=True)
+        return [state if posed else "rejected" if rejected else "lost" for state, posed, rejected in named]
+
+    @cached_property
+    def depths_m(self) -> dict[int, float]:
+        ties = (*self.tracked.ties, *self.tracked.refused)
+        return median_depths_m(self.sequence, [*self.tracked.keyframes.tolist(), *(tie.b for tie in ties)])
+
+    def corrections(self, ties: tuple[Tie, ...]) -> list[TieCorrection]:
+        T, camera = self.tracked.T_world_camera, self.sequence.camera
+        return [tie_correction(tie, T, camera, self.depths_m[tie.b]) for tie in ties]
+
+    @cached_property
+    def kept(self) -> list[TieCorrection]:
+        return self.corrections(self.tracked.ties)
+
+    @property
+    def loops(self) -> list[TieCorrection]:
+        return [each for each in self.kept if each.tie.kind == "loop"]
+
+    @property
+    def trusted(self) -> GivenCheck | None:
+        """The check that speaks for the poses: only if they are the given ones."""
+        return self.given if self.source == "trust" else None
+
+    @cached_property
+    def shift_m(self) -> Float64:
+        """(n,) by how much each pose may be off; NaN where unknown."""
+        return (
+            self.trusted.frames.shift_m
+            if self.trusted
+            else pose_sigma_m(self.sequence, self.tracked, self.kept)
+        )
+
+    @property
+    def residual_m(self) -> Float64:
+        return self.trusted.frames.residual_m if self.trusted else self.tracked.residual_m
+
+    @property
+    def checked(self) -> Bools:
+        return np.isfinite(self.shift_m if self.trusted else self.residual_m)
+
+
+def _indices(frames: Bools) -> tuple[int, ...]:
+    return tuple(np.flatnonzero(frames).tolist())
+
+
+def _rejected(case: _Case, frame: int) -> RejectedFrame:
+    assert case.given is not None
+    shift_m, agreeing = case.given.frames.shift_m[frame], case.tracked.inlier_share[frame]
+    there = f", where {100 * agreeing:.0f} % of it fits" if np.isfinite(agreeing) else ""
+    return RejectedFrame(
+        frame=frame,
+        stamp_ns=int(case.sequence.stamps_ns[frame]),
+        residual_m=known(case.given.frames.residual_m[frame]),
+        shift_m=known(shift_m),
+        turn_rad=known(case.given.frames.turn_rad[frame]),
+        reason=f"its depth disagrees with its pose by {known(1000 * shift_m, 2)} mm{there}",
+    )
+
+
+def _residual_figures(case: _Case) -> dict[str, Any]:
+    """Residuals of the frames with a pose. Keyframes take part in the model that others are compared with."""
+    others = case.posed.copy()
+    others[case.tracked.keyframes] = False
+    held_out = others if np.isfinite(case.residual_m[others]).any() else case.posed
+    shifts_m = case.shift_m[case.posed & np.isfinite(case.shift_m)]
+    return {
+        "median_shift_m": known(median(shifts_m)),
+        "max_shift_m": known(shifts_m.max()) if len(shifts_m) else None,
+        "median_residual_m": known(median(case.residual_m[case.posed])),
+        "held_out_residual_m": known(median(case.residual_m[held_out])),
+        "sensor_noise_m": known(median(case.tracked.noise_m[held_out])),
+    }
+
+
+def _path_figures(case: _Case) -> dict[str, Any]:
+    frames = np.flatnonzero(case.posed)
+    T = case.tracked.T_world_camera[frames]
+    steps_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    # A step is closed if a believed loop holds together what lies before and behind it.
+    closed = np.zeros(len(steps_m), dtype=bool)
+    for each in case.loops:
+        if each.believed:
+            first, last = sorted((each.tie.a, each.tie.b))
+            closed |= (frames[:-1] >= first) & (frames[1:] <= last)
+    return {
+        "path_length_m": round(float(steps_m.sum()), 3),
+        "open_path_m": round(float(steps_m[~closed].sum()), 3),
+        "arc_rad": covered_arc_rad(T),
+    }
+
+
+def _tie_figures(case: _Case) -> dict[str, Any]:
+    counts: Counter[str] = Counter(tie.kind for tie in case.tracked.ties)
+    believed_m = [each.shift_m for each in case.loops if each.believed and np.isfinite(each.shift_m)]
+    refused = case.corrections(tuple(tie for tie in case.tracked.refused if tie.kind == "loop"))
+    return {
+        "ties": ConstraintCounts(**counts, refused=len(case.tracked.refused)),
+        "loop_correction_m": known(np.sqrt(np.mean(np.square(believed_m)))) if believed_m else None,
+        "loops": [_loop(each) for each in case.loops],
+        "refused_loops": [_loop(each) for each in refused],
+    }
+
+
+def _loop(each: TieCorrection) -> LoopClosure:
+    return LoopClosure(
+        a=each.tie.a,
+        b=each.tie.b,
+        residual_m=known(each.tie.residual_m),
+        overlap=known(each.tie.overlap, 4),
+        inlier_share=known(each.tie.inlier_share, 4),
+        correction_m=known(each.shift_m),
+        correction_rad=known(each.turn_rad),
+        weight=known(each.tie.weight, 4),
+        believed=each.believed,
+    )
+
+
+def _recommended(given: GivenCheck, posed: Bools) -> Recommendation:
+    compared = np.isfinite(given.frames.shift_m)
+    checked_share = float(compared.sum() / max(1, (compared | posed).sum()))
+    rejected_share = float(given.frames.disagrees[compared].mean()) if compared.any() else 0.0
+    return recommend(given.figures, checked_share, rejected_share)
+
+
+def _covisibility(case: _Case) -> Covisibility:
+    keyframes = case.tracked.keyframes[case.posed[case.tracked.keyframes]]
+    if len(keyframes):
+        chosen = np.linspace(0, len(keyframes) - 1, min(len(keyframes), COVISIBLE_KEYFRAMES))
+        keyframes = keyframes[np.rint(chosen).astype(np.int64)]
+    shares = covisibility(case.sequence, case.tracked.T_world_camera, keyframes)
+    return Covisibility(keyframes=tuple(keyframes.tolist()), share=np.round(shares, 3).tolist())

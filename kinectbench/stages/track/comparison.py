@@ -1,0 +1,74 @@
+"""A built trajectory against one in TUM format: figures for people and for machines, and a picture."""
+
+import math
+from dataclasses import dataclass
+
+from kinectbench.core.errors import TrackingError
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.compare import TrajectoryError, compare_poses, has_pose, match_stamps
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.stages.track.pictures import comparison_picture, timeline
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A trajectory against a reference.
+
+    Attributes:
+        frames: of the recording.
+        tracked: of these, frames with a pose.
+        error: over the poses that both have.
+    """
+
+    frames: int
+    tracked: int
+    error: TrajectoryError
+
+    def row(self) -> dict[str, float | int | None]:
+        """The figures as they are shown, and printed as JSON: millimetres and degrees.
+
+        Relative errors (rmse) are from one matched frame to the next, and over a metre of path: None if the
+        path is shorter.
+        """
+        error, metre_m, metre_rad = self.error, self.error.rpe_metre_m, self.error.rpe_metre_rad
+        return {
+            "frames": self.frames,
+            "tracked": self.tracked,
+            "tracked_share": self.tracked / self.frames,
+            "matched": error.matched,
+            "ate_rmse_mm": 1000 * error.ate_m.rmse,
+            "ate_median_mm": 1000 * error.ate_m.median,
+            "ate_max_mm": 1000 * error.ate_m.max,
+            "rpe_frame_mm": 1000 * error.rpe_frame_m.rmse,
+            "rpe_frame_deg": math.degrees(error.rpe_frame_rad.rmse),
+            "rpe_metre_mm": None if metre_m is None else 1000 * metre_m.rmse,
+            "rpe_metre_deg": None if metre_rad is None else math.degrees(metre_rad.rmse),
+        }
+
+
+def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Comparison, bytes]:
+    """Compare all frames that both have a pose for.
+
+    Returns:
+        The figures, and a picture (PNG file).
+
+    Raises:
+        TrackingError: fewer than three poses match by stamp.
+    """
+    frames, rows = match_stamps(trajectory.stamps_ns, reference.stamps_ns)
+    if not len(frames):
+        ours, theirs = (
+            f"{stamps[0] / 1e9:.3f}-{stamps[-1] / 1e9:.3f} s"
+            for stamps in (trajectory.stamps_ns, reference.stamps_ns)
+        )
+        raise TrackingError(
+            f"no stamp is a frame's: the frames are of {ours}, the trajectory is of {theirs}; "
+            "give one of this recording, on its clock"
+        )
+    posed = has_pose(trajectory.T_world_camera[frames])
+    T_estimate = trajectory.T_world_camera[frames[posed]]
+    T_reference = reference.T_world_camera[rows[posed]]
+    error = compare_poses(T_estimate, T_reference)
+    figures = Comparison(len(trajectory.stamps_ns), len(trajectory.good_frames), error)
+    moments, when = timeline(trajectory.stamps_ns)
+    return figures, comparison_picture(error, T_estimate, T_reference, moments[frames[posed]], when)

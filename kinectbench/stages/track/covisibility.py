@@ -1,0 +1,111 @@
+"""Which keyframes look at the same places, from their poses and a few of their points."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.frame_maps import FrameMaps
+
+COARSEST = 2
+POINTS = 200
+# Another surface lies at least so much farther or nearer than this one, beside what drift may have moved.
+TOLERANCE_M, TOLERANCE_SHARE = 0.15, 0.05
+# Keyframes farther apart in what they look at (of the depth they look at it from) need not be compared.
+NEAR_SHARE = 0.8
+MAX_NEIGHBOURS = 60
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """What is kept of a keyframe to tell what it sees: a thumbnail and a few points.
+
+    Attributes:
+        depth_m: (height, width) float32 at the coarsest level, some 80 x 60.
+        intrinsics: (4,) of that level.
+        points: (m, 6) float64, at most 200, position and normal, camera frame.
+    """
+
+    depth_m: NDArray[np.float32]
+    intrinsics: Float64
+    points: Float64
+
+
+def glimpse(maps: FrameMaps) -> Glimpse:
+    """Take what is needed from the maps of a keyframe."""
+    level = maps.levels[COARSEST]
+    chosen = np.linspace(0, len(level.points) - 1, min(POINTS, len(level.points))).astype(int)
+    return Glimpse(level.depth_m, level.intrinsics, level.points[chosen, :6].astype(np.float64))
+
+
+def shared_view(a: Glimpse, b: Glimpse, T_a_b: Float64) -> float:
+    """Share of b's points that a sees, at about their depth and from their front."""
+    return (
+        float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
+        if len(b.points)
+        else 0.0
+    )
+
+
+def covisible(glimpses: Sequence[Glimpse], T_world: Float64) -> list[tuple[float, int, int]]:
+    """Pairs of keyframes that see the same places: (shared view, i, j) with i < j.
+
+    Each keyframe is compared with at most 60 others that look at places near its own, so that the cost grows
+    as their number does.
+
+    Args:
+        glimpses: of the keyframes.
+        T_world: (k, 4, 4) their poses, NaN where unknown.
+    """
+    known = [i for i in range(len(glimpses)) if np.isfinite(T_world[i]).all() and len(glimpses[i].points)]
+    if len(known) < 2:
+        return []
+    centres = np.array([transform_points(T_world[i], glimpses[i].points[:, :3].mean(axis=0)) for i in known])
+    reach = [NEAR_SHARE * float(glimpses[i].points[:, 2].mean()) for i in known]
+    tree = cKDTree(centres)
+    pairs = set()
+    for row, i in enumerate(known):
+        near = [j for j in tree.query_ball_point(centres[row], reach[row]) if j != row]
+        apart = np.linalg.norm(centres[near] - centres[row], axis=1)
+        for j in np.array(near, int)[np.argsort(apart, kind="stable")][:MAX_NEIGHBOURS]:
+            pairs.add((min(i, known[j]), max(i, known[j])))
+    found = []
+    for i, j in sorted(pairs):
+        T_i_j = invert_rigid(T_world[i]) @ T_world[j]
+        share = min(
+            shared_view(glimpses[i], glimpses[j], T_i_j),
+            shared_view(glimpses[j], glimpses[i], invert_rigid(T_i_j)),
+        )
+        found.append((share, i, j))
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shared(depth, intrinsics, points, T):  # type: ignore[no-untyped-def]
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    seen = 0
+    for i in range(len(points)):
+        p = points[i]
+        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        if z <= 0.1:
+            continue
+        u, v = int(fx * x / z + cx + 0.5), int(fy * y / z + cy + 0.5)
+        if u < 0 or v < 0 or u >= width or v >= height:
+            continue
+        nx = T[0, 0] * p[3] + T[0, 1] * p[4] + T[0, 2] * p[5]
+        ny = T[1, 0] * p[3] + T[1, 1] * p[4] + T[1, 2] * p[5]
+        nz = T[2, 0] * p[3] + T[2, 1] * p[4] + T[2, 2] * p[5]
+        if nx * x + ny * y + nz * z >= 0:
+            continue
+        d = depth[v, u]
+        if d > 0 and abs(d - z) < TOLERANCE_M + TOLERANCE_SHARE * z:
+            seen += 1
+    return seen / len(points)

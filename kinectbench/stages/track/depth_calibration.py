@@ -1,0 +1,196 @@
+"""The sensor's own depth distortion, found from what no rigid motion between keyframes explains.
+
+A structured-light sensor errs in disparity, by an amount that varies smoothly over the image (Herrera,
+Kannala and Heikkila, PAMI 2012; Teichman, Miller and Thrun, RSS 2013). It moves with the camera, pulls every
+registration a little the same way, and bends a walk around a chair by millimetres. So, after Zhou and Koltun
+("Simultaneous localization and calibration", CVPR 2014), it is estimated along: 1 / true depth = 1 / depth +
+correction, a polynomial of the pixel.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, invert_rigid, transform_points
+from kinectbench.core.geometry.depth import (
+    NO_CALIBRATION,
+    TERMS,
+    DepthCalibration,
+    depth_sigma_m,
+    legendre_terms,
+)
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.covisibility import covisible, glimpse
+from kinectbench.stages.track.frame_maps import Level, MapCache
+from kinectbench.stages.track.linearise import add_products, mirrored
+from kinectbench.stages.track.registration import CORRELATED_POINTS
+
+# Points of each pair that are enough.
+POINTS_PER_PAIR = 1500
+# How large the correction may be expected: 1 % of depth at 4 m; higher degrees less.
+PRIOR_PER_M = 0.0025
+GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
+MIN_PAIRS = 6
+# Pairs of frames that share this much of their view tell, at most so many.
+MIN_SHARED_VIEW, MAX_PAIRS = 0.3, 400
+# Frames agree clearly better where given poses put them if this is left of the squares of their residuals.
+POSED_FALLS_TO = 0.98
+
+
+@dataclass(frozen=True)
+class View:
+    """A pair of frames at the finest level: points of the source that fall on the target."""
+
+    source: Level
+    target: Level
+    T_target_source: Float64
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """A sum of squares of residuals as coefficients x change it: squares + 2 b x + x A x."""
+
+    A: Float64
+    b: Float64
+    squares: float
+
+    def __add__(self, other: "_Sums") -> "_Sums":
+        return _Sums(self.A + other.A, self.b + other.b, self.squares + other.squares)
+
+    def falls_to(self, coefficients_per_m: Float64) -> float:
+        """What share is left with these coefficients."""
+        x = coefficients_per_m
+        return 1 + float(2 * x @ self.b + x @ self.A @ x) / max(self.squares, 1e-12)
+
+
+NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
+
+
+@dataclass(frozen=True)
+class _PairSums:
+    """A pair's residuals where it lies (`posed`), and with the motion that is best for any coefficients."""
+
+    posed: _Sums
+    unexplained: _Sums
+
+
+def calibrate(views: Iterable[View]) -> DepthCalibration:
+    """The correction that pairs of frames agree on best; each pair's motion is free besides.
+
+    Args:
+        views: in the order of time, with depth as recorded, not yet corrected.
+    """
+    return _believed([each.unexplained for each in _all_sums(views)])
+
+
+def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
+    """The correction by which frames of known poses agree best; each pair's motion is free all the same.
+
+    Given poses are off by a hand-eye calibration, or made from the same distorted depth: then correct depth
+    fits them worse. So it is believed only if frames agree clearly better where the poses put them.
+
+    Args:
+        maps: of the recording, depth as recorded.
+        T_world_camera: (n, 4, 4), of all frames.
+        frames: (k,) those to look at, ascending; they have poses.
+    """
+    seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
+    pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
+    found = _all_sums(
+        View(maps[b].levels[0], maps[a].levels[0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
+        for a, b in evenly_chosen(pairs)
+    )
+    sums = [each.unexplained for each in found]
+    helps = len(sums) >= MIN_PAIRS and _left(sums, [each.posed for each in found]) < POSED_FALLS_TO
+    return _believed(sums) if helps else NO_CALIBRATION
+
+
+def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """At most 400 of the pairs, in their order: more add nothing."""
+    rows = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PAIRS)).astype(int)
+    return [pairs[row] for row in rows]
+
+
+def _believed(sums: Sequence[_Sums]) -> DepthCalibration:
+    """Their solution, if what either half of the pairs says explains the other half, too; or none."""
+    believed = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
+    return DepthCalibration(_solved(sums)) if believed else NO_CALIBRATION
+
+
+def _left(solved: Sequence[_Sums], judged: Sequence[_Sums]) -> float:
+    """What share of the squares of a half of the pairs is left with what the other half says, at most."""
+    half = len(solved) // 2
+    return max(
+        sum(judged[half:], NO_SUMS).falls_to(_solved(solved[:half])),
+        sum(judged[:half], NO_SUMS).falls_to(_solved(solved[half:])),
+    )
+
+
+def _solved(sums: Sequence[_Sums]) -> Float64:
+    whole = sum(sums, _Sums(np.diag([((1 + i + j) / PRIOR_PER_M) ** 2 for i, j in TERMS]), NO_SUMS.b, 0.0))
+    return np.asarray(-np.linalg.solve(whole.A, whole.b), np.float64)
+
+
+def _all_sums(views: Iterable[View]) -> list[_PairSums]:
+    return [each for each in map(_sums, views) if each is not None]
+
+
+def _sums(view: View) -> _PairSums | None:
+    """Of one pair; None where too little overlaps."""
+    k = len(TERMS)
+    rows, residuals, weights = _linearised(view)
+    if len(rows) < 10 * k:
+        return None
+    sums = np.zeros((6 + k + 1, 6 + k + 1))
+    columns = np.ascontiguousarray(np.column_stack([rows, residuals]).T)
+    add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
+    sums = mirrored(sums)
+    A, b = sums[:-1, :-1], sums[:-1, -1]
+    # The motion is eliminated: what is left is what it cannot explain.
+    motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
+    posed = _Sums(A[6:, 6:], b[6:], float(sums[-1, -1]))
+    explained = A[6:, :6] @ motion
+    unexplained = _Sums(
+        posed.A - explained[:, :-1], posed.b - explained[:, -1], posed.squares - float(b[:6] @ motion[:, -1])
+    )
+    return _PairSums(posed, unexplained)
+
+
+def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
+    """Rows (m, 6 + k) of residual + row @ (twist, coefficients), the residuals (m,) and weights (m,)."""
+    source, target = view.source, view.target
+    every = max(1, len(source.points) // POINTS_PER_PAIR)
+    points = source.points[::every].astype(np.float64)
+    p, normals = points[:, :3], points[:, 3:6]
+    at = transform_points(view.T_target_source, p)
+    ahead = at[:, 2] > 0.1
+    p, normals, at = p[ahead], normals[ahead], at[ahead]
+    u, v = np.rint(target.camera.project(at)).astype(int).T
+    height, width = target.depth_m.shape
+    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    p, normals, at, u, v = p[inside], normals[inside], at[inside], u[inside], v[inside]
+    d = target.depth_m[v, u].astype(np.float64)
+    n = normals @ view.T_target_source[:3, :3].T + target.normals[v, u]
+    length = np.linalg.norm(n, axis=1)
+    # Twice the cosine of half the angle between the normals.
+    met = (d > 0) & (np.abs(d - at[:, 2]) < GATE_M) & (length > 2 * MIN_FACING)
+    p, at, u, v, d, n = p[met], at[met], u[met], v[met], d[met], n[met] / length[met][:, None]
+    q = _rays(target.camera, u, v) * d[:, None]
+    residuals = (n * (q - at)).sum(axis=1)
+    own = source.camera.project(p)
+    by_target = (
+        legendre_terms(u.astype(float), v.astype(float), width, height) * (-d * (n * q).sum(axis=1))[:, None]
+    )
+    along = (n * (at - view.T_target_source[:3, 3])).sum(axis=1)
+    by_source = legendre_terms(own[:, 0], own[:, 1], width, height) * (p[:, 2] * along)[:, None]
+    n_source = n @ view.T_target_source[:3, :3]
+    rows = np.column_stack([-np.cross(p, n_source), -n_source, by_target + by_source])
+    sigma = np.sqrt(depth_sigma_m(d) ** 2 + depth_sigma_m(p[:, 2]) ** 2)
+    huber = np.minimum(1.0, HUBER_SIGMAS * sigma / np.maximum(np.abs(residuals), 1e-9))
+    return rows, residuals, huber / sigma**2
+
+
+def _rays(camera: Camera, u: NDArray[np.int64], v: NDArray[np.int64]) -> Float64:
+    return np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])

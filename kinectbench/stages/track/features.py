@@ -1,0 +1,158 @@
+"""Where a frame may lie to another one when nothing else says so: ORB features, matched and lifted to 3-D.
+
+ORB: Rublee et al. 2011; the pose by P3P (Ke & Roumeliotis 2017) in RANSAC, then EPnP (Lepetit et al. 2009)
+of all inliers. Where colour is not registered to depth, the features are found in the depth's shading, which
+looks alike while the camera turns by less than some 30 degrees.
+
+Keyframes that look alike, wherever the odometry believes they are, are found by a bag of the recording's own
+ORB words: Sivic & Zisserman 2003 ("Video Google") with binary words, as in Galvez-Lopez & Tardos 2012.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, invert_rigid, rigid
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
+
+MAX_FEATURES = 600
+FAST_THRESHOLD = 7
+# Of two candidates for a match the better one must be this much better (Lowe 2004).
+RATIO = 0.85
+MIN_MATCHES = 12
+MIN_INLIERS = 10
+REPROJECTION_PX = 2.5
+CACHED_FRAMES = 1000
+WORDS = 400
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features of one frame that have depth.
+
+    Attributes:
+        pixels: (m, 2) float64, u and v at working resolution.
+        points_m: (m, 3) float64, camera frame.
+        descriptors: (m, 32) uint8.
+    """
+
+    pixels: Float64
+    points_m: Float64
+    descriptors: NDArray[np.uint8]
+
+
+@dataclass
+class FeatureCache:
+    """Features of frames, found when asked for; the last 1000 are kept."""
+
+    maps: MapCache
+    _kept: OrderedDict[int, Features] = field(default_factory=OrderedDict)
+
+    def __getitem__(self, index: int) -> Features:
+        if index not in self._kept:
+            self._kept[index] = find_features(self.maps[index])
+            if len(self._kept) > CACHED_FRAMES:
+                self._kept.popitem(last=False)
+        return self._kept[index]
+
+
+def find_features(maps: FrameMaps) -> Features:
+    """ORB features with depth, of intensity where there is some, else of the depth's shading."""
+    import cv2
+
+    level = maps.levels[0]
+    image = level.intensity if maps.has_intensity else shading(level.normals)
+    orb = cv2.ORB.create(nfeatures=MAX_FEATURES, fastThreshold=FAST_THRESHOLD, edgeThreshold=16, patchSize=25)
+    keypoints, descriptors = orb.detectAndCompute(np.clip(image, 0, 255).astype(np.uint8), None)
+    if not keypoints:
+        return Features(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 32), np.uint8))
+    pixels = np.array([keypoint.pt for keypoint in keypoints])
+    u, v = np.rint(pixels).astype(int).T
+    z = level.depth_m[v, u].astype(np.float64)
+    camera = level.camera
+    points = np.column_stack(
+        [(pixels[:, 0] - camera.cx) / camera.fx * z, (pixels[:, 1] - camera.cy) / camera.fy * z, z]
+    )
+    has_depth = z > 0
+    return Features(pixels[has_depth], points[has_depth], np.asarray(descriptors)[has_depth])
+
+
+def shading(normals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(height, width) grey, 0 to 255, of normals (height, width, 3): lit obliquely from above."""
+    light = np.array([0.45, -0.55, -0.70], np.float32)
+    lit = normals @ light
+    return np.asarray(np.where(normals[..., 2] == 0, 0.0, 60 + 195 * np.clip(lit, 0, 1)), np.float32)
+
+
+def match(source: Features, target: Features) -> NDArray[np.int64]:
+    """(k, 2) indices of features of the source and of the target that match: mutual and clearly best."""
+    import cv2
+
+    if len(source.descriptors) < 2 or len(target.descriptors) < 2:
+        return np.zeros((0, 2), np.int64)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    there = matcher.knnMatch(source.descriptors, target.descriptors, k=2)
+    back = {m.queryIdx: m.trainIdx for m in matcher.match(target.descriptors, source.descriptors)}
+    return np.array(
+        [
+            (best.queryIdx, best.trainIdx)
+            for best, second in there
+            if best.distance < RATIO * second.distance and back.get(best.trainIdx) == best.queryIdx
+        ],
+        np.int64,
+    ).reshape(-1, 2)
+
+
+def pose_from_features(source: Features, target: Features, camera: Camera) -> tuple[Float64, int] | None:
+    """T_target_source (4, 4) by PnP of the matches, and the number of inliers; None if they do not tell.
+
+    Args:
+        source: its pixels are what is observed.
+        target: its points are what is known.
+        camera: of the source, at working resolution.
+    """
+    import cv2
+
+    pairs = match(source, target)
+    if len(pairs) < MIN_MATCHES:
+        return None
+    found, turn, shift, inliers = cv2.solvePnPRansac(
+        target.points_m[pairs[:, 1]],
+        source.pixels[pairs[:, 0]],
+        camera.K,
+        None,
+        iterationsCount=200,
+        reprojectionError=REPROJECTION_PX,
+        confidence=0.999,
+        flags=cv2.SOLVEPNP_AP3P,
+    )
+    if not found or inliers is None or len(inliers) < MIN_INLIERS:
+        return None
+    T_source_target = rigid(cv2.Rodrigues(turn)[0], shift.ravel())
+    return invert_rigid(T_source_target), len(inliers)
+
+
+def likeness(features: Sequence[Features]) -> NDArray[np.float64]:
+    """(k, k) cosine between the tf-idf weighted word counts of keyframes; the diagonal is 0."""
+    import cv2
+
+    k = len(features)
+    descriptors = np.concatenate([f.descriptors for f in features]) if k else np.zeros((0, 32), np.uint8)
+    if len(descriptors) < 2:
+        return np.zeros((k, k))
+    words = descriptors[np.unique(np.linspace(0, len(descriptors) - 1, WORDS).astype(int))]
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    counts = np.zeros((k, len(words)))
+    for row, frame in enumerate(features):
+        if len(frame.descriptors):
+            np.add.at(counts[row], [m.trainIdx for m in matcher.match(frame.descriptors, words)], 1)
+    rarity = np.log((1 + k) / (1 + (counts > 0).sum(axis=0)))
+    weighted = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1) * rarity
+    weighted /= np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-9)
+    result = weighted @ weighted.T
+    np.fill_diagonal(result, 0)
+    return np.asarray(result)

@@ -1,0 +1,346 @@
+"""What registration needs of one frame: depth, normals and intensity at three resolutions, and points.
+
+The finest resolution is about 320 pixels wide: the depth of a Kinect holds no more (its noise is correlated
+over two pixels), and a fourth of the pixels is four times as fast.
+
+The depth of a keyframe is averaged with that of the frames registered to it, for less noise and better
+normals, after the keyframe fusion of Meilland & Comport (IROS 2013): each pixel of the keyframe is looked up
+in the frames around it, where they see the same surface.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field, replace
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, invert_rigid
+from kinectbench.core.geometry.depth import (
+    SIGMA_GROWTH_PER_M,
+    SIGMA_NEAR_DEPTH_M,
+    SIGMA_NEAR_M,
+    DepthCalibration,
+    corrected_depth_m,
+)
+from kinectbench.core.images import image_sharpness
+from kinectbench.core.sequence import Sequence, depth_in_metres
+from kinectbench.core.types import Float32
+from kinectbench.stages.track.map_kernels import (
+    chosen_points,
+    halved,
+    normal_differences,
+    normals_of,
+    reduced_depth,
+    smoothed,
+)
+
+WORKING_WIDTH_PX = 320
+# At most so many points are registered, per level, finest first.
+POINTS = (20_000, 3_000, 1_500)
+# Noise of normals is no less: smoothing bends the exact planes of a simulation by as much.
+MIN_NORMAL_NOISE = 8.0
+# Neighbouring pixels are of one surface if their depths differ by less than this share, or less than a slope
+# makes them: over the focal length. For smoothing, and for differences.
+SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
+CACHED_FRAMES = 150
+# What is read of a frame takes about 0.2 MB.
+READ_FRAMES = 2000
+# Reduced depth is kept in tenths of a millimetre: 6.5 m at most.
+STORED_PER_M = 10_000.0
+# More frames than this add nothing but time.
+MAX_FRAMES = 16
+
+
+@dataclass(frozen=True)
+class ReducedFrame:
+    """What is read of one frame, at working resolution.
+
+    Attributes:
+        depth: (height, width) uint16, 0.1 mm, 0 = none.
+        gray: (height, width) uint8; (0, 0) where colour is not registered to depth.
+    """
+
+    depth: NDArray[np.uint16]
+    gray: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution of a frame.
+
+    Attributes:
+        camera: intrinsics at this resolution.
+        depth_m: (height, width) float32, 0 = none.
+        normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
+        intensity: (height, width) float32, 0 to 255; (0, 0) where colour is not registered to depth.
+        points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
+        normal_noise: standard deviation of the normals along either tangent (radians), over sigma / depth and
+            the cosine of the slant.
+    """
+
+    camera: Camera
+    depth_m: Float32
+    normals: Float32
+    intensity: Float32
+    points: Float32
+    normal_noise: float
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]:
+        """(4,): fx, fy, cx, cy in pixels."""
+        return self.camera.intrinsics
+
+
+class Levels:
+    """The resolutions of one frame, each half the one before; made when first asked for."""
+
+    def __init__(self, camera: Camera, depth_m: Float32, intensity: Float32) -> None:
+        self._inputs = [(camera, depth_m, intensity)]
+        self._made: dict[int, Level] = {}
+
+    def __getitem__(self, level: int) -> Level:
+        while len(self._inputs) <= level:
+            self._inputs.append(_halved_inputs(*self._inputs[-1]))
+        if level not in self._made:
+            self._made[level] = _level(*self._inputs[level], POINTS[level])
+        return self._made[level]
+
+
+@dataclass(frozen=True)
+class FrameMaps:
+    """One frame at three resolutions.
+
+    Attributes:
+        levels: by number, 0 the finest.
+    """
+
+    levels: Levels
+
+    @property
+    def has_intensity(self) -> bool:
+        """Whether the photometric term can be used."""
+        return self.levels[0].intensity.size > 0
+
+
+@dataclass
+class MapCache:
+    """The maps of a sequence's frames, made when asked for; the last 150 are kept, so memory is bounded.
+
+    Of the first frames what was read is kept, small as it is: reading is slow.
+
+    Attributes:
+        sequence: the recording.
+        averaged: better depth of some frames, by index: see `improve`.
+        correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `calibrate`.
+        sharpness: of the frames read, by index; none where colour is not registered to depth.
+    """
+
+    sequence: Sequence
+    averaged: dict[int, NDArray[np.uint16]] = field(default_factory=dict)
+    correction_per_m: Float32 | None = None
+    sharpness: dict[int, float] = field(default_factory=dict)
+    _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
+    _read: dict[int, ReducedFrame] = field(default_factory=dict)
+
+    def __getitem__(self, index: int) -> FrameMaps:
+        if index in self._kept:
+            self._kept.move_to_end(index)
+            return self._kept[index]
+        frame = self._read.get(index) or self._reduced(index)
+        if index in self.averaged:
+            frame = replace(frame, depth=self.averaged[index])
+        maps = maps_of(self.sequence.camera, frame, self.correction_per_m)
+        self._kept[index] = maps
+        if len(self._kept) > CACHED_FRAMES:
+            self._kept.popitem(last=False)
+        return maps
+
+    def _reduced(self, index: int) -> ReducedFrame:
+        frame = reduced_frame(self.sequence, index)
+        if len(self._read) < READ_FRAMES:
+            self._read[index] = frame
+        if frame.gray.size and index not in self.sharpness:
+            self.sharpness[index] = image_sharpness(frame.gray)
+        return frame
+
+    def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
+        """From now on use this depth for a frame: (height, width) uint16, 0.1 mm, working resolution."""
+        self.averaged[index] = depth
+        self._kept.pop(index, None)
+
+    def calibrate(self, calibration: DepthCalibration) -> None:
+        """From now on correct the depth of all frames."""
+        camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
+        none = calibration.is_none
+        self.correction_per_m = None if none else calibration.correction_per_m(camera.width, camera.height)
+        self._kept.clear()
+
+
+def reduced_frame(sequence: Sequence, index: int) -> ReducedFrame:
+    """Read one frame of a recording; gray only where colour is registered to depth."""
+    reduction = _reduction(sequence.camera)
+    depth = reduced_depth(
+        sequence.frames.depth_native(index), sequence.depth_scale, reduction, np.float32(STORED_PER_M)
+    )
+    gray = reduced_gray(sequence, index) if sequence.color_registered else None
+    return ReducedFrame(depth, np.zeros((0, 0), np.uint8) if gray is None else gray)
+
+
+def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
+    """Read the colour of one frame as gray, at working resolution; None if it is missing or does not fit."""
+    import cv2
+
+    gray, camera = read_gray(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera
+    if gray is None or gray.shape != (camera.height, camera.width):
+        return None
+    reduction = _reduction(sequence.camera)
+    height, width = (size // reduction for size in gray.shape)
+    whole = gray[: height * reduction, : width * reduction]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def maps_of(camera: Camera, frame: ReducedFrame, correction_per_m: Float32 | None = None) -> FrameMaps:
+    """Prepare one frame for registration.
+
+    Args:
+        camera: of the recording.
+        frame: at working resolution.
+        correction_per_m: (height, width) float32, added to 1 / depth.
+    """
+    import cv2
+
+    depth_m = depth_in_metres(frame.depth, STORED_PER_M)
+    if correction_per_m is not None:
+        depth_m = corrected_depth_m(depth_m, correction_per_m)
+    intensity = np.zeros((0, 0), np.float32)
+    if frame.gray.size:
+        intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)
+    return FrameMaps(Levels(reduced_camera(camera, _reduction(camera)), depth_m, intensity))
+
+
+def _reduction(camera: Camera) -> int:
+    """How many pixels each way make one."""
+    return max(1, round(camera.width / WORKING_WIDTH_PX))
+
+
+def _halved_inputs(camera: Camera, depth_m: Float32, intensity: Float32) -> tuple[Camera, Float32, Float32]:
+    import cv2
+
+    half = halved(depth_m)
+    if intensity.size:
+        even = intensity[: half.shape[0] * 2, : half.shape[1] * 2]
+        intensity = np.asarray(cv2.resize(even, half.shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
+    return reduced_camera(camera, 2), half, intensity
+
+
+def reduced_camera(camera: Camera, factor: int) -> Camera:
+    """The camera whose pixels are blocks of `factor` x `factor` pixels; a remainder is cut off."""
+    shift = (factor - 1) / 2
+    return Camera(
+        camera.width // factor,
+        camera.height // factor,
+        camera.fx / factor,
+        camera.fy / factor,
+        (camera.cx - shift) / factor,
+        (camera.cy - shift) / factor,
+    )
+
+
+def read_gray(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
+    """Read the colour of one frame as gray, in a mode of `cv2.imdecode`; None if it is missing or damaged."""
+    import cv2
+
+    encoded = sequence.frames.color_encoded(index)
+    gray = None if encoded is None else cv2.imdecode(np.frombuffer(encoded[1], np.uint8), mode)
+    return None if gray is None else np.asarray(gray, dtype=np.uint8)
+
+
+def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:
+    intrinsics = camera.intrinsics
+    smooth, differ = (np.float32(max(least, slope / camera.fx)) for least, slope in SAME_SURFACE)
+    normals = normals_of(smoothed(depth_m, smooth), intrinsics, differ)
+    points = chosen_points(depth_m, normals, intensity, intrinsics, n_points)
+    return Level(camera, depth_m, normals, intensity, points, _normal_noise(normals, depth_m, intrinsics))
+
+
+def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.float64]) -> float:
+    """From what normals nine pixels apart differ by, in the median: most of them lie on one plane.
+
+    The squared difference of two normals with this noise along both tangents is exponential, its mean
+    4 sigma^2.
+    """
+    squared = normal_differences(normals, depth_m, intrinsics)
+    if not len(squared):
+        return MIN_NORMAL_NOISE
+    return max(MIN_NORMAL_NOISE, float(np.sqrt(np.median(squared) / (4 * np.log(2)))))
+
+
+@dataclass
+class DepthAverage:
+    """The depth of one keyframe while frames are added.
+
+    Attributes:
+        level: the keyframe at its finest resolution.
+    """
+
+    level: Level
+    frames: int = 0
+    _total: NDArray[np.float32] = field(init=False)
+    _count: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._total = self.level.depth_m.copy()
+        self._count = (self.level.depth_m > 0).astype(np.float32)
+
+    def add(self, frame: Level, T_keyframe_frame: NDArray[np.float64]) -> None:
+        """Add a frame that lies at T_keyframe_frame (4, 4) to the keyframe."""
+        if self.frames >= MAX_FRAMES:
+            return
+        self.frames += 1
+        T_frame_keyframe = np.ascontiguousarray(invert_rigid(T_keyframe_frame))
+        _add(self._total, self._count, self.level.depth_m, frame.depth_m, frame.intrinsics, T_frame_keyframe)
+
+    def stored(self) -> NDArray[np.uint16]:
+        """(height, width) uint16 mean depth in 0.1 mm, 0 = none."""
+        mean_m = self._total / np.maximum(self._count, 1)
+        return np.asarray(np.rint(np.minimum(mean_m * STORED_PER_M, 65535)), np.uint16)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyped-def]
+    height, width = keyframe.shape
+    fx, fy, cx, cy = intrinsics
+    over_fx, over_fy = 1 / fx, 1 / fy
+    r00, r01, r02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    r10, r11, r12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    r20, r21, r22, t2 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    for v in range(height):
+        b = (v - cy) * over_fy
+        for u in range(width):
+            d = float(keyframe[v, u])
+            if d <= 0:
+                continue
+            a = (u - cx) * over_fx
+            z = (r20 * a + r21 * b + r22) * d + t2
+            if z < 0.1:
+                continue
+            over_z = 1 / z
+            x = fx * ((r00 * a + r01 * b + r02) * d + t0) * over_z + cx
+            y = fy * ((r10 * a + r11 * b + r12) * d + t1) * over_z + cy
+            if x < 0 or y < 0 or x >= width - 1 or y >= height - 1:
+                continue
+            near = frame[np.uint32(y + 0.5), np.uint32(x + 0.5)]
+            reach = 4 * (SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2) + 0.003
+            if near <= 0 or abs(near - z) > reach:
+                continue
+            # Unsigned, so that no index is taken for one from the end.
+            i, j = np.uint32(y), np.uint32(x)
+            down, right = y - i, x - j
+            d00, d01, d10, d11 = frame[i, j], frame[i, j + 1], frame[i + 1, j], frame[i + 1, j + 1]
+            seen = float(near)
+            if max(abs(d00 - near), abs(d01 - near), abs(d10 - near), abs(d11 - near)) < reach:
+                seen = (d00 * (1 - right) + d01 * right) * (1 - down)
+                seen += (d10 * (1 - right) + d11 * right) * down
+            total[v, u] += d + (seen - z)
+            count[v, u] += 1

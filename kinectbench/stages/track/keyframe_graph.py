@@ -1,0 +1,365 @@
+"""Tie the keyframes to each other: covisible ones, places seen again, and segments that lost each other.
+
+Every tie is a registration that convinced in both directions. The number of tries per keyframe is bounded.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
+from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.covisibility import Glimpse, covisible, glimpse
+from kinectbench.stages.track.depth_calibration import View, calibrate, evenly_chosen
+from kinectbench.stages.track.features import FeatureCache, likeness, pose_from_features
+from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.odometry import Odometry, every_of, is_believable, tie
+from kinectbench.stages.track.pose_graph import optimise
+from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
+from kinectbench.stages.track.tracked import Tie, TieKind
+
+# Texture ties keyframes so well that more rounds add little.
+ROUNDS_WITH_COLOR, ROUNDS_WITHOUT = 2, 3
+# Tries per keyframe and round: of what looks alike, and of what ought to be in view.
+ALIKE_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
+MIN_LIKENESS, MIN_SHARED_VIEW = 0.25, 0.3
+# Keyframes this close in order are neighbours, not loops.
+NEAR_IN_ORDER = 3
+# A loop may correct this much of the path walked since, and this much besides.
+DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
+# Two registrations of two segments that agree within this confirm each other.
+AGREE_M, AGREE_RAD = 0.06, 0.06
+# And they are nearly as good as the ties of consecutive keyframes: a chair's back looks much like its front.
+FEWER_INLIERS = 0.015
+# Ties between two groups whose neighbourhood is tried.
+JOINTS_CONFIRMED = 5
+MIN_TIE_WEIGHT = 0.05
+LOOP_INLIERS, LOOP_OVERLAP = 0.93, 0.3
+
+
+@dataclass(frozen=True)
+class KeyframeGraph:
+    """The keyframes with their poses after optimisation.
+
+    Attributes:
+        keyframes: (k,) frame indices.
+        T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
+        ties: kept, with their weights.
+        refused: tried and not believed, or switched off.
+        joined: segments that are part of the world.
+        glimpses: (k,) of the keyframes.
+        calibration: of the depth, as the ties have it.
+    """
+
+    keyframes: tuple[int, ...]
+    T_world: Float64
+    ties: tuple[Tie, ...]
+    refused: tuple[Tie, ...]
+    joined: frozenset[int]
+    glimpses: tuple[Glimpse, ...]
+    calibration: DepthCalibration = NO_CALIBRATION
+
+
+def build_graph(
+    maps: MapCache,
+    features: FeatureCache,
+    odometry: Odometry,
+    T_given: Float64 | None = None,
+) -> KeyframeGraph:
+    """Find ties, join segments, and optimise; places are looked for again with every better estimate.
+
+    Args:
+        maps: of the frames.
+        features: of the frames.
+        odometry: keyframes, and the ties between consecutive ones.
+        T_given: (n, 4, 4) loosely believed poses of all frames, or None.
+    """
+    builder = _Builder(maps, features, odometry, T_given)
+    builder.tie_alike()
+    rounds = ROUNDS_WITH_COLOR if builder.textured else ROUNDS_WITHOUT
+    for last in [False] * (rounds - 1) + [True]:
+        builder.tie_covisible()
+        builder.optimise()
+        if not last:
+            builder.calibrate()
+    return builder.graph()
+
+
+class _Builder:
+    """The graph while it grows."""
+
+    def __init__(
+        self, maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None
+    ) -> None:
+        self.maps, self.features = maps, features
+        self.calibration = NO_CALIBRATION
+        self.keyframes = odometry.keyframes
+        self.row = {frame: row for row, frame in enumerate(self.keyframes)}
+        self.glimpses: list[Glimpse] = [glimpse(maps[frame]) for frame in self.keyframes]
+        self.textured = any(maps[frame].has_intensity for frame in self.keyframes[:3])
+        followed = [odometry.frames[frame] for frame in self.keyframes]
+        self.segments = np.array([f.segment for f in followed if f is not None])
+        self.T_segment = np.array([f.T_segment_camera for f in followed if f is not None])
+        self.T_given = None if T_given is None else T_given[list(self.keyframes)]
+        steps = np.linalg.norm(np.diff(self.T_segment[:, :3, 3], axis=0), axis=1) if len(followed) else []
+        self.path_m = np.concatenate([[0.0], np.cumsum(steps)])
+        self.ties: list[Tie] = [self._again(each) for each in odometry.ties]
+        self.round = 0
+        self.refused: list[Tie] = []
+        self.tried = {(tie.a, tie.b) for tie in self.ties}
+        # Each segment begins as a world of its own.
+        self.group = self.segments.copy()
+        self.T_world = self.T_segment.copy()
+        self._place_groups_as_given()
+        self.weights = np.ones(len(self.ties))
+
+    def _again(self, each: Tie) -> Tie:
+        """A tie of the odometry, registered again now that the keyframes' depth is averaged."""
+        source, target = self.maps[each.b], self.maps[each.a]
+        found = register(source, [target], [each.T_a_b], 0, PLACED, every_of(source))
+        return tie(each.a, each.b, found, each.kind) if is_believable(found) else each
+
+    def tie_alike(self) -> None:
+        """Try keyframes that look alike and are not neighbours; and those on both sides of a gap."""
+        alike = likeness([self.features[frame] for frame in self.keyframes])
+        order = np.arange(len(self.keyframes))
+        alike[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
+        tries = set()
+        for row in order:
+            for other in np.argsort(-alike[row], kind="stable")[:ALIKE_PER_KEYFRAME]:
+                if alike[row, other] >= MIN_LIKENESS:
+                    tries.add((min(row, other), max(row, other)))
+        for row in order[1:]:
+            if self.segments[row] != self.segments[row - 1]:
+                tries.add((row - 1, row))
+        for a, b in sorted(tries):
+            self._try(int(a), int(b), None)
+
+    def tie_covisible(self) -> None:
+        """Try keyframes that ought to see the same places, those with the largest shared view first."""
+        tries: dict[int, int] = defaultdict(int)
+        chosen = []
+        pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
+        for share, a, b in pairs:
+            if share < MIN_SHARED_VIEW or max(tries[a], tries[b]) >= COVISIBLE_PER_KEYFRAME:
+                continue
+            if (self.keyframes[a], self.keyframes[b]) in self.tried:
+                continue
+            tries[a] += 1
+            tries[b] += 1
+            chosen.append((a, b))
+        # One after the other along the path: their maps are still at hand then.
+        for a, b in sorted(chosen):
+            self._try(a, b, self._between(a, b))
+
+    def _covisible_pairs(self) -> list[tuple[float, int, int]]:
+        pairs = []
+        for group in np.unique(self.group):
+            rows = np.flatnonzero(self.group == group)
+            found = covisible([self.glimpses[row] for row in rows], self.T_world[rows])
+            pairs += [(share, int(rows[i]), int(rows[j])) for share, i, j in found]
+        return pairs
+
+    def _try(self, a: int, b: int, T_a_b: Float64 | None) -> None:
+        """Register keyframe b to a; keep it as a tie if it convinces."""
+        frames = self.keyframes[a], self.keyframes[b]
+        if frames in self.tried:
+            return
+        self.tried.add(frames)
+        near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
+        kind: TieKind = "covisible" if near else "loop"
+        best = self._register(frames, T_a_b)
+        if best is None:
+            return
+        made = tie(*frames, best, kind)
+        believed = self._is_mutual(frames, best) and not (
+            self.group[a] == self.group[b] and self._breaks_drift_bound(a, b, best.T_target_source)
+        )
+        (self.ties if believed else self.refused).append(made if believed else replace(made, weight=0.0))
+
+    def _register(self, frames: tuple[int, int], T_a_b: Float64 | None) -> Registration | None:
+        target, source = (self.maps[frame] for frame in frames)
+        best: Registration | None = None
+        if T_a_b is not None:
+            best = register(source, [target], [T_a_b], every=every_of(source))
+        lost = T_a_b is None or self.round == 0
+        if lost and (best is None or not _convinces(best)):
+            seen = pose_from_features(
+                self.features[frames[1]], self.features[frames[0]], source.levels[0].camera
+            )
+            if seen is not None:
+                best = better(best, register(source, [target], [seen[0]], 1, every=every_of(source)))
+        if lost and T_a_b is not None and best is not None and not _convinces(best):
+            best = better(best, search(source, target, T_a_b))
+        return best
+
+    def _is_mutual(self, frames: tuple[int, int], registration: Registration) -> bool:
+        """Whether the registration convinces from either side."""
+        source, target = self.maps[frames[0]], self.maps[frames[1]]
+        back = measure(source, [target], [invert_rigid(registration.T_target_source)], every_of(source))
+        return _convinces(registration) and _convinces(back)
+
+    def _breaks_drift_bound(self, a: int, b: int, T_a_b: Float64) -> bool:
+        error = invert_rigid(T_a_b) @ invert_rigid(self.T_world[a]) @ self.T_world[b]
+        walked_m = abs(self.path_m[b] - self.path_m[a])
+        return bool(
+            np.linalg.norm(error[:3, 3]) > DRIFT_M + DRIFT_SHARE * walked_m
+            or rotation_angle_rad(error[:3, :3]) > DRIFT_RAD
+        )
+
+    def optimise(self) -> None:
+        """Join groups that enough ties connect, then optimise each group."""
+        self.round += 1
+        self._confirm_joints()
+        self._join_groups()
+        self.weights = np.ones(len(self.ties))
+        ends = [self._ends(each) for each in self.ties]
+        for group in np.unique(self.group):
+            rows = np.flatnonzero(self.group == group)
+            local = {int(row): i for i, row in enumerate(rows)}
+            chosen = [t for t, (a, b) in enumerate(ends) if a in local and b in local]
+            nodes = [(local[a], local[b]) for a, b in (ends[t] for t in chosen)]
+            prior = None if self.T_given is None else self.T_given[rows]
+            if prior is not None and not np.isfinite(prior).any():
+                prior = None
+            poses, weights = optimise(self.T_world[rows], [self.ties[t] for t in chosen], nodes, prior)
+            self.T_world[rows] = poses
+            self.weights[chosen] = weights
+
+    def calibrate(self) -> None:
+        """Estimate the depth distortion where keyframes overlap; register the ties with corrected depth."""
+        if not self.ties:
+            return
+        pairs = sorted((a, b) for share, a, b in self._covisible_pairs() if share >= MIN_SHARED_VIEW)
+        self.maps.calibrate(NO_CALIBRATION)
+        self.calibration = calibrate(self._view(a, b) for a, b in evenly_chosen(pairs))
+        self.maps.calibrate(self.calibration)
+        along = sorted(range(len(self.ties)), key=lambda t: (self.ties[t].a, self.ties[t].b))
+        for t in along:
+            self.ties[t] = self._again(self.ties[t])
+
+    def _view(self, a: int, b: int) -> View:
+        target, source = (self.maps[self.keyframes[row]].levels[0] for row in (a, b))
+        return View(source, target, self._between(a, b))
+
+    def _ends(self, each: Tie) -> tuple[int, int]:
+        return self.row[each.a], self.row[each.b]
+
+    def _between(self, a: int, b: int) -> Float64:
+        """T_a_b (4, 4) of two rows, as their poses are now."""
+        return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
+
+    def _joints(self) -> dict[tuple[int, int], list[Tie]]:
+        """The ties between each two groups that are nearly as good as those of consecutive keyframes."""
+        usual = np.median([each.inlier_share for each in self.ties if each.kind == "odometry"] or [0.0])
+        between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
+        for each in self.ties:
+            low, high = sorted(int(self.group[row]) for row in self._ends(each))
+            if low != high and each.inlier_share >= usual - FEWER_INLIERS:
+                between[low, high].append(each)
+        return between
+
+    def _confirm_joints(self) -> None:
+        """Where one tie joins two groups, the keyframes next to its ends ought to see each other as well."""
+        for _, ties in sorted(self._joints().items()):
+            for each in ties[:JOINTS_CONFIRMED]:
+                a, b = self._ends(each)
+                for i, j in ((a - 1, b), (a + 1, b), (a, b - 1), (a, b + 1)):
+                    inside = 0 <= i < len(self.group) and 0 <= j < len(self.group)
+                    if inside and (self.group[i], self.group[j]) == (self.group[a], self.group[b]):
+                        self._try(i, j, self._between(i, a) @ each.T_a_b @ self._between(b, j))
+
+    def _join_groups(self) -> None:
+        """Join two groups if two ties agree how they lie to each other, or one tie spans a gap in time."""
+        while True:
+            between = self._joints()
+            found = [(self._agreed(ties), groups) for groups, ties in sorted(between.items())]
+            joints = [(agreed, groups) for agreed, groups in found if agreed is not None]
+            if not joints:
+                return
+            (_, each), groups = max(joints, key=lambda joint: joint[0][0])
+            self._join(each, groups)
+
+    def _agreed(self, ties: Sequence[Tie]) -> tuple[int, Tie] | None:
+        """The tie that most others confirm, with their number; None if they are too few."""
+        relative = [self._T_group_group(each) for each in ties]
+        best: tuple[int, Tie] | None = None
+        for each, T in zip(ties, relative, strict=True):
+            errors = [invert_rigid(T) @ other for other in relative]
+            agree = sum(
+                float(np.linalg.norm(e[:3, 3])) < AGREE_M + AGREE_RAD
+                and rotation_angle_rad(e[:3, :3]) < AGREE_RAD
+                for e in errors
+            )
+            if best is None or agree > best[0]:
+                best = int(agree), each
+        if best is None:
+            return None
+        a, b = self._ends(best[1])
+        small = min(int((self.group == self.group[row]).sum()) for row in (a, b)) == 1
+        return best if best[0] >= 2 or b == a + 1 or small else None
+
+    def _T_group_group(self, each: Tie) -> Float64:
+        """How the worlds of two groups lie to each other if the tie is right: from the higher number."""
+        a, b = self._ends(each)
+        T = self.T_world[a] @ each.T_a_b @ invert_rigid(self.T_world[b])
+        return T if self.group[a] < self.group[b] else invert_rigid(T)
+
+    def _join(self, each: Tie, groups: tuple[int, int]) -> None:
+        """Move the smaller group into the world of the larger one."""
+        T_low_high = self._T_group_group(each)
+        low, high = (np.flatnonzero(self.group == group) for group in groups)
+        if len(low) >= len(high):
+            self.T_world[high] = T_low_high @ self.T_world[high]
+            self.group[high] = groups[0]
+        else:
+            self.T_world[low] = invert_rigid(T_low_high) @ self.T_world[low]
+            self.group[low] = groups[1]
+
+    def _place_groups_as_given(self) -> None:
+        """With given poses all segments lie in one world, each moved to where its first posed keyframe is."""
+        if self.T_given is None:
+            return
+        for segment in np.unique(self.segments):
+            rows = np.flatnonzero(self.segments == segment)
+            posed = [row for row in rows if np.isfinite(self.T_given[row]).all()]
+            if posed:
+                middle = posed[len(posed) // 2]
+                self.T_world[rows] = (
+                    self.T_given[middle] @ invert_rigid(self.T_segment[middle]) @ self.T_segment[rows]
+                )
+
+    def graph(self) -> KeyframeGraph:
+        """What was found: the largest group is the world, all others stay lost."""
+        if not len(self.keyframes):
+            return KeyframeGraph((), np.zeros((0, 4, 4)), (), (), frozenset(), ())
+        groups, counts = np.unique(self.group, return_counts=True)
+        world = groups[np.argmax(counts)]
+        inside = self.group == world
+        T_world = np.where(inside[:, None, None], self.T_world, np.nan)
+        kept: list[Tie] = []
+        refused = list(self.refused)
+        for each, weight in zip(self.ties, self.weights, strict=True):
+            weighed = replace(each, weight=float(weight))
+            within = inside[list(self._ends(each))].all()
+            (kept if within and weight >= MIN_TIE_WEIGHT else refused).append(weighed)
+        return KeyframeGraph(
+            keyframes=self.keyframes,
+            T_world=T_world,
+            ties=tuple(kept),
+            refused=tuple(refused),
+            joined=frozenset(self.segments[inside].tolist()),
+            glimpses=tuple(self.glimpses),
+            calibration=self.calibration,
+        )
+
+
+def _convinces(registration: Registration) -> bool:
+    return (
+        is_believable(registration)
+        and registration.inlier_share >= LOOP_INLIERS
+        and registration.overlap >= LOOP_OVERLAP
+    )

@@ -1,0 +1,281 @@
+"""Linearise how one frame lies to another: projective point-to-plane residuals with a photometric term.
+
+Geometry: Chen & Medioni 1991, Rusinkiewicz & Levoy 2001; residuals n . (q - T p), where q is the target's
+measurement on the pixel that T p falls on, and n the mean of both normals (Rusinkiewicz 2019). Photometry:
+Steinbruecker, Sturm & Cremers 2011, Park, Zhou & Koltun 2017; residuals I_target(T p) - gain I_source(p)
+- offset, with gain and offset estimated along, so that exposure may change. Twists are (rotation,
+translation) in the source frame: T <- T exp(twist).
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.frame_maps import Level
+from kinectbench.stages.track.map_kernels import MIN_COSINE
+
+HUBER_SIGMAS = 1.5
+INTENSITY_SIGMA = 8.0
+# Photometry is off by more than its noise says: colour is not taken at quite the instant of depth.
+PHOTOMETRIC_WEIGHT = 0.25
+# Fewer intensities than this say nothing of gain and offset.
+MIN_INTENSITIES = 100
+MIN_FACING = 0.5
+NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])
+EXPOSURE_PRIOR = np.diag([0.3**-2, 30.0**-2])
+# Rows are gathered in blocks of this many, which stay in the cache; padded, lest they crowd its sets.
+BLOCK, PADDING = 512, 8
+
+
+@dataclass(frozen=True)
+class LinearTerms:
+    """Gauss-Newton terms of one pair of frames: `(geometric + photometric) @ twist = gradient`.
+
+    Attributes:
+        geometric: (6, 6) of the point-to-plane residuals.
+        photometric: (6, 6), gain and offset of intensity eliminated.
+        gradient: (6,).
+        inliers: number of points that agree within three standard deviations.
+        violations: number of points where the target sees through them, or another surface.
+        residual_m: root mean square of the inliers' residuals.
+        noise_m: what the depth's noise alone would make of it.
+        shares: (6, 6) sum of J J^T of the inliers, each over the square of what its normal's noise goes with.
+        moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
+        intensity_correlation: weighted, -1 to 1; NaN without.
+        exposure: (2,) gain and offset before the step.
+        exposure_step: (2, 7) what the step adds to them: its linear part, to be taken off, and a constant.
+    """
+
+    geometric: Float64
+    photometric: Float64
+    gradient: Float64
+    inliers: int
+    violations: int
+    residual_m: float
+    noise_m: float
+    shares: Float64
+    moments: Float64
+    intensity_correlation: float
+    exposure: Float64
+    exposure_step: Float64
+
+    def exposure_after(self, step: NDArray[np.floating]) -> Float64:
+        """(2,) gain and offset that belong to the frame moved by the twist `step` (6,)."""
+        return np.asarray(self.exposure + self.exposure_step[:, 6] - self.exposure_step[:, :6] @ step)
+
+
+def linearise(
+    source: Level,
+    target: Level,
+    T_target_source: Float64,
+    gate_m: float,
+    exposure: Float64 = NO_EXPOSURE_CHANGE,
+    with_shares: bool = False,
+    every: int = 1,
+) -> LinearTerms:
+    """Linearise the residuals of a pair of frames.
+
+    Args:
+        source: points p.
+        target: the maps they fall on.
+        T_target_source: (4, 4), where.
+        gate_m: how far along the ray a measurement may lie from the point it is taken for, metres.
+        exposure: (2,) gain and offset of intensity.
+        with_shares: whether to sum what tells open motions: `shares` and `moments`, else 0.
+        every: only every n-th point is used.
+    """
+    (A, P, S, M), inliers, violations, compared, squares, variances = _accumulate(
+        source.points[::every],
+        target.depth_m,
+        target.normals,
+        # A frame that came without colour is compared by its depth alone.
+        target.intensity if source.intensity.size else source.intensity,
+        target.intrinsics,
+        np.ascontiguousarray(T_target_source),
+        gate_m,
+        exposure,
+        with_shares,
+    )
+    photometric, gradient, follows = np.zeros((6, 6)), A[:6, 6], np.zeros((2, 7))
+    if compared >= MIN_INTENSITIES:
+        # The Schur complement: gain and offset follow from the twist.
+        follows = np.linalg.solve(P[6:8, 6:8] + EXPOSURE_PRIOR, np.column_stack([P[6:8, :6], P[6:8, 8]]))
+        photometric = P[:6, :6] - P[:6, 6:8] @ follows[:, :6]
+        gradient = gradient + P[:6, 8] - P[:6, 6:8] @ follows[:, 6]
+    return LinearTerms(
+        geometric=A[:6, :6],
+        photometric=photometric,
+        gradient=gradient,
+        inliers=inliers,
+        violations=violations,
+        residual_m=float(np.sqrt(squares / max(1, inliers))),
+        noise_m=float(np.sqrt(variances / max(1, inliers))),
+        shares=S,
+        moments=M,
+        intensity_correlation=_correlation(P[6:, 6:], exposure) if compared >= MIN_INTENSITIES else np.nan,
+        exposure=exposure,
+        exposure_step=follows,
+    )
+
+
+def _correlation(products: Float64, exposure: Float64) -> float:
+    """Of the intensities of source and target, from weighted products (3, 3) of source, 1 and residual."""
+    # The target's intensity is the residual + gain * source + offset.
+    to_target = np.array([exposure[0], exposure[1], 1.0])
+    n, s, t = products[1, 1], products[0, 1], products[1] @ to_target
+    ss, st, tt = products[0, 0], products[0] @ to_target, to_target @ products @ to_target
+    spread = (n * ss - s * s) * (n * tt - t * t)
+    return float((n * st - s * t) / np.sqrt(spread)) if spread > 1e-9 else 0.0
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _within(error, variance, slack):  # type: ignore[no-untyped-def]
+    """Whether an error is no larger than three standard deviations and some slack."""
+    beyond = abs(error) - slack
+    return beyond <= 0 or beyond * beyond <= 9 * variance
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
+    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
+
+    Kept from BLAS, whose threads wait for work longer than they do any.
+    """
+    for i in range(len(sums)):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(m):
+                total += weights[k] * rows[i, k] * rows[j, k]
+            sums[i, j] += total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def mirrored(lower):  # type: ignore[no-untyped-def]
+    """The symmetric matrix of a lower triangle."""
+    return lower + np.tril(lower, -1).T
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_shares):  # type: ignore[no-untyped-def]
+    """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
+
+    Also, if asked for, the inliers' sums of the twist's part over the noise of normals (6, 6) and of their
+    positions (4, 4); the numbers of inliers, violations and compared intensities; and the inliers' sums of
+    squared residuals and of their variances. Rows are gathered in blocks that stay in the cache; a block
+    lies row by row, so that its products run on vectors.
+    """
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    r00, r01, r02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    r10, r11, r12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    r20, r21, r22, t2 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    gain, offset = exposure
+    over_fx, over_fy = 1 / fx, 1 / fy
+    has_intensity, photometric_weight = intensity.size > 0, PHOTOMETRIC_WEIGHT / INTENSITY_SIGMA**2
+    A, P, S, M = np.zeros((7, 7)), np.zeros((9, 9)), np.zeros((6, 6)), np.zeros((4, 4))
+    J, J_weights = np.empty((7, BLOCK + PADDING)), np.empty(BLOCK)
+    Q, Q_weights = np.empty((9, BLOCK + PADDING)), np.empty(BLOCK)
+    places, inlying, over_noise = np.empty((4, BLOCK + PADDING)), np.empty(BLOCK), np.empty(BLOCK)
+    inliers, violations, compared, squares, variances = 0, 0, 0, 0.0, 0.0
+    n = len(points)
+    for first in range(0, n, BLOCK):
+        m, k = 0, 0
+        for i in range(first, min(first + BLOCK, n)):
+            px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+            z = r20 * px + r21 * py + r22 * pz + t2
+            if z < 0.1:
+                continue
+            x = r00 * px + r01 * py + r02 * pz + t0
+            y = r10 * px + r11 * py + r12 * pz + t1
+            over_z = 1 / z
+            u, v = fx * x * over_z + cx, fy * y * over_z + cy
+            if u < 0 or v < 0 or u >= width - 1 or v >= height - 1:
+                continue
+            ui, vi = np.uint32(u + 0.5), np.uint32(v + 0.5)
+            d = float(depth[vi, ui])
+            if d <= 0:
+                continue
+            sigma = SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2
+            gate = gate_m + 3 * sigma
+            if d - z < -gate:
+                continue
+            if d - z > gate:
+                violations += 1
+                continue
+            mx, my, mz = float(normals[vi, ui, 0]), float(normals[vi, ui, 1]), float(normals[vi, ui, 2])
+            if mz == 0:
+                continue
+            # The mean of both normals, in the source's axes: its noise is less (Rusinkiewicz 2019).
+            ox, oy, oz = np.float64(points[i, 3]), np.float64(points[i, 4]), np.float64(points[i, 5])
+            nx = r00 * mx + r10 * my + r20 * mz
+            ny = r01 * mx + r11 * my + r21 * mz
+            nz = r02 * mx + r12 * my + r22 * mz
+            facing = nx * ox + ny * oy + nz * oz
+            if facing < MIN_FACING:
+                # A surface that faces elsewhere is another one.
+                violations += 1
+                continue
+            shorten = 1 / np.sqrt(2 + 2 * facing)
+            nx, ny, nz = (nx + ox) * shorten, (ny + oy) * shorten, (nz + oz) * shorten
+            mx = r00 * nx + r01 * ny + r02 * nz
+            my = r10 * nx + r11 * ny + r12 * nz
+            mz = r20 * nx + r21 * ny + r22 * nz
+            r = mx * ((ui - cx) * over_fx * d - x) + my * ((vi - cy) * over_fy * d - y) + mz * (d - z)
+            variance = sigma * sigma + np.float64(points[i, 6]) ** 2
+            w = 1 / variance
+            if r * r > HUBER_SIGMAS**2 * variance:
+                w = HUBER_SIGMAS * np.sqrt(w) / abs(r)
+            J[0, m], J[1, m], J[2, m] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
+            J[3, m], J[4, m], J[5, m], J[6, m] = nx, ny, nz, r
+            J_weights[m] = w
+            inlies = _within(r, variance, 0.003)
+            if inlies:
+                inliers += 1
+                squares += r * r
+                # Noise moves a measurement along its ray.
+                variances += variance * ((mx * x + my * y + mz * z) * over_z) ** 2
+            else:
+                violations += 1
+            if with_shares:
+                cosine = abs(px * ox + py * oy + pz * oz) / np.sqrt(px * px + py * py + pz * pz)
+                places[0, m], places[1, m], places[2, m], places[3, m] = px, py, pz, 1.0
+                inlying[m] = 1.0 if inlies else 0.0
+                over_noise[m] = inlying[m] * (pz / (np.float64(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
+            m += 1
+            if not has_intensity or not _within(d - z, variance, 0.01):
+                continue
+            u0, v0 = np.uint32(u), np.uint32(v)
+            au, av = u - u0, v - v0
+            i00, i01 = float(intensity[v0, u0]), float(intensity[v0, u0 + 1])
+            i10, i11 = float(intensity[v0 + 1, u0]), float(intensity[v0 + 1, u0 + 1])
+            value = (i00 * (1 - au) + i01 * au) * (1 - av) + (i10 * (1 - au) + i11 * au) * av
+            gu = (i01 - i00) * (1 - av) + (i11 - i10) * av
+            gv = (i10 - i00) * (1 - au) + (i11 - i01) * au
+            own = np.float64(points[i, 7])
+            e = value - gain * own - offset
+            # Gradient of the target's intensity in space, then in the source's axes.
+            sx, sy = gu * fx * over_z, gv * fy * over_z
+            sz = -(sx * x + sy * y) * over_z
+            qx = r00 * sx + r10 * sy + r20 * sz
+            qy = r01 * sx + r11 * sy + r21 * sz
+            qz = r02 * sx + r12 * sy + r22 * sz
+            w = photometric_weight
+            if abs(e) > HUBER_SIGMAS * INTENSITY_SIGMA:
+                w *= HUBER_SIGMAS * INTENSITY_SIGMA / abs(e)
+            Q[0, k], Q[1, k], Q[2, k] = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
+            Q[3, k], Q[4, k], Q[5, k] = -qx, -qy, -qz
+            Q[6, k], Q[7, k], Q[8, k] = own, 1.0, e
+            Q_weights[k] = w
+            k += 1
+        add_products(A, J, J_weights, m)
+        add_products(P, Q, Q_weights, k)
+        compared += k
+        if with_shares:
+            add_products(S, J, over_noise, m)
+            add_products(M, places, inlying, m)
+    sums = mirrored(A), mirrored(P), mirrored(S), mirrored(M)
+    return sums, inliers, violations, compared, squares, variances

@@ -1,0 +1,314 @@
+"""Follow the camera from frame to frame: each frame is registered to a keyframe.
+
+A frame that fits no keyframe at hand begins a new segment, with a world of its own; loop closure may join the
+segments later. Nothing is guessed.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
+from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.features import FeatureCache, pose_from_features
+from kinectbench.stages.track.frame_maps import DepthAverage, FrameMaps, MapCache
+from kinectbench.stages.track.registration import Registration, better, measure, register, search
+from kinectbench.stages.track.tracked import Tie, TieKind
+
+# A frame with fewer points (of some 19000) shows nothing to register.
+MIN_POINTS = 400
+# Believed at once: as good as the frames before, but for so much less.
+SURE_OVERLAP, UNUSUAL_INLIERS, UNUSUAL_CORRELATION = 0.4, 0.008, 0.03
+# Believed after a search: as good as the frames before but for this, or of nearly the same view (something in
+# it may have moved); and at least so good.
+MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
+ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
+# The next keyframe.
+KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
+RECENT_SEGMENTS = 3
+# Frames before a keyframe that its depth is averaged with; those after it are too, up to the next one.
+FRAMES_BEFORE = 5
+NO_DEPTH = "too little depth to register"
+OPEN_MOTION = "one plane in view: a motion is left open"
+# A frame is compared with itself to see whether all it shows is one plane: few points tell. Its normals then
+# say no more than so many times what their noise does.
+EVERY_ALONE, ONE_PLANE = 4, 1.2
+# Texture holds what few points leave open.
+EVERY_WITH_COLOR, EVERY_WITHOUT = 3, 1
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One frame of a segment.
+
+    Attributes:
+        segment: which.
+        keyframe: frame index of the keyframe it was registered to; its own for a keyframe.
+        T_segment_camera: (4, 4).
+        registration: to the keyframe; None for the first frame of a segment.
+    """
+
+    segment: int
+    keyframe: int
+    T_segment_camera: Float64
+    registration: Registration | None
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """All frames, followed as far as they can be.
+
+    Attributes:
+        frames: per frame; None: it shows too little to register.
+        reasons: why, by frame.
+        keyframes: frame indices, ascending.
+        ties: between consecutive keyframes of a segment.
+    """
+
+    frames: tuple[Followed | None, ...]
+    reasons: dict[int, str]
+    keyframes: tuple[int, ...]
+    ties: tuple[Tie, ...]
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What a right registration of this recording looks like: running means."""
+
+    inlier_share: float
+    correlation: float
+
+    def after(self, registration: Registration) -> "Usual":
+        """With one more registration that is believed."""
+        correlation = registration.intensity_correlation
+        known = self.correlation if np.isnan(correlation) else correlation
+        return Usual(
+            0.9 * self.inlier_share + 0.1 * registration.inlier_share, 0.9 * self.correlation + 0.1 * known
+        )
+
+    def is_possible(self, registration: Registration) -> bool:
+        """Whether a registration is believable and not much worse than usual."""
+        usual = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
+        return (usual or registration.overlap >= SAME_VIEW) and is_believable(registration)
+
+    def is_sure(self, registration: Registration) -> bool:
+        """Whether a registration is as good as usual, or nearly."""
+        return (
+            registration.inlier_share >= self.inlier_share - UNUSUAL_INLIERS
+            and registration.overlap >= SURE_OVERLAP
+            and not registration.intensity_correlation < self.correlation - UNUSUAL_CORRELATION
+        )
+
+
+# Before anything is known much is asked: a first frame that is wrong would be followed by others.
+AT_FIRST = Usual(0.99, 0.99)
+
+
+def usual_of(registrations: Sequence[Registration]) -> Usual:
+    """The median of registrations that are believed."""
+    correlations = [r.intensity_correlation for r in registrations if np.isfinite(r.intensity_correlation)]
+    if not registrations:
+        return AT_FIRST
+    return Usual(
+        float(np.median([r.inlier_share for r in registrations])),
+        float(np.median(correlations)) if correlations else AT_FIRST.correlation,
+    )
+
+
+def follow(
+    maps: MapCache,
+    features: FeatureCache,
+    T_given: Float64 | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Odometry:
+    """Register every frame of a sequence to the keyframes before it.
+
+    Args:
+        maps: of the frames.
+        features: of the frames.
+        T_given: (n, 4, 4) poses to start the registrations from, NaN where there is none; or None.
+        progress: called with the number of frames done.
+    """
+    follower = _Follower(maps, features, T_given)
+    for index in range(len(maps.sequence)):
+        follower.take(index)
+        if progress:
+            progress(index + 1)
+    return follower.odometry()
+
+
+class _Follower:
+    """The odometry while it grows, frame by frame."""
+
+    def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None) -> None:
+        self.maps, self.features, self.T_given = maps, features, T_given
+        self.frames: list[Followed | None] = []
+        self.reasons: dict[int, str] = {}
+        self.keyframes: list[int] = []
+        self.ties: list[Tie] = []
+        self.usual = AT_FIRST
+        self.average: DepthAverage | None = None
+
+    def take(self, index: int) -> None:
+        """Follow the camera to the next frame."""
+        reason = _too_little(self.maps[index])
+        if reason is not None:
+            self.reasons[index] = reason
+            self.frames.append(None)
+            return
+        tried = (self._register(reference, index) for reference in self._references(index))
+        followed = next((each for each in tried if each is not None), None)
+        frame = self._first_of_segment(index) if followed is None else self._believed(index, followed)
+        if frame.keyframe == index:
+            self._begin_keyframe(index, frame)
+        elif self.average is not None and frame.keyframe == self.keyframes[-1] and frame.registration:
+            self.average.add(self.maps[index].levels[0], frame.registration.T_target_source)
+        self.frames.append(frame)
+
+    def odometry(self) -> Odometry:
+        """What was followed, once all frames are taken."""
+        self._end_average()
+        return Odometry(tuple(self.frames), self.reasons, tuple(self.keyframes), tuple(self.ties))
+
+    def _first_of_segment(self, index: int) -> Followed:
+        """A frame that fits none before it: a keyframe in a world of its own."""
+        segment = 1 + max((f.segment for f in self.frames if f is not None), default=-1)
+        return Followed(segment, index, np.eye(4), None)
+
+    def _believed(self, index: int, followed: Followed) -> Followed:
+        """A frame that was registered; if it has moved far from its keyframe it is the next one."""
+        assert followed.registration is not None
+        self.usual = self.usual.after(followed.registration)
+        if not _is_keyframe(followed.registration, self.maps[index]):
+            return followed
+        self.ties.append(tie(followed.keyframe, index, followed.registration, "odometry"))
+        return replace(followed, keyframe=index)
+
+    def _begin_keyframe(self, index: int, keyframe: Followed) -> None:
+        """Average the new keyframe's depth, first with the frames just before it."""
+        self._end_average()
+        self.keyframes.append(index)
+        self.average = DepthAverage(self.maps[index].levels[0])
+        for before in range(max(0, index - FRAMES_BEFORE), index):
+            frame = self.frames[before]
+            if frame is not None and frame.segment == keyframe.segment:
+                T_keyframe_frame = invert_rigid(keyframe.T_segment_camera) @ frame.T_segment_camera
+                self.average.add(self.maps[before].levels[0], T_keyframe_frame)
+
+    def _end_average(self) -> None:
+        if self.average is not None:
+            self.maps.improve(self.keyframes[-1], self.average.stored())
+
+    def _references(self, index: int) -> list[int]:
+        """The keyframe and the last frame of each of the last segments: what to register a frame to."""
+        references: list[int] = []
+        segments: list[int] = []
+        for back in range(index - 1, max(-1, index - 200), -1):
+            frame = self.frames[back]
+            if frame is None or frame.segment in segments:
+                continue
+            references += [frame.keyframe] if back == frame.keyframe else [frame.keyframe, back]
+            segments.append(frame.segment)
+            if len(segments) == RECENT_SEGMENTS:
+                break
+        return references
+
+    def _register(self, reference: int, index: int) -> Followed | None:
+        """Register a frame to a reference from its predictions; if none convinces, from elsewhere."""
+        source, target, before = self.maps[index], self.maps[reference], self._followed(reference)
+        every = every_of(source)
+        starts = self._predictions(reference, index)
+        best: Registration | None = None
+        for T_start, coarsest in itertools.product(starts, (1, 2)):
+            best = better(best, register(source, [target], [T_start], coarsest, every=every))
+            if self.usual.is_sure(best):
+                break
+        else:
+            seen = pose_from_features(self.features[index], self.features[reference], source.levels[0].camera)
+            if seen is not None:
+                best = better(best, register(source, [target], [seen[0]], coarsest=1, every=every))
+            if best is None or not self.usual.is_sure(best):
+                best = better(best, search(source, target, starts[0]))
+        if best is None or not self.usual.is_possible(best):
+            return None
+        T_segment_camera = on_so3(before.T_segment_camera @ best.T_target_source)
+        # The reference may be a frame beside the keyframe: what counts is how the frame lies to the keyframe.
+        keyframe = self._followed(before.keyframe)
+        T_keyframe_camera = on_so3(invert_rigid(keyframe.T_segment_camera) @ T_segment_camera)
+        registration = replace(best, T_target_source=T_keyframe_camera)
+        return Followed(before.segment, before.keyframe, T_segment_camera, registration)
+
+    def _predictions(self, reference: int, index: int) -> list[Float64]:
+        """T_reference_camera, the likeliest first: as given, with constant velocity, standing still."""
+        predictions = []
+        if self.T_given is not None and np.isfinite(self.T_given[[reference, index]]).all():
+            predictions.append(invert_rigid(self.T_given[reference]) @ self.T_given[index])
+        last, before = (self.frames[index - k] if index >= k else None for k in (1, 2))
+        at, stamps_ns = self._followed(reference), self.maps.sequence.stamps_ns
+        if last is not None and last.segment == at.segment:
+            T_reference_last = invert_rigid(at.T_segment_camera) @ last.T_segment_camera
+            if before is not None and before.segment == last.segment:
+                moved = invert_rigid(before.T_segment_camera) @ last.T_segment_camera
+                elapsed_ns = np.diff(stamps_ns[index - 2 : index + 1])
+                ratio = float(elapsed_ns[1] / elapsed_ns[0])
+                if 0.3 < ratio < 3:
+                    predictions.append(T_reference_last @ rigid_from_twist(ratio * twist_from_rigid(moved)))
+            predictions.append(T_reference_last)
+        return predictions or [np.eye(4)]
+
+    def _followed(self, index: int) -> Followed:
+        frame = self.frames[index]
+        assert frame is not None
+        return frame
+
+
+def _too_little(maps: FrameMaps) -> str | None:
+    """Why a frame cannot be registered to anything; None if it can."""
+    if len(maps.levels[0].points) < MIN_POINTS:
+        return NO_DEPTH
+    alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
+    return OPEN_MOTION if alone.degenerate and alone.over_noise < ONE_PLANE else None
+
+
+def every_of(source: FrameMaps) -> int:
+    """Every how many points of a frame are enough to register it."""
+    return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
+
+
+def tie(a: int, b: int, registration: Registration, kind: TieKind) -> Tie:
+    """The registration of keyframe b to keyframe a as a tie."""
+    return Tie(
+        a=a,
+        b=b,
+        T_a_b=registration.T_target_source,
+        information=registration.information,
+        kind=kind,
+        overlap=registration.overlap,
+        inlier_share=registration.inlier_share,
+        residual_m=registration.residual_m,
+    )
+
+
+def is_believable(registration: Registration) -> bool:
+    """Whether two frames show the same place where the registration says so."""
+    correlation = registration.intensity_correlation
+    return (
+        registration.inlier_share >= ENOUGH_INLIERS
+        and registration.overlap >= ENOUGH_OVERLAP
+        and not correlation < ENOUGH_CORRELATION
+        and not registration.degenerate
+    )
+
+
+def _is_keyframe(registration: Registration, maps: FrameMaps) -> bool:
+    """Whether a frame has moved so far from its keyframe that it becomes the next one."""
+    T = registration.T_target_source
+    depth_m = float(np.median(maps.levels[0].points[:, 2]))
+    return bool(
+        registration.overlap < KEYFRAME_OVERLAP
+        or rotation_angle_rad(T[:3, :3]) > KEYFRAME_TURN_RAD
+        or np.linalg.norm(T[:3, 3]) > KEYFRAME_SHIFT * depth_m
+    )

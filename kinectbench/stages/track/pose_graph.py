@@ -1,0 +1,197 @@
+"""Pose-graph optimisation with switchable ties: keyframe poses that agree best with all ties.
+
+Levenberg-Marquardt on SE(3) with a sparse solver; ties that contradict the rest lose their weight by
+a Geman-McClure kernel that is tightened step by step (graduated non-convexity: Yang, Antonante, Tzoumas &
+Carlone, RA-L 2020), so that the outcome does not depend on where it starts.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import spsolve
+from scipy.spatial.transform import Rotation
+
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry.rigid import on_so3, twist_from_rigid
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.tracked import Tie
+
+# What calibration and depth distortion add to a tie of two equal views, whatever its noise: radians, metres.
+SYSTEMATIC = np.array([0.0007] * 3 + [0.001] * 3)
+# They grow as the views share less, and by this much for a share of points that do not agree.
+PER_DISAGREEING_SHARE = 100.0
+# Keeps what no tie constrains: a step of one radian or one metre costs this much.
+LOOSE = 1e-3
+# Squared error of a tie, in its own sigmas, at which it loses three quarters of its weight.
+KERNEL = 30.0
+ITERATIONS, COARSE_ITERATIONS, STEP_ENOUGH = 40, 4, 1e-6
+TIGHTENINGS = 8
+
+
+def optimise(
+    T_world: Float64,
+    ties: Sequence[Tie],
+    nodes: Sequence[tuple[int, int]],
+    T_prior: Float64 | None = None,
+    prior_sigma: tuple[float, float] = (0.03, 0.05),
+) -> tuple[Float64, Float64]:
+    """Move poses until the ties agree.
+
+    Args:
+        T_world: (k, 4, 4) where to start; the first stays, unless there are priors.
+        ties: measured T_a_b with information.
+        nodes: for each tie its two rows of `T_world`.
+        T_prior: (k, 4, 4) poses believed loosely, NaN where there is none; or None.
+        prior_sigma: how loosely: radians, metres.
+
+    Returns:
+        (k, 4, 4) poses and (number of ties,) weights, 0 to 1.
+    """
+    poses = T_world.copy()
+    measured = np.array([tie.T_a_b for tie in ties]).reshape(-1, 4, 4)
+    information = np.array([softened(tie) for tie in ties]).reshape(-1, 6, 6)
+    ends = np.array(nodes, int).reshape(-1, 2)
+    weights = np.ones(len(ties))
+    if len(poses) == 1 or not len(ties):
+        return poses, weights
+    graph = _Graph(measured, information, ends, T_prior, prior_sigma)
+    largest = graph.squared(poses).max(initial=0.0)
+    kernels = KERNEL * np.maximum(1.0, (largest / KERNEL) ** np.linspace(1, 0, TIGHTENINGS))
+    for kernel in kernels:
+        poses = np.array([on_so3(T) for T in poses])
+        poses = graph.descend(poses, kernel, ITERATIONS if kernel == kernels[-1] else COARSE_ITERATIONS)
+    return poses, graph.weights(poses, KERNEL)
+
+
+def softened(tie: Tie) -> Float64:
+    """The information (6, 6) of a tie with the systematic errors in its covariance: (A^-1 + S)^-1.
+
+    Their growth is an own rule, found on simulated orbits. Also where A is singular.
+    """
+    A = tie.information
+    growth = (1 + PER_DISAGREEING_SHARE * (1 - tie.inlier_share)) / max(tie.overlap, 0.1) ** 2
+    systematic = np.diag((SYSTEMATIC * growth) ** 2)
+    return np.asarray(A - A @ np.linalg.solve(A + np.linalg.inv(systematic), A))
+
+
+@dataclass(frozen=True)
+class _Graph:
+    """Ties and priors as arrays."""
+
+    measured: Float64
+    information: Float64
+    ends: NDArray[np.int64]
+    T_prior: Float64 | None
+    prior_sigma: tuple[float, float]
+
+    def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
+        """Levenberg-Marquardt: a step that does not lower the cost is taken back and damped."""
+        damping, cost = 1e-6, self.cost(poses, kernel)
+        for _ in range(iterations):
+            step = self.step(poses, kernel, damping)
+            moved = poses @ _rigid(step)
+            lower = self.cost(moved, kernel)
+            if lower > cost:
+                damping *= 30
+                continue
+            poses, cost, damping = moved, lower, max(damping / 10, 1e-9)
+            if np.abs(step).max() < STEP_ENOUGH:
+                break
+        return poses
+
+    def weights(self, poses: Float64, kernel: float) -> Float64:
+        """(m,) of the ties: Geman-McClure."""
+        return np.asarray((kernel / (kernel + self.squared(poses))) ** 2)
+
+    def squared(self, poses: Float64) -> Float64:
+        """(m,) squared errors of the ties in their own sigmas."""
+        errors = _errors(poses, self.measured, self.ends)
+        return np.asarray(np.einsum("mi,mij,mj->m", errors, self.information, errors))
+
+    def cost(self, poses: Float64, kernel: float) -> float:
+        """Sum of the kernels of all ties and priors."""
+        squares = self.squared(poses)
+        total = float((kernel * squares / (kernel + squares)).sum())
+        for _, error, prior in self._priors(poses):
+            square = float(error @ prior @ error)
+            total += KERNEL * square / (KERNEL + square)
+        return total
+
+    def step(self, poses: Float64, kernel: float, damping: float) -> Float64:
+        """Twists (k, 6) of one damped Gauss-Newton step."""
+        k = len(poses)
+        errors = _errors(poses, self.measured, self.ends)[..., None]
+        information = self.weights(poses, kernel)[:, None, None] * self.information
+        jacobians = -adjoint(invert_rigid(self.measured))
+        to_a = np.swapaxes(jacobians, 1, 2) @ information
+        a, b = self.ends.T
+        diagonal, gradient = np.zeros((k, 6, 6)), np.zeros((k, 6, 1))
+        np.add.at(diagonal, a, to_a @ jacobians)
+        np.add.at(diagonal, b, information)
+        np.add.at(gradient, a, -(to_a @ errors))
+        np.add.at(gradient, b, -(information @ errors))
+        for node, error, prior in self._priors(poses):
+            # A prior that is far off is wrong, not loose.
+            weight = 1 / (1 + error @ prior @ error / KERNEL) ** 2
+            diagonal[node] += weight * prior
+            gradient[node, :, 0] -= weight * prior @ error
+        if self.T_prior is None:
+            diagonal[0] += 1e12 * np.eye(6)
+        across = np.arange(6)
+        diagonal[:, across, across] += damping * diagonal[:, across, across] + LOOSE
+        nodes = np.arange(k)
+        return _solve(
+            np.concatenate([diagonal, to_a, np.swapaxes(to_a, 1, 2)]),
+            np.concatenate([nodes, a, b]),
+            np.concatenate([nodes, b, a]),
+            gradient,
+        )
+
+    def _priors(self, poses: Float64) -> Iterator[tuple[int, Float64, Float64]]:
+        if self.T_prior is None:
+            return
+        prior = np.diag([self.prior_sigma[0] ** -2] * 3 + [self.prior_sigma[1] ** -2] * 3)
+        for node in np.flatnonzero(np.isfinite(self.T_prior).all(axis=(1, 2))):
+            yield int(node), twist_from_rigid(invert_rigid(self.T_prior[node]) @ poses[node]), prior
+
+
+def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float64:
+    """Twists (m, 6) of measured^-1 T_a^-1 T_b.
+
+    To first order a twist of T_b adds to it; one of T_a adds -Ad(measured^-1) times it.
+    """
+    back = invert_rigid(measured)
+    relative = back @ invert_rigid(poses[ends[:, 0]]) @ poses[ends[:, 1]]
+    return np.concatenate([Rotation.from_matrix(relative[:, :3, :3]).as_rotvec(), relative[:, :3, 3]], axis=1)
+
+
+def _rigid(twists: Float64) -> Float64:
+    """(k, 4, 4) from twists (k, 6)."""
+    T = np.tile(np.eye(4), (len(twists), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(twists[:, :3]).as_matrix()
+    T[:, :3, 3] = twists[:, 3:]
+    return T
+
+
+def adjoint(T: Float64) -> Float64:
+    """(m, 6, 6): how twists (rotation, translation) change frames by T (m, 4, 4)."""
+    rotation, t = T[:, :3, :3], T[:, :3, 3]
+    cross = np.zeros_like(rotation)
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -t[:, 2], t[:, 1], -t[:, 0]
+    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = t[:, 2], -t[:, 1], t[:, 0]
+    result = np.zeros((len(T), 6, 6))
+    result[:, :3, :3], result[:, 3:, 3:], result[:, 3:, :3] = rotation, rotation, cross @ rotation
+    return result
+
+
+def _solve(blocks: Float64, rows: NDArray[np.int64], columns: NDArray[np.int64], right: Float64) -> Float64:
+    """Solve a sparse system of 6 x 6 blocks (b, 6, 6) at block rows and columns (b,); right (k, 6, 1)."""
+    offsets = np.arange(6)
+    i = np.broadcast_to(6 * rows[:, None, None] + offsets[:, None], blocks.shape)
+    j = np.broadcast_to(6 * columns[:, None, None] + offsets, blocks.shape)
+    size = right.shape[0] * 6
+    normal = coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size)).tocsc()
+    return np.asarray(spsolve(normal, right.ravel())).reshape(-1, 6)

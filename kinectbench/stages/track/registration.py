@@ -1,0 +1,302 @@
+"""Registration: move one frame until it agrees with others; see `linearise` for what is minimised.
+
+When registration from the prediction does not convince, `search` looks around it. Registration settles at
+once whatever the surfaces hold (a floor: two turns and a height), so only the motions they leave open need a
+search: a grid along the three weakest ones, judged at the coarsest level.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
+from kinectbench.core.types import Float64
+from kinectbench.stages.track.frame_maps import FrameMaps, Level
+from kinectbench.stages.track.linearise import NO_EXPOSURE_CHANGE, LinearTerms, linearise
+
+# Neighbouring pixels share their noise: this many count as one measurement.
+CORRELATED_POINTS = 10.0
+# Per level, the finest first: how far along the ray a measurement may lie from the point it is taken for, the
+# number of iterations, and the step that ends them.
+GATES_M = (0.06, 0.10, 0.20)
+ITERATIONS = (5, 8, 20)
+STEP_ENOUGH = (1e-4, 2e-4, 5e-4)
+MIN_POINTS = 100
+# Along a motion that slides surfaces on each other the noise of their normals pretends to know something. It
+# is taken off, and half as much again: how large it is, is only estimated.
+NOISE_TAKEN = 1.5
+# A motion known no better than this is open, whatever holds it.
+MAX_SIGMA_M = 0.012
+# Shortens steps along what the surfaces do not fix.
+DAMPING = np.diag([0.1**-2] * 3 + [0.1**-2] * 3)
+NO_PRIOR = np.zeros((6, 6))
+# The prior of a start that is known to 10 mrad and 10 mm; it counts as often as correlated measurements do.
+PLACED = CORRELATED_POINTS * np.diag([0.01**-2] * 3 + [0.01**-2] * 3)
+# Of the search: the level it is done at.
+COARSEST = 2
+# The points move by so much from one start to the next, root mean square.
+SPACING_M = 0.12
+STARTS = np.array([k for k in itertools.product((-2, -1, 0, 1, 2), repeat=3) if any(k)])
+SETTLED, REGISTERED = 8, 2
+SEARCH_GATE_M, SETTLE_GATE_M = 0.1, 0.2
+SETTLE_ITERATIONS = 10
+ENOUGH_OVERLAP = 0.5
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How one frame lies to another.
+
+    Attributes:
+        T_target_source: (4, 4).
+        information: (6, 6) inverse covariance of the twist, without what noise of the normals pretends.
+        overlap: share of the source's points that fall on measurements of the target.
+        inlier_share: of these, without the hidden ones, the share that agrees with the target.
+        residual_m: root mean square of the inliers' point-to-plane residuals, metres.
+        noise_m: what the noise of a Kinect's depth alone would make of it, metres.
+        over_noise: how much more the normals say about the least constrained motion than their noise
+            alone would; about 1 for one plane, 0 for too few points.
+        sigma_m: how far the points move (root mean square) along the motion that is known least, for one
+            standard deviation; infinite where a motion is left open.
+        intensity_correlation: of the inliers' intensities, -1 to 1; NaN without.
+    """
+
+    T_target_source: Float64
+    information: Float64
+    overlap: float
+    inlier_share: float
+    residual_m: float
+    noise_m: float
+    over_noise: float
+    sigma_m: float
+    intensity_correlation: float
+
+    @property
+    def degenerate(self) -> bool:
+        """Whether a motion is left open, as one plane in view does without texture."""
+        return not self.sigma_m < MAX_SIGMA_M
+
+
+def register(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_targets_source: Sequence[Float64],
+    coarsest: int = 2,
+    prior: Float64 = NO_PRIOR,
+    every: int = 1,
+) -> Registration:
+    """Move one frame until it agrees with others that stand still to each other.
+
+    Args:
+        source: the frame that moves.
+        targets: one or more others.
+        T_targets_source: (4, 4) each, where to start.
+        coarsest: level to start at, 0 the finest.
+        prior: (6, 6) information of the start, in the same units as the measurements'.
+        every: at the finest level only every n-th point is used.
+
+    Returns:
+        The registration to the first target.
+    """
+    motion = np.eye(4)
+    starts = [np.asarray(T) for T in T_targets_source]
+    exposures = [NO_EXPOSURE_CHANGE] * len(starts)
+    found: list[LinearTerms] = []
+    converged = False
+    for level in range(coarsest, -1, -1):
+        for _ in range(ITERATIONS[level]):
+            T_now = [start @ motion for start in starts]
+            found = _linearised(source, targets, T_now, exposures, level, every)
+            normal_matrix, gradient = DAMPING + prior, -prior @ twist_from_rigid(motion)
+            for terms in found:
+                normal_matrix = normal_matrix + terms.geometric + terms.photometric
+                gradient = gradient + terms.gradient
+            step = np.linalg.solve(normal_matrix, gradient)
+            motion = motion @ rigid_from_twist(step)
+            exposures = [terms.exposure_after(step) for terms in found]
+            converged = bool(np.abs(step).max() < STEP_ENOUGH[level])
+            if converged:
+                break
+    T_now = [start @ motion for start in starts]
+    if not converged:
+        found = _linearised(source, targets, T_now, exposures, 0, every)
+    registration, free = _figures(source, targets, T_now[0], found, every)
+    textured = source.has_intensity and all(target.has_intensity for target in targets)
+    if textured or not free.shape[1]:
+        return registration
+    # What the surfaces leave open is taken back: noise drove it there.
+    twist = twist_from_rigid(motion)
+    motion = rigid_from_twist(twist - free @ np.linalg.pinv(free) @ twist)
+    return measure(source, targets, [start @ motion for start in starts], every)
+
+
+def measure(
+    source: FrameMaps, targets: Sequence[FrameMaps], T_targets_source: Sequence[Float64], every: int = 1
+) -> Registration:
+    """The figures of a registration where it stands.
+
+    Args:
+        source: the frame.
+        targets: one or more others.
+        T_targets_source: (4, 4) each.
+        every: only every n-th point is used.
+    """
+    exposures = [NO_EXPOSURE_CHANGE] * len(targets)
+    found = _linearised(source, targets, T_targets_source, exposures, 0, every)
+    return _figures(source, targets, np.asarray(T_targets_source[0]), found, every)[0]
+
+
+def _linearised(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_targets_source: Sequence[Float64],
+    exposures: Sequence[Float64],
+    level: int,
+    every: int,
+) -> list[LinearTerms]:
+    """The terms of each target at one level; at the finest with what the figures need, and fewer points."""
+    finest = level == 0
+    return [
+        linearise(
+            source.levels[level],
+            target.levels[level],
+            T,
+            GATES_M[level],
+            exposure,
+            with_shares=finest,
+            every=every if finest else 1,
+        )
+        for target, T, exposure in zip(targets, T_targets_source, exposures, strict=True)
+    ]
+
+
+def _figures(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    T_target_source: Float64,
+    found: Sequence[LinearTerms],
+    every: int,
+) -> tuple[Registration, Float64]:
+    """The figures, and the motions (6, k) that are left open, as `Openness.motions`."""
+    inliers = sum(terms.inliers for terms in found)
+    compared = inliers + sum(terms.violations for terms in found)
+    squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
+    variances = sum(terms.inliers * terms.noise_m**2 for terms in found)
+    held = openness(found, source.levels[0], [target.levels[0] for target in targets])
+    geometric = held.without_noise(np.sum([terms.geometric for terms in found], axis=0))
+    photometric = np.sum([terms.photometric for terms in found], axis=0)
+    information = (geometric + photometric) * (every / CORRELATED_POINTS)
+    known = np.einsum("ik,ij,jk->k", held.motions, information, held.motions)
+    enough = inliers * every >= MIN_POINTS
+    weakest = float(known.min()) if enough else 0.0
+    registration = Registration(
+        T_target_source=on_so3(T_target_source),
+        information=information,
+        overlap=min(1.0, compared * every / max(1, len(source.levels[0].points) * len(targets))),
+        inlier_share=inliers / max(1, compared),
+        residual_m=float(np.sqrt(squares / max(1, inliers))),
+        noise_m=float(np.sqrt(variances / max(1, inliers))),
+        over_noise=float(held.over_noise[0]) if enough else 0.0,
+        sigma_m=float(weakest**-0.5) if weakest > 1e-3 else np.inf,
+        intensity_correlation=float(np.mean([terms.intensity_correlation for terms in found])),
+    )
+    return registration, held.motions[:, known < MAX_SIGMA_M**-2]
+
+
+@dataclass(frozen=True)
+class Openness:
+    """How well the normals hold each of six motions, the weakest first.
+
+    Attributes:
+        over_noise: (6,) what the normals say about it over what their noise alone would.
+        motions: (6, 6) the twists as columns; each moves the points by 1 m (root mean square).
+        metric: (6, 6), motions.T @ metric @ motions is the unit matrix.
+    """
+
+    over_noise: Float64
+    motions: Float64
+    metric: Float64
+
+    def without_noise(self, information: Float64) -> Float64:
+        """Take from (6, 6) what the noise of the normals only pretends to know of each motion."""
+        left = np.sqrt(np.maximum(0.0, 1 - NOISE_TAKEN / np.maximum(self.over_noise, NOISE_TAKEN)))
+        # The inverse of the motions is motions.T @ metric.
+        back = self.metric @ self.motions * left
+        return np.asarray(back @ (self.motions.T @ information @ self.motions) @ back.T)
+
+
+def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Openness:
+    """How well the normals hold each motion, over what their noise alone would seem to.
+
+    Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: the sum of [[p]x; 1] [[p]x; 1]^T.
+    This is also the metric in which a twist is as long as it moves the points.
+
+    Args:
+        found: one for each target, with shares.
+        source: what was linearised.
+        targets: what it was linearised with.
+    """
+    moments = np.sum([terms.moments for terms in found], axis=0)
+    x, y, z, n = moments[3] / max(moments[3, 3], 1)
+    squares = moments[:3, :3] / max(moments[3, 3], 1)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    metric = np.block([[np.trace(squares) * np.eye(3) - squares, cross], [cross.T, n * np.eye(3)]])
+    metric += 1e-6 * np.eye(6)
+    shares = np.sum([terms.shares for terms in found], axis=0) / max(moments[3, 3], 1)
+    over_noise, motions = eigh(shares, metric)
+    counts = np.array([max(terms.inliers, 1) for terms in found])
+    # The mean of two normals is less noisy than either, unless they are the same.
+    noises = [
+        source.normal_noise**2 if target is source else (source.normal_noise**2 + target.normal_noise**2) / 4
+        for target in targets
+    ]
+    noise = np.average(noises, weights=counts)
+    return Openness(over_noise / noise, motions, metric)
+
+
+def score(registration: Registration) -> float:
+    """How convincing a registration is: 1.25 at most, 1 without intensity."""
+    return _score(registration.inlier_share, registration.overlap, registration.intensity_correlation)
+
+
+def better(best: Registration | None, other: Registration) -> Registration:
+    """The more convincing one; the first if they are equal."""
+    return other if best is None or score(other) > score(best) else best
+
+
+def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
+    """The most convincing registration of a frame to another around `T_start` (4, 4)."""
+    points, maps = source.levels[COARSEST], target.levels[COARSEST]
+    T_settled, _ = _settle(points, maps, T_start)
+    terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_shares=True)
+    weakest = openness([terms], points, [maps]).motions[:, :3]
+    starts = [np.asarray(T_settled @ rigid_from_twist(weakest @ (SPACING_M * k))) for k in STARTS]
+    starts.sort(key=lambda T: -_score_at(linearise(points, maps, T, SEARCH_GATE_M), points))
+    settled = [_settle(points, maps, T) for T in [T_settled, *starts[:SETTLED]]]
+    settled.sort(key=lambda found: -_score_at(found[1], points))
+    return max((register(source, [target], [T], coarsest=1) for T, _ in settled[:REGISTERED]), key=score)
+
+
+def _settle(points: Level, maps: Level, T: Float64) -> tuple[Float64, LinearTerms]:
+    exposure = NO_EXPOSURE_CHANGE
+    for _ in range(SETTLE_ITERATIONS):
+        terms = linearise(points, maps, T, SETTLE_GATE_M, exposure)
+        step = np.linalg.solve(terms.geometric + terms.photometric + DAMPING, terms.gradient)
+        T, exposure = T @ rigid_from_twist(step), terms.exposure_after(step)
+        if np.abs(step).max() < 3e-4:
+            break
+    return T, linearise(points, maps, T, SEARCH_GATE_M, exposure)
+
+
+def _score_at(terms: LinearTerms, points: Level) -> float:
+    compared = terms.inliers + terms.violations
+    share, overlap = terms.inliers / max(1, compared), compared / max(1, len(points.points))
+    return _score(share, overlap, terms.intensity_correlation)
+
+
+def _score(inlier_share: float, overlap: float, correlation: float) -> float:
+    agreement = 0.0 if np.isnan(correlation) else 0.25 * max(correlation, 0.0)
+    return inlier_share * min(1.0, overlap / ENOUGH_OVERLAP) + agreement

@@ -1,0 +1,115 @@
+"""The stage `track`: a pose for every frame that can be had, and how far it can be trusted.
+
+Where poses come from: a trajectory that is trusted is checked against the depth and kept as it is, but for
+the frames that disagree (`check.check_given`); without one, or to refine it, `tracker.track_frames` decides
+every pose. Then the whole is judged (`check.health`).
+"""
+
+import numpy as np
+
+from kinectbench.core.artefacts.trajectory import Source
+from kinectbench.core.errors import TrackingError
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Progress
+from kinectbench.settings.models import TrackingSettings, TrajectoryMode
+from kinectbench.stages.track.check.check_given import (
+    GivenCheck,
+    as_refined,
+    check_given,
+    trusted,
+    warnings_of,
+)
+from kinectbench.stages.track.check.health import health
+from kinectbench.stages.track.tracked import Tracked
+from kinectbench.stages.track.tracker import track_frames
+
+MIN_GOOD_FRAMES = 3
+
+
+def track(
+    sequence: Sequence,
+    mode: TrajectoryMode | None,
+    settings: TrackingSettings,
+    progress: Progress | None = None,
+) -> Trajectory:
+    """Find the camera's pose for every frame; frames whose pose cannot be known are left out.
+
+    Args:
+        sequence: the recording.
+        mode: of a given trajectory: trust it (frames that disagree with it are left out), refine it, or
+            ignore it. None: trust it if there is one.
+        settings: what counts as disagreement.
+        progress: called with (done, total).
+
+    Raises:
+        TrackingError: the given trajectory does not fit the frames, or too few frames have a pose.
+    """
+    given = sequence.given_trajectory
+    if sequence.trajectory_error and mode != "ignore":
+        raise TrackingError(f"{sequence.trajectory_error}; `trajectory: ignore` does without it")
+    if mode == "ignore" or (mode is None and given is None):
+        return _finished(sequence, "tracked", track_frames(sequence, None, progress), [], None)
+    if given is None:
+        raise TrackingError(
+            f"trajectory: {mode} asks for a given trajectory, but the recording has none; use ignore"
+        )
+    T_given = poses_at(given, sequence.stamps_ns, settings.max_stamp_gap_s)
+    posed = int(np.isfinite(T_given[:, 0, 0]).sum())
+    if posed < MIN_GOOD_FRAMES:
+        raise TrackingError(_too_few_poses(sequence, posed))
+    n = len(sequence)
+    # The tracker counts every frame twice.
+    rounds = 3 if mode == "refine" else 1
+    report = progress or (lambda done, total: None)
+    checked = check_given(sequence, T_given, settings, lambda done, total: report(done, rounds * total))
+    warnings = warnings_of(sequence, checked)
+    if mode != "refine":
+        return _finished(sequence, "trust", trusted(checked, settings), warnings, checked)
+    refined = track_frames(sequence, T_given, lambda done, total: report(n + done, n + total))
+    check = as_refined(sequence, checked, refined.T_world_camera, settings)
+    return _finished(sequence, "refine", refined, warnings, check)
+
+
+def _finished(
+    sequence: Sequence, source: Source, tracked: Tracked, warnings: list[str], check: GivenCheck | None
+) -> Trajectory:
+    posed = int(np.isfinite(tracked.T_world_camera[:, 0, 0]).sum())
+    if posed < MIN_GOOD_FRAMES:
+        reasons = sorted(set(tracked.reasons.values()))
+        advice = "record more slowly, or give a trajectory"
+        if source == "trust":
+            advice = "correct the poses or the depth"
+        raise TrackingError(
+            f"only {posed} of {len(sequence)} frames can be used, and {MIN_GOOD_FRAMES} are needed"
+            f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}"
+        )
+    figures = health(sequence, source, tracked, warnings, check)
+    return Trajectory(
+        stamps_ns=sequence.stamps_ns,
+        T_world_camera=tracked.T_world_camera,
+        source=source,
+        # As it is stored, so that a trajectory that is read back does not differ from this one.
+        pose_sigma_m=figures.pose_sigma_m(),
+        health=figures,
+        depth_calibration=tracked.calibration,
+    )
+
+
+def _too_few_poses(sequence: Sequence, posed: int) -> str:
+    given = sequence.given_trajectory
+    ranges = [
+        f"{stamps[0] / 1e9:.3f}-{stamps[-1] / 1e9:.3f} s"
+        for stamps in (sequence.stamps_ns, given.stamps_ns if given else sequence.stamps_ns)
+    ]
+    apart = given is None or (
+        given.stamps_ns[0] > sequence.stamps_ns[-1] or given.stamps_ns[-1] < sequence.stamps_ns[0]
+    )
+    problem = f"gives {posed} of {len(sequence)} frames a pose, and {MIN_GOOD_FRAMES} are needed"
+    if posed == 0:
+        problem = "shares no time with the frames" if apart else "has no pose close to the time of any frame"
+    return (
+        f"the given trajectory {problem}: frames {ranges[0]}, trajectory {ranges[1]}; "
+        "use stamps of one clock, or `trajectory: ignore`"
+    )

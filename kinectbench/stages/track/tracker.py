@@ -1,0 +1,204 @@
+"""Camera tracking: where the pose of every frame is decided, in four steps.
+
+1. Odometry proposes (`odometry.follow`): each frame is registered to a keyframe before it. A frame that fits
+   none begins a new segment, with a world of its own.
+2. The graph joins (`keyframe_graph.build_graph`): keyframes that see the same places are registered to each
+   other, segments are joined, and the keyframes' poses are optimised (`pose_graph.optimise`).
+3. The placer decides (`_Placer.place`): each frame is registered to several keyframes at once where the graph
+   put them. What does not agree with them has no pose, and a reason.
+4. The smoother (`smoothing.smoothed`) moves each pose as far as its registration leaves it uncertain.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry.rigid import on_so3
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.compare import has_pose
+from kinectbench.core.types import Float64, Progress
+from kinectbench.stages.track.covisibility import glimpse, shared_view
+from kinectbench.stages.track.features import FeatureCache
+from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
+from kinectbench.stages.track.odometry import (
+    OPEN_MOTION,
+    Followed,
+    Odometry,
+    every_of,
+    follow,
+    is_believable,
+    usual_of,
+)
+from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
+from kinectbench.stages.track.smoothing import smoothed
+from kinectbench.stages.track.tracked import State, Tracked
+
+# Keyframes each frame is placed among: its own, and the others that see most of it.
+NEIGHBOURS = 2
+NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
+# Information of a frame that no other is around: it stays where it is.
+HELD = 1e8 * np.eye(6)
+DISAGREES = "its depth does not agree with the keyframes around it"
+
+
+def track_frames(
+    sequence: Sequence,
+    T_given: Float64 | None = None,
+    progress: Progress | None = None,
+) -> Tracked:
+    """Estimate the pose of every frame.
+
+    Args:
+        sequence: the recording.
+        T_given: (n, 4, 4) poses to start from and to believe loosely, NaN where there is none; or None: the
+            world is then the first camera's that is tracked.
+        progress: called with (done, total).
+    """
+    n = len(sequence)
+    maps = MapCache(sequence)
+    features = FeatureCache(maps)
+    report = progress or (lambda done, total: None)
+    odometry = follow(maps, features, T_given, lambda done: report(done, 2 * n))
+    graph = build_graph(maps, features, odometry, T_given)
+    return _place(maps, odometry, graph, lambda done: report(n + done, 2 * n))
+
+
+def _place(
+    maps: MapCache, odometry: Odometry, graph: KeyframeGraph, progress: Callable[[int], None]
+) -> Tracked:
+    """Register every frame to several keyframes at once where the graph put them."""
+    n = len(maps.sequence)
+    poses = np.full((n, 4, 4), np.nan)
+    residual_m, noise_m, inlier_share = (np.full(n, np.nan) for _ in range(3))
+    degenerate = np.zeros(n, bool)
+    information = np.tile(HELD, (n, 1, 1))
+    states: list[State] = ["lost"] * n
+    reasons: dict[int, str] = {}
+    placer = _Placer(maps, odometry, graph)
+    for index in range(n):
+        progress(index + 1)
+        placed = placer.place(index)
+        found = placed.registration
+        if found is not None:
+            residual_m[index], noise_m[index] = found.residual_m, found.noise_m
+            inlier_share[index] = found.inlier_share
+            information[index] = found.information
+        degenerate[index] = placed.reason == OPEN_MOTION
+        if placed.reason is None:
+            poses[index], states[index] = placed.T_world_camera, placed.state
+        else:
+            reasons[index] = placed.reason
+    posed = has_pose(poses)
+    poses[posed] = smoothed(poses[posed], maps.sequence.stamps_ns[posed], information[posed])
+    return Tracked(
+        T_world_camera=poses,
+        states=tuple(states),
+        reasons=reasons,
+        keyframes=np.array(graph.keyframes, np.int64)[has_pose(graph.T_world)],
+        ties=graph.ties,
+        refused=graph.refused,
+        residual_m=residual_m,
+        noise_m=noise_m,
+        inlier_share=inlier_share,
+        degenerate=degenerate,
+        sharpness=maps.sharpness,
+        calibration=graph.calibration,
+    )
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A frame's pose, or the reason why it has none; and how it lies to the keyframes around it."""
+
+    state: State
+    reason: str | None = None
+    T_world_camera: Float64 = field(default_factory=lambda: np.full((4, 4), np.nan))
+    registration: Registration | None = None
+
+
+class _Placer:
+    """Places frames among the optimised keyframes."""
+
+    def __init__(self, maps: MapCache, odometry: Odometry, graph: KeyframeGraph) -> None:
+        self.maps, self.odometry, self.graph = maps, odometry, graph
+        self.row = {frame: row for row, frame in enumerate(graph.keyframes)}
+        self.tied = _tied(graph, self.row)
+        joined = (f.segment for f in odometry.frames if f is not None and f.segment in graph.joined)
+        self.first_segment = min(joined, default=0)
+        followed = [f.registration for f in odometry.frames if f is not None and f.registration is not None]
+        self.usual = usual_of(followed)
+
+    def place(self, index: int) -> _Placed:
+        """Register one frame to the keyframes that see most of what it sees."""
+        frame = self.odometry.frames[index]
+        if frame is None:
+            return _Placed(state="lost", reason=self.odometry.reasons[index])
+        T_world = self._predicted(frame)
+        if not np.isfinite(T_world).all():
+            return _Placed(state="lost", reason=NOT_JOINED)
+        state: State = "tracked" if frame.segment == self.first_segment else "relocalised"
+        around = self._around(index, frame, T_world)
+        if not around:
+            return _Placed(state=state, T_world_camera=T_world)
+        found = self._registered(index, around, T_world)
+        if frame.keyframe != index:
+            T_world = on_so3(self.graph.T_world[around[0]] @ found.T_target_source)
+        reason = None if is_believable(found) else OPEN_MOTION if found.degenerate else DISAGREES
+        return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=found)
+
+    def _predicted(self, frame: Followed) -> Float64:
+        """Where the odometry saw a frame from its keyframe, which the graph has moved."""
+        home = self.odometry.frames[frame.keyframe]
+        assert home is not None
+        T_home_camera = invert_rigid(home.T_segment_camera) @ frame.T_segment_camera
+        return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
+
+    def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
+        """The frame's own keyframe, then those tied to it that share most of its view."""
+        home = self.row[frame.keyframe]
+        view = glimpse(self.maps[index])
+        shared = [
+            (-shared_view(self.graph.glimpses[k], view, invert_rigid(self.graph.T_world[k]) @ T_world), k)
+            for k in self.tied[home]
+            if self.graph.keyframes[k] != index
+        ]
+        own = [home] if frame.keyframe != index else []
+        return (own + [k for _, k in sorted(shared)])[:NEIGHBOURS]
+
+    def _registered(self, index: int, around: list[int], T_world: Float64) -> Registration:
+        """A keyframe stays where it is; another frame moves, and is searched for if it does not convince."""
+        source = self.maps[index]
+        targets = [self.maps[self.graph.keyframes[k]] for k in around]
+        T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
+        if index in self.row:
+            return measure(source, targets, [T @ T_world for T in T_around])
+        found = register(
+            source,
+            targets,
+            [T @ T_world for T in T_around],
+            coarsest=0,
+            prior=PLACED,
+            every=every_of(source),
+        )
+        if self.usual.is_sure(found):
+            self.usual = self.usual.after(found)
+            return found
+        for T_around_k, target in zip(T_around, targets, strict=True):
+            elsewhere = search(source, target, T_around_k @ T_world).T_target_source
+            T_there = invert_rigid(T_around_k) @ elsewhere
+            other = register(source, targets, [T @ T_there for T in T_around], coarsest=0, prior=PLACED)
+            found = better(found, other)
+        self.usual = self.usual.after(found)
+        return found
+
+
+def _tied(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
+    """For each keyframe the ones tied to it, the strongest first."""
+    tied: list[list[int]] = [[] for _ in graph.keyframes]
+    for each in sorted(graph.ties, key=lambda t: -t.weight * t.overlap):
+        tied[row[each.a]].append(row[each.b])
+        tied[row[each.b]].append(row[each.a])
+    return tied

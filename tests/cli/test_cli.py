@@ -1,0 +1,303 @@
+"""The command line as its users meet it: help, JSON, exit statuses, the whole way from init to the page."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_benchmark import Run, copied, hashes, leftovers, make_benchmark, run
+
+from kinectbench.cli.main import PANELS
+from kinectbench.release.release import Release
+
+pytestmark = pytest.mark.xdist_group("commands")
+
+Command = Callable[..., Run]
+METHODS = ("empty", "hull")
+COMMANDS = [name for commands in PANELS.values() for name in commands]
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_help_of_every_command(command: Command, tmp_path: Path, name: str) -> None:
+    result = command(tmp_path, *name.split(), "--help")
+    assert result.status == 0 and result.err == ""
+    assert f"kinectbench {name}".strip() in result.out
+
+
+def test_help_is_fast_and_imports_nothing_heavy(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.argv = ['kinectbench', 'score', '--help']\n"
+        "import kinectbench.cli.main\n"
+        "try: kinectbench.cli.main.main()\n"
+        "except SystemExit: print(sorted({'open3d', 'cv2', 'numba', 'trimesh', 'scipy'} & set(sys.modules)))"
+    )
+    started = time.monotonic()
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert time.monotonic() - started < 1 * 2  # twice the promise: other tests run at the same time
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+def test_no_command_shows_the_help(command: Command, tmp_path: Path) -> None:
+    result = command(tmp_path)
+    assert result.status == 2 and "Usage" in result.out + result.err and "build" in result.out + result.err
+
+
+def test_version(command: Command, tmp_path: Path) -> None:
+    assert command(tmp_path, "--version").out.startswith("kinectbench 0.")
+
+
+def test_json_stands_alone_on_standard_output(small: Path) -> None:
+    result = run(small, "build", "--json", "--jobs", "2")
+    rows = json.loads(result.out, parse_constant=lambda word: pytest.fail(word))
+    assert result.status == 0 and result.err == ""
+    assert [row["recording"] for row in rows] == ["chair", "table"]
+    assert all(row["made"] == [] and len(row["current"]) == 6 and row["error"] is None for row in rows)
+    assert all(row["frames"] == 24 and row["pairs"] == 3 for row in rows)
+
+
+def test_ids_choose_recordings(command: Command, small: Path) -> None:
+    result = command(small, "build", "table", "--json")
+    assert [row["recording"] for row in json.loads(result.out)] == ["table"]
+
+
+# --- from recordings to a page ------------------------------------------------------------------------
+
+
+def test_simulate_init_build_publish_score(command: Command, tmp_path: Path) -> None:
+    """The way of a newcomer, with nothing but commands."""
+    for name in ("chair:seed=1", "table:seed=1"):
+        path = tmp_path / "recordings" / name.split(":")[0]
+        assert command(tmp_path, "simulate", str(path), "--object", name, "--frames", "10").status == 0
+    found = command(tmp_path, "init", ".")
+    assert found.status == 0 and "2 recordings" in found.out
+    text = (tmp_path / "benchmark.yaml").read_text()
+    assert "recordings/chair" in text and "recordings/table" in text
+    coarse = [
+        "--set",
+        "fusion.voxel_size_m=0.01",
+        "--set",
+        "fusion.scene_voxel_size_m=0.02",
+        "--set",
+        "views.count=2",
+        "--set",
+        "license=CC0-1.0",
+    ]
+    built = command(tmp_path, "build", "--jobs", "1", *coarse)
+    assert built.status == 0, built.err
+    published = command(tmp_path, "publish", "--json", *coarse)
+    assert json.loads(published.out)["pairs"] == 4
+    assert command(tmp_path, "verify").status == 0
+
+
+@pytest.fixture(scope="module")
+def scored(small: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A benchmark with predictions of all baselines, and nothing published by hand."""
+    root = copied(small, tmp_path_factory.mktemp("scored") / "b")
+    made = run(root, "baseline", *METHODS, "--jobs", "1")
+    assert made.status == 0, made.err
+    return root
+
+
+def test_score_publishes_first_and_writes_the_page(command: Command, scored: Path, tmp_path: Path) -> None:
+    root = copied(scored, tmp_path / "b", "benchmark.yaml", "recordings", "build", "predictions")
+    result = command(root, "score", "predictions", "--jobs", "1", "--json")
+    assert result.status == 0, result.err
+    assert sorted(entry["method"] for entry in json.loads(result.out)) == sorted(METHODS)
+    assert (root / "benchmark" / "targets.csv").is_file()
+    assert all((root / "scores" / name / "scores.csv").is_file() for name in METHODS)
+    page = (root / "scores" / "index.html").read_text()
+    assert all(name in page for name in ("chair", "table", *METHODS))
+    stamp = (root / "benchmark" / "benchmark.json").stat().st_mtime_ns
+    assert command(root, "score", "predictions/hull", "--jobs", "1").status == 0
+    assert (root / "benchmark" / "benchmark.json").stat().st_mtime_ns == stamp, "published again for nothing"
+
+
+def test_scores_of_another_benchmark_are_left_out_of_the_page(
+    command: Command, scored: Path, tmp_path: Path
+) -> None:
+    root = copied(scored, tmp_path / "b")
+    assert command(root, "score", "predictions/hull", "--method", "old-hull", "--jobs", "1").status == 0
+    (root / "scores" / "old").mkdir()
+    (root / "scores" / "scores.json").rename(root / "scores" / "old" / "scores.json")
+    with (root / "benchmark.yaml").open("a") as file:
+        file.write("license: CC0-1.0\n")
+    result = command(root, "score", "predictions/empty", "--jobs", "1")
+    assert result.status == 0
+    assert "scores/old/scores.json: scores of another benchmark, left out" in result.err
+    page = (root / "scores" / "index.html").read_text()
+    assert "old-hull" not in page and "empty" in page
+    assert "old/scores.json" in command(root, "report").err
+    assert "old-hull" not in (root / "scores" / "index.html").read_text()
+
+
+def test_report_of_what_is_half_built(command: Command, tmp_path: Path, small: Path) -> None:
+    root = copied(small, tmp_path / "b", "benchmark.yaml", "build/chair")
+    result = command(root, "report")
+    assert result.status == 1 and "recordings/table: no such recording" in result.err
+    assert "chair" in (root / "scores" / "index.html").read_text()
+
+
+# --- predictions --------------------------------------------------------------------------------------
+
+
+def predict(folder: Path, release: Release, grid: np.ndarray | None = None) -> Path:
+    """One method's predictions: the same grid for each pair."""
+    grid = np.full((8, 8, 8), 0.25, np.float32) if grid is None else grid
+    for target in release.targets:
+        path = folder / target.recording / f"{target.view}.npy"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, grid)
+    return folder
+
+
+FIRST = "chair_01/000"
+
+
+def spoil_with(array: np.ndarray) -> Callable[[Path], None]:
+    return lambda method: np.save(method / f"{FIRST}.npy", array)
+
+
+def remove_first(method: Path) -> None:
+    (method / f"{FIRST}.npy").unlink()
+
+
+def pickle_in_npz(method: Path) -> None:
+    remove_first(method)
+    np.savez(method / f"{FIRST}.npz", np.array([{"a": 1}], dtype=object))
+
+
+def both_kinds(method: Path) -> None:
+    np.savez(method / f"{FIRST}.npz", np.zeros((8, 8, 8), bool))
+
+
+def cut_short(method: Path) -> None:
+    path = method / f"{FIRST}.npy"
+    path.write_bytes(path.read_bytes()[:500])
+
+
+NAN = np.full((8, 8, 8), np.nan, np.float32)
+BAD_PREDICTIONS = {
+    "missing": (remove_first, "chair_01/000: no prediction; expected chair_01/000.npy"),
+    "wrong shape": (spoil_with(np.zeros((8, 8, 9), np.float32)), "000.npy: shape (8, 8, 9): it must be"),
+    "NaN": (spoil_with(NAN), "chair_01/000.npy: nan at (0, 0, 0): every value must be in [0, 1]"),
+    "out of range": (spoil_with(np.full((8, 8, 8), 1.5, np.float32)), "1.5 at (0, 0, 0): every value"),
+    "integers": (spoil_with(np.zeros((8, 8, 8), np.int64)), "dtype int64 is not accepted"),
+    "pickle in an npz": (pickle_in_npz, "chair_01/000.npz: "),
+    "npy and npz": (both_kinds, "both .npy and .npz are there; keep one"),
+    "cut short": (cut_short, "chair_01/000.npy: cut short"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_PREDICTIONS)
+def test_bad_predictions(command: Command, release: Release, tmp_path: Path, name: str) -> None:
+    spoil, words = BAD_PREDICTIONS[name]
+    method = predict(tmp_path / "mine", release)
+    spoil(method)
+    for arguments in (["score"], ["check"]):
+        result = command(tmp_path, *arguments, "mine", "--benchmark", str(release.folder), "--jobs", "1")
+        errors = [line for line in result.err.splitlines() if "error: " in line]
+        assert result.status == 3, result
+        assert len(errors) == 1 and words in errors[0], errors
+        assert "Traceback" not in result.err
+    table = json.loads((tmp_path / "scores" / "scores.json").read_text())
+    assert table["overall"] is None and len(table["failures"]) == 1
+
+
+def test_missing_predictions_may_count_as_empty(command: Command, release: Release, tmp_path: Path) -> None:
+    remove_first(predict(tmp_path / "mine", release))
+    score = ["score", "mine", "--benchmark", str(release.folder), "--jobs", "1"]
+    assert command(tmp_path, *score, "--missing", "empty").status == 0
+    assert json.loads((tmp_path / "scores" / "scores.json").read_text())["overall"] is not None
+
+
+def test_a_name_is_no_markup(command: Command, release: Release, tmp_path: Path) -> None:
+    remove_first(predict(tmp_path / "mine", release))
+    result = command(
+        tmp_path,
+        "score",
+        "mine",
+        "--method",
+        "[/red]x[bold]",
+        "--benchmark",
+        str(release.folder),
+        "--jobs",
+        "1",
+    )
+    assert result.status == 3
+    assert "[/red]x[bold]: error: chair_01/000" in result.err
+    assert "[/red]x[bold]" in result.out
+
+
+@pytest.mark.parametrize("make", [None, "empty", "stranger"])
+def test_no_predictions_at_all(command: Command, release: Release, tmp_path: Path, make: str | None) -> None:
+    if make:
+        (tmp_path / "mine" / ("" if make == "empty" else "of_another_benchmark")).mkdir(parents=True)
+    for name in ("score", "check"):
+        result = command(tmp_path, name, "mine", "--benchmark", str(release.folder), "--jobs", "1")
+        assert result.status == 1
+        assert len(result.err.splitlines()) == 1 and result.err.startswith("error: mine: no ")
+
+
+def test_a_benchmark_that_is_none(command: Command, tmp_path: Path) -> None:
+    for name in ("score", "check"):
+        result = command(tmp_path, name, "mine", "--benchmark", "nowhere")
+        assert result.status == 1 and result.err.startswith("error: nowhere"), result
+
+
+def test_several_methods_and_one(command: Command, scored: Path, tmp_path: Path) -> None:
+    """What a method scores does not depend on the others."""
+    for predictions, out in (("predictions", "all"), ("predictions/hull", "one")):
+        score = ["score", str(scored / predictions), "--benchmark", str(scored / "benchmark"), "--out", out]
+        assert command(tmp_path, *score, "--jobs", "1").status == 0
+    alone = (tmp_path / "one" / "scores.json").read_bytes()
+    assert (tmp_path / "all" / "hull" / "scores.json").read_bytes() == alone
+
+
+def test_the_baselines_stand_beside_a_method(command: Command, release: Release, tmp_path: Path) -> None:
+    predict(tmp_path / "mine", release)
+    score = ["score", "mine", "--benchmark", str(release.folder), "--jobs", "1", "--no-surface"]
+    shown = command(tmp_path, *score)
+    alone = (tmp_path / "scores" / "scores.json").read_bytes()
+    page = (tmp_path / "scores" / "index.html").read_text()
+    assert shown.status == 0 and "hull (baseline)" in shown.out and "mine (baseline)" not in shown.out
+    assert page.count(">baseline</span>") == 3 * 6  # protocols, baselines
+    assert "kinectbench build" not in page and "score predictions/ --benchmark benchmark/" in page
+    assert "min_containment" in page  # the release's own settings
+    hidden = command(tmp_path, *score, "--no-baselines")
+    assert hidden.status == 0 and "(baseline)" not in hidden.out
+    assert ">baseline</span>" not in (tmp_path / "scores" / "index.html").read_text()
+    assert (tmp_path / "scores" / "scores.json").read_bytes() == alone
+    compared = command(tmp_path, "compare", "scores", "scores/baselines/hull")
+    assert compared.status == 0 and "mine - hull" in compared.out
+    page_of = ["report", "--benchmark", str(release.folder), "--scores", "scores/scores.json"]
+    assert command(tmp_path, *page_of).status == 0
+    assert (tmp_path / "scores" / "index.html").read_text() == page
+
+
+def test_verify_names_what_is_damaged(command: Command, scored: Path, tmp_path: Path) -> None:
+    root = copied(scored, tmp_path / "b", "benchmark")
+    assert command(root, "verify").status == 0
+    path = root / "benchmark" / "pairs" / "chair" / "000.npz"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    result = command(root, "verify")
+    assert result.status == 1
+    assert all("pairs/chair/000.npz" in line for line in result.err.splitlines()) and result.err
+    assert json.loads(command(root, "verify", "--json").out)
+
+
+def test_nothing_is_left_behind(scored: Path) -> None:
+    assert leftovers(scored) == []
+
+
+def test_the_same_recordings_make_the_same_benchmark(command: Command, scored: Path, tmp_path: Path) -> None:
+    """Simulated, built, published, predicted and scored twice, in two folders: the same bytes."""
+    root = make_benchmark(tmp_path / "again")
+    assert run(root, "baseline", *METHODS, "--jobs", "2").status == 0
+    for made in ("recordings", "build", "benchmark", "predictions"):
+        assert hashes(root / made) == hashes(scored / made), made

@@ -1,0 +1,413 @@
+"""Bad input of every kind: the exit status, one clear line, and nothing lost that was made before."""
+
+import json
+import re
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_benchmark import STAGE_FOLDERS, Run, copied, hashes, leftovers, small_spec
+
+from kinectbench.lab.simulate.simulate import simulate
+
+pytestmark = pytest.mark.xdist_group("commands")
+
+Command = Callable[..., Run]
+ONE = """\
+name: one
+recordings:
+  - {id: chair, path: recordings/chair, category: chair}
+fusion: {voxel_size_m: 0.01, scene_voxel_size_m: 0.02}
+views: {count: 3, min_pixels: 100}
+tracking: {check_stride_px: 4}
+"""
+
+
+@pytest.fixture
+def one(small: Path, tmp_path: Path) -> Path:
+    """A copy of the chair's recording and of all that was built from it."""
+    root = copied(small, tmp_path / "one", "recordings/chair", "build/chair")
+    (root / "benchmark.yaml").write_text(ONE)
+    return root
+
+
+SAID_TOO = re.compile(r"warning: |^note: |^failed: [0-9]+ of ")
+
+
+def check_line(run: Run, status: int, words: str) -> str:
+    """One error line that holds all the words, and no traceback."""
+    errors = [line for line in run.err.splitlines() if not SAID_TOO.search(line)]
+    assert run.status == status, run
+    assert len(errors) == 1, run.err
+    assert "error: " in errors[0]
+    assert "Traceback" not in run.err and "internal error" not in run.err
+    for word in words.split("|"):
+        assert word in errors[0], (word, errors[0])
+    return errors[0]
+
+
+# --- recordings ---------------------------------------------------------------------------------------
+
+
+def depth_files(recording: Path) -> list[Path]:
+    return sorted((recording / "depth").glob("*.png"))
+
+
+def read(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+def write(path: Path, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), image)
+
+
+def lost(recording: Path) -> None:
+    shutil.rmtree(recording)
+
+
+def empty_folder(recording: Path) -> None:
+    lost(recording)
+    recording.mkdir()
+
+
+def unknown_layout(recording: Path) -> None:
+    empty_folder(recording)
+    (recording / "video.mp4").write_bytes(b"not a recording")
+
+
+def color_of_another_size(recording: Path) -> None:
+    for path in (recording / "rgb").iterdir():
+        write(path, cv2.resize(read(path), (320, 240)))
+
+
+def depth_of_8_bits(recording: Path) -> None:
+    for path in depth_files(recording):
+        write(path, (read(path) // 256).astype(np.uint8))
+
+
+def depth_of_another_size(recording: Path) -> None:
+    path = depth_files(recording)[5]
+    write(path, cv2.resize(read(path), (80, 60), interpolation=cv2.INTER_NEAREST))
+
+
+def no_intrinsics(recording: Path) -> None:
+    (recording / "camera.json").unlink()
+
+
+def with_depth_scale(scale: float) -> Callable[[Path], None]:
+    def spoil(recording: Path) -> None:
+        path = recording / "camera.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), "depth_scale": scale}))
+
+    return spoil
+
+
+def halved_images(recording: Path) -> None:
+    for path in depth_files(recording)[3:6]:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def edit_trajectory(edit: Callable[[list[str]], list[str]]) -> Callable[[Path], None]:
+    def spoil(recording: Path) -> None:
+        path = recording / "groundtruth.txt"
+        rows = [line.split() for line in path.read_text().splitlines() if not line.startswith("#")]
+        path.write_text("\n".join(" ".join(edit(row)) for row in rows) + "\n")
+
+    return spoil
+
+
+def in_front_of(
+    depth_m: Callable[[np.ndarray, np.ndarray], np.ndarray], quaternion: str
+) -> Callable[[Path], None]:
+    """Every frame from one still camera, 1.2 m above the world's origin."""
+
+    def spoil(recording: Path) -> None:
+        K = json.loads((recording / "camera.json").read_text())
+        v, u = np.mgrid[:120, :160]
+        depth = depth_m((u - K["cx"]) / K["fx"], (v - K["cy"]) / K["fy"])
+        for path in depth_files(recording):
+            write(path, np.round(np.clip(depth, 0, 10) * 5000).astype(np.uint16))
+        edit_trajectory(lambda row: [row[0], "0", "0", "1.2", *quaternion.split()])(recording)
+
+    return spoil
+
+
+# Looks along the world's x, z up; and from there 45 degrees down.
+LEVEL, DOWN = "-0.5 0.5 -0.5 0.5", "-0.653281 0.653281 -0.270598 0.270598"
+wall_only = in_front_of(lambda x, y: np.full(x.shape, 1.5), LEVEL)
+floor_only = in_front_of(lambda x, y: 1.2 * np.sqrt(2) / np.maximum(1 + y, 0.2), DOWN)
+
+LAYOUTS = "rosbag1, |tum, |7scenes, |, folder|kinectbench formats"
+BAD_RECORDINGS = {
+    "no such recording": (lost, "recordings/chair: no such recording|correct `path`|'chair'"),
+    "empty folder": (empty_folder, f"recordings/chair: the folder is empty|{LAYOUTS}"),
+    "unknown layout": (unknown_layout, f"recordings/chair: not a recording of a known format|{LAYOUTS}"),
+    "colour of another size": (color_of_another_size, "colour is 320x240|depth is 160x120"),
+    "depth of 8 bits": (depth_of_8_bits, "/depth/|.png: depth is 8-bit|16-bit|export"),
+    "depth of another size": (depth_of_another_size, "/depth/|80x60|160x120"),
+    "a room of 60 m": (with_depth_scale(200), "m at 200 native units per metre|depth_scale: 5000"),
+    "a room of 6 cm": (with_depth_scale(200_000), "m at 200000 native units per metre|depth_scale: 5000"),
+    "no intrinsics": (no_intrinsics, "recordings/chair: |fx, fy, cx, cy|camera: {fx"),
+    "images cut in half": (halved_images, "/depth/|cut off after|3 of 24 frames"),
+    "trajectory of another time": (
+        edit_trajectory(lambda row: [str(float(row[0]) + 5000), *row[1:]]),
+        "shares no time with the frames|1400000000",
+    ),
+    "NaN in the trajectory": (
+        edit_trajectory(lambda row: [row[0], "nan", *row[2:]]),
+        "groundtruth.txt, line 1: the pose holds NaN or infinity|remove",
+    ),
+    "no floor": (wall_only, "no floor found"),
+    "no object": (floor_only, "no object"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_RECORDINGS)
+def test_bad_recording(command: Command, one: Path, name: str) -> None:
+    spoil, words = BAD_RECORDINGS[name]
+    # The later stages' artefacts must outlive a failure of an earlier one.
+    later = {f: hashes(one / "build" / "chair" / f) for f in ("object", "views", "pairs")}
+    spoil(one / "recordings" / "chair")
+    line = check_line(command(one, "build"), 1, words)
+    assert line.startswith("chair: error: ")
+    assert {f: hashes(one / "build" / "chair" / f) for f in later} == later
+    assert leftovers(one) == []
+    assert check_line(command(one, "build"), 1, words) == line
+
+
+def test_a_trajectory_that_shakes(command: Command, one: Path) -> None:
+    def shaken(row: list[str]) -> list[str]:
+        step = round(float(row[0]) * 5) % 3
+        return [*row[:3], str(float(row[3]) + 0.1 * step), *row[4:]]
+
+    edit_trajectory(shaken)(one / "recordings" / "chair")
+    strict = ["--set", "tracking.check_stride_px=1", "--set", "tracking.max_disagreement_m=0.005"]
+    check_line(command(one, "build", *strict), 1, "does not fit the depth|`trajectory: ignore`")
+
+
+def test_one_damaged_image_is_left_out_with_a_warning(command: Command, one: Path) -> None:
+    path = depth_files(one / "recordings" / "chair")[7]
+    path.write_bytes(path.read_bytes()[:1000])
+    run = command(one, "ingest")
+    assert run.status == 0
+    assert [line for line in run.err.splitlines() if path.name in line and "frame left out" in line]
+
+
+def test_a_recording_that_fails_does_not_stop_the_others(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "two")
+    halved_images(root / "recordings" / "chair")
+    run = command(root, "publish", "--set", "views.seed=3", "--json", "--jobs", "1")
+    assert check_line(run, 3, "chair: error: |cut off after")
+    assert json.loads(run.out)["recordings"] == ["table"]
+    score = command(root, "baseline", "empty", "--set", "views.seed=3", "--jobs", "1")
+    assert check_line(score, 3, "chair: error: |cut off after")
+
+
+def test_both_recordings_fail(command: Command, small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "two", "benchmark.yaml", "recordings")
+    for name in ("chair", "table"):
+        depth_of_8_bits(root / "recordings" / name)
+    for arguments in (["build"], ["publish"], ["baseline"]):
+        run = command(root, *arguments, "--jobs", "2")
+        assert run.status == 1
+        assert [line.split(": ")[0] for line in run.err.splitlines()] == ["chair", "table", "failed"]
+
+
+@pytest.mark.parametrize("damage", ["no index", "half"])
+def test_damaged_bag(command: Command, tmp_path: Path, damage: str) -> None:
+    bag = tmp_path / "recordings" / "chair.bag"
+    simulate(small_spec("chair", "bag"), bag)
+    data = bag.read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    index_at = struct.unpack_from("<Q", data, at)[0]
+    bag.write_bytes(data[: index_at if damage == "no index" else len(data) // 2])
+    (tmp_path / "benchmark.yaml").write_text(ONE.replace("recordings/chair", "recordings/chair.bag"))
+    run = command(tmp_path, "ingest")
+    if damage == "half":  # and so its only chunk of messages
+        check_line(run, 1, "chair.bag: is cut off or has no index|nothing in it can be saved")
+    else:
+        assert run.status == 0
+        assert "chair: warning: " in run.err and "is cut off or has no index" in run.err
+
+
+# --- stored artefacts ---------------------------------------------------------------------------------
+
+ARTEFACTS = {
+    "sequence/frames.json": "track",
+    "sequence/camera.json": "track",
+    "trajectory/trajectory.txt": "fuse",
+    "trajectory/health.json": "fuse",
+    "reconstruction/mesh.ply": "segment",
+    "object/mesh.ply": "sample-views",
+    "object/volume.npz": "sample-views",
+    "object/surround.npz": "sample-views",
+    "object/floor.json": "sample-views",
+    "object/quality.json": "sample-views",
+    "views/views.json": "pairs",
+    "views/000.mask.png": "pairs",
+}
+
+
+@pytest.mark.parametrize(
+    "file", ["object/mesh.ply", "object/volume.npz", "pairs/001.npz", "sequence/camera.json"]
+)
+@pytest.mark.parametrize("truncate", [True, False])
+def test_truncated_or_lost_artefact_is_made_again(
+    command: Command, one: Path, file: str, truncate: bool
+) -> None:
+    before = hashes(one / "build")
+    path = one / "build" / "chair" / file
+    if truncate:
+        path.write_bytes(path.read_bytes()[:-7])
+    else:
+        path.unlink()
+    run = command(one, "build", "--json")
+    assert run.status == 0
+    assert [STAGE_FOLDERS[stage] for stage in json.loads(run.out)[0]["made"]] == [file.split("/")[0]]
+    assert hashes(one / "build") == before
+
+
+@pytest.mark.parametrize("garbage", [b"\xff", b"1 "])
+@pytest.mark.parametrize("file", ARTEFACTS)
+def test_garbage_of_the_same_size_is_named(command: Command, one: Path, file: str, garbage: bytes) -> None:
+    path = one / "build" / "chair" / file
+    size = path.stat().st_size
+    path.write_bytes((garbage * size)[:size])
+    stage = ARTEFACTS[file]
+    shutil.rmtree(one / "build" / "chair" / STAGE_FOLDERS[stage])
+    check_line(command(one, stage), 1, f"build/chair/{file.split('/')[0]}|kinectbench ")
+
+
+def test_force_makes_garbage_good_again(command: Command, one: Path) -> None:
+    before = hashes(one / "build")
+    path = one / "build" / "chair" / "object" / "mesh.ply"
+    path.write_bytes(b"\xff" * path.stat().st_size)
+    shutil.rmtree(one / "build" / "chair" / "pairs")
+    check_line(command(one, "build"), 1, "object/mesh.ply|`kinectbench build --force`")
+    assert command(one, "build", "--force").status == 0
+    assert hashes(one / "build") == before
+
+
+# --- masks --------------------------------------------------------------------------------------------
+
+
+def masks_lost(folder: Path) -> None:
+    folder.rmdir()
+
+
+def mask_of_another_size(folder: Path) -> None:
+    write(folder / "000.png", np.zeros((240, 320), np.uint8))
+
+
+def mask_no_image(folder: Path) -> None:
+    (folder / "001.png").write_bytes(b"no image")
+
+
+def mask_empty_file(folder: Path) -> None:
+    (folder / "001.png").touch()
+
+
+BAD_MASKS = {
+    "folder lost": (masks_lost, "no such folder of masks|masks/chair"),
+    "another size": (mask_of_another_size, "masks/chair/000.png|320x240|160x120"),
+    "no image": (mask_no_image, "masks/chair/001.png: not a readable PNG"),
+    "empty file": (mask_empty_file, "masks/chair/001.png: not a readable PNG"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_MASKS)
+def test_bad_masks(command: Command, one: Path, name: str) -> None:
+    spoil, words = BAD_MASKS[name]
+    before = hashes(one / "build")
+    (one / "masks" / "chair").mkdir(parents=True)
+    spoil(one / "masks" / "chair")
+    check_line(command(one, "build", "--set", "recordings.chair.masks=masks/chair"), 1, words)
+    assert hashes(one / "build") == before
+
+
+def test_a_lost_folder_of_masks_stops_a_build_at_its_start(command: Command, one: Path) -> None:
+    shutil.rmtree(one / "build")
+    check_line(
+        command(one, "build", "--set", "recordings.chair.masks=masks/none"), 1, "no such folder of masks"
+    )
+    assert not list((one / "build").glob("chair/*/"))
+
+
+# --- settings and usage -------------------------------------------------------------------------------
+
+BAD_USAGE = {
+    "no file": (["build", "-c", "none.yaml"], "none.yaml: no such file|kinectbench init"),
+    "unknown section": (["build", "--set", "fusoin.voxel_size_m=0.01"], "fusoin|did you mean 'fusion'?"),
+    "unknown key": (["build", "--set", "fusion.voxel_size=0.01"], "voxel_size_m"),
+    "wrong type": (["build", "--set", "views.count=many"], "views.count|a whole number from 1 to 1000"),
+    "out of range": (["build", "--set", "views.count=0"], "views.count|from 1 to 1000"),
+    "no equals sign": (["build", "--set", "views.count"], "section.key=value"),
+    "unknown recording": (["build", "chiar"], "no recording 'chiar'|did you mean 'chair'?"),
+    "unknown recording to set": (["build", "--set", "recordings.chiar.split=test"], "did you mean 'chair'?"),
+    "jobs 0": (["build", "--jobs", "0"], "--jobs|build --help"),
+    "jobs many": (["build", "--jobs", "many"], "--jobs|build --help"),
+    "unknown option": (["build", "--nope"], "--nope|build --help"),
+    "unknown command": (["biuld"], "'biuld'|build|--help"),
+    "no argument": (["score"], "Missing argument|score --help"),
+    "unknown baseline": (["baseline", "hul"], "no baseline 'hul'|hull"),
+    "unknown protocol": (["score", "predictions", "--protocol", "papre"], "no protocol 'papre'|paper"),
+    "unknown way with missing": (["score", "predictions", "--missing", "zero"], "--missing zero|empty"),
+    "simulate nothing": (["simulate"], "OUT|--samples"),
+    "simulate no furniture": (["simulate", "new", "--object", "chiar:seed=1"], "chiar|chair"),
+    "simulate over a recording": (["simulate", "recordings"], "recordings: exists"),
+    "init of no folder": (["init", "none"], "none: no such folder"),
+    "init over a file": (["init", "."], "benchmark.yaml: is there already|--force"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_USAGE)
+def test_wrong_usage(command: Command, one: Path, name: str) -> None:
+    arguments, words = BAD_USAGE[name]
+    before = hashes(one)
+    if arguments[0] == "score" and len(arguments) > 1:
+        (one / "predictions" / "chair").mkdir(parents=True)
+    check_line(command(one, *arguments), 2, words)
+    after = {name: digest for name, digest in hashes(one).items() if not name.startswith("benchmark/")}
+    assert {name: after.get(name) for name in before} == before
+
+
+BAD_FILES = {
+    "unknown key": (ONE + "veiws: {count: 3}\n", "benchmark.yaml:7|veiws|did you mean 'views'?"),
+    "unknown key deep": (
+        ONE.replace("count: 3", "cuont: 3"),
+        "benchmark.yaml:5|views.cuont|did you mean 'count'?",
+    ),
+    "not YAML": (ONE + "views: {count: [\n", "benchmark.yaml:"),
+    "empty": ("", "benchmark.yaml: holds no settings"),
+    "two recordings with one id": (
+        ONE.replace("fusion:", "  - {id: chair, path: recordings/b, category: chair}\nfusion:"),
+        "benchmark.yaml:4|two recordings have the id 'chair'",
+    ),
+    "an object in two splits": (
+        ONE.replace("fusion:", "  - {id: b, object: chair, split: train, path: b, category: chair}\nfusion:"),
+        "benchmark.yaml:4|object 'chair' is in two splits: 'test' (chair) and 'train' (b)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_wrong_benchmark_file(command: Command, one: Path, name: str) -> None:
+    text, words = BAD_FILES[name]
+    (one / "benchmark.yaml").write_text(text)
+    before = hashes(one)
+    check_line(command(one, "build"), 2, words)
+    assert hashes(one) == before
+
+
+def test_init_where_nothing_is(command: Command, tmp_path: Path) -> None:
+    run = command(tmp_path, "init", ".")
+    assert run.status in (1, 2) and len(run.err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

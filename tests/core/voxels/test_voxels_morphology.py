@@ -1,0 +1,22 @@
+"""The surface of a packed solid: the same as that of the unpacked one."""
+
+import numpy as np
+import pytest
+from references import shell_of
+
+from kinectbench.core.voxels.morphology import packed_shell
+from kinectbench.core.voxels.pair_file import pack
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98, 1.0])
+def test_random_solids(share: float):
+    solid = np.random.default_rng(0).random((18, 13, 24)) < share
+    np.testing.assert_array_equal(packed_shell(pack(solid)), shell_of(solid))
+
+
+def test_a_box_by_hand():
+    solid = np.zeros((8, 8, 16), bool)
+    solid[2:6, 1:8, 5:12] = True
+    expected = solid.copy()
+    expected[3:5, 2:7, 6:11] = False
+    np.testing.assert_array_equal(packed_shell(pack(solid)), pack(expected))

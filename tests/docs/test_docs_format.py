@@ -1,0 +1,41 @@
+"""The tables of files and keys in docs/format.md are those of the models."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "format.md"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _scripts_are_found() -> None:
+    sys.path.insert(0, str(ROOT / "scripts"))
+
+
+def test_the_tables_are_those_of_the_models() -> None:
+    from docs_format import filled
+
+    page = PAGE.read_text(encoding="utf-8")
+    assert filled(page) == page, "run scripts/docs_format.py"
+
+
+def test_every_file_has_its_table() -> None:
+    from docs_format import tables
+
+    assert sorted(re.findall("<!-- keys of (.*) -->", PAGE.read_text(encoding="utf-8"))) == sorted(tables())
+
+
+def test_rows_are_made_of_the_models() -> None:
+    from docs_format import tables
+
+    made = tables()
+    assert (
+        "| `T_floor_world` | 4 × 4 matrix | (4, 4), metres; frame floor: z up, floor at z = 0 |"
+        in made["floor.json"]
+    )
+    assert "| `views[].K` | 3 × 3 matrix, optional | (3, 3) intrinsics" in made["views.json"]
+    assert "| `recordings.<name>.quality` | as `quality.json` |" in made["benchmark.json"]
+    assert "| `view` | zero-padded index of the view |" in made["targets.csv"]

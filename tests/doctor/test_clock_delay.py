@@ -1,0 +1,105 @@
+"""Faults of clocks put in by hand, and delays of motions that are known."""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from kinectbench.core.trajectory.stamps import find_doubled, find_stamp_faults
+from kinectbench.doctor.delays import Motion, estimate_delay, image_motion
+
+STEP_NS = 33_333_333
+START_NS = 1_400_000_000_000_000_000
+
+
+def stamps(count: int = 100) -> NDArray[np.int64]:
+    jitter = np.random.default_rng(1).integers(-3_000_000, 3_000_000, count)
+    return START_NS + np.arange(count) * STEP_NS + jitter
+
+
+def test_a_good_clock() -> None:
+    faults = find_stamp_faults(stamps())
+    assert abs(faults.period_ns - STEP_NS) < 1_000_000
+    assert not faults.any
+    assert not find_stamp_faults([]).any
+    assert find_stamp_faults([5]).period_ns == 0
+
+
+@given(st.sets(st.integers(5, 90), max_size=12))
+def test_dropped_frames_are_counted(gone: set[int]) -> None:
+    kept = np.array([i not in gone for i in range(100)])
+    faults = find_stamp_faults(stamps()[kept])
+    assert (faults.dropped, faults.repeated, faults.backwards) == (len(gone), 0, 0)
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_many_dropped_frames_do_not_make_the_step_longer(every: int) -> None:
+    """Of three frames one is gone, or of four two: most steps are then not those of the clock."""
+    index = np.arange(120)
+    kept = index % 3 != 1 if every == 3 else (index % 4) // 2 == 0
+    faults = find_stamp_faults(stamps(120)[kept])
+    assert abs(faults.period_ns - STEP_NS) < 3_000_000
+    inside = ~kept[: np.flatnonzero(kept)[-1]]
+    assert faults.dropped == inside.sum()
+
+
+def test_repeats_steps_back_jumps_and_resets() -> None:
+    found = stamps()
+    found[10] = found[9]
+    found[[20, 21]] = found[[21, 20]]
+    found[50:] += 7_000_000_000
+    found[80:] -= 10**17
+    faults = find_stamp_faults(found)
+    assert (faults.repeated, faults.backwards) == (1, 1)
+    assert (faults.jumps, faults.resets) == ((50,), (80,))
+
+
+def test_doubled_content() -> None:
+    assert find_doubled([b"a", b"b", b"b", b"b", b"a", b"c"]) == (2, 3)
+    assert find_doubled([]) == ()
+
+
+def place_m(times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """How a hand moves the camera sideways and up and down, (n, 2) metres."""
+    t = (times_ns - START_NS) / 1e9
+    x = 0.12 * np.sin(2.1 * t) + 0.04 * np.sin(5.3 * t + 1)
+    return np.stack([x, 0.07 * np.sin(3.3 * t + 0.5) + 0.02 * np.sin(7.1 * t)], axis=1)
+
+
+FOCAL_PX, WALL_M = 80.0, 1.5
+
+
+def images(times_ns: NDArray[np.int64], seed: int) -> Iterator[NDArray[np.float32]]:
+    """A wall of blotches, seen from a camera that moves alongside."""
+    rng = np.random.default_rng(seed)
+    wall = cv2.GaussianBlur(rng.random((200, 260)).astype(np.float32), (0, 0), 2.5) * 1000
+    for x, y in place_m(times_ns) * FOCAL_PX / WALL_M:
+        matrix = np.array([[1, 0, -80 - x], [0, 1, -70 - y]])
+        yield cv2.warpAffine(wall, matrix, (80, 60), flags=cv2.INTER_LINEAR)
+
+
+@pytest.mark.parametrize("delay_ms", [-200, -37, 0, 15, 120])
+def test_the_delay_of_colour(delay_ms: int) -> None:
+    depth_ns = stamps(150)
+    color_ns = START_NS + 9_000_000 + np.arange(150) * 30_000_000
+    depth = image_motion(depth_ns.tolist(), images(depth_ns, 1))
+    color = image_motion((color_ns + delay_ms * 1_000_000).tolist(), images(color_ns, 2))
+    found = estimate_delay(depth, color)
+    assert found is not None
+    assert abs(found.delay_ns / 1e6 - delay_ms) < 6
+    assert found.correlation > 0.9
+
+
+def test_without_motion_in_common_nothing_is_offered() -> None:
+    times = START_NS + np.arange(100) * STEP_NS
+    still = Motion(times, np.zeros((100, 2)))
+    rng = np.random.default_rng(3)
+    noise = [Motion(times, rng.normal(size=(100, 2))) for _ in range(2)]
+    assert estimate_delay(still, noise[0]) is None
+    assert estimate_delay(*noise) is None
+    few = Motion(times[:5], np.ones((5, 2)))
+    assert estimate_delay(few, noise[0]) is None

@@ -1,0 +1,55 @@
+"""The doctor's figures in words."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from small_benchmark import Run
+
+from kinectbench.doctor.finding import figures
+
+CHAIR = Path(__file__).parents[2] / "recordings" / "chair_01"
+
+
+def test_words() -> None:
+    facts: dict[str, object] = {
+        "path": "a/True.bag",
+        "frames": 120,
+        "rate_hz": 29.97,
+        "duration_s": None,
+        "camera": {"width": 320, "height": 240, "fx": 262.5, "fy": 262.5, "cx": 159.5, "cy": 119.5},
+        "color_size_px": [320, 240],
+        "color_registered": True,
+        "color_calibrated": False,
+        "depth_scale": 5000.0,
+        "depth_m": {"p05": 1.192, "median": None, "p95": 4.143},
+        "valid_share": 0.838,
+        "color_shift_px": [0.0, -0.25],
+        "pose_residual_mm": 3.11,
+        "arc_deg": 356,
+    }
+    assert figures(facts) == [
+        ("path", "a/True.bag"),
+        ("frames", "120"),
+        ("rate", "29.97 Hz"),
+        ("camera", "320 x 240 px, fx 262.5, fy 262.5, cx 159.5, cy 119.5"),
+        ("colour size", "320 x 240 px"),
+        ("colour registered", "yes"),
+        ("colour calibrated", "no"),
+        ("depth scale", "5000"),
+        ("depth", "p05 1.192 m, p95 4.143 m"),
+        ("valid share", "83.8 %"),
+        ("colour shift", "0, -0.25 px"),
+        ("pose residual", "3.11 mm"),
+        ("arc", "356°"),
+    ]
+
+
+def test_terminal_and_page_say_the_same(command: Callable[..., Run], tmp_path: Path) -> None:
+    page = tmp_path / "inspect.html"
+    said = command(tmp_path, "inspect", str(CHAIR), "--page", str(page))
+    html = page.read_text()
+    for line in ("colour registered: yes", "colour size: 320 x 240 px", "rate: 5 Hz"):
+        name, value = line.split(": ")
+        assert line in said.out.splitlines() and f"<dt>{name}</dt><dd>{value}</dd>" in html
+    for text in (said.out, html):
+        assert "True" not in text and "False" not in text and "{&#39;" not in text and "{'" not in text

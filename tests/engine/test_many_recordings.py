@@ -1,0 +1,177 @@
+"""Many recordings, several runs: none stops the others, one waits for the other, and people are told."""
+
+import dataclasses
+import errno
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path, PosixPath
+
+import pytest
+from small_benchmark import Run, copied, finish, hashes, leftovers, start
+from test_resume import group, wait_for, wait_until_all_ended
+
+from kinectbench.core.storage import replaced_folder
+from kinectbench.engine.locks import locked, sweep
+from kinectbench.engine.parallel import build
+from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.stages import Job
+from kinectbench.settings.file import load_benchmark
+
+pytestmark = pytest.mark.xdist_group("resume")
+
+Command = Callable[..., Run]
+
+
+class Deadly(PosixPath):
+    """Whoever unpickles this path is killed, as by a system that runs out of memory."""
+
+    def __reduce__(self) -> tuple[Callable[[int], None], tuple[int]]:
+        return signal.raise_signal, (signal.SIGKILL,)
+
+
+class Listener:
+    """A watcher that remembers."""
+
+    def __init__(self) -> None:
+        self.ends: list[str] = []
+        self.warnings: list[str] = []
+
+    def __call__(self, recording: str, stage: str, done: int, total: int) -> None: ...
+
+    def ended(self, outcome: Outcome) -> None:
+        self.ends.append(outcome.recording)
+
+    def warn(self, message: str) -> None:
+        self.warnings.append(message)
+
+
+# --- killed workers -----------------------------------------------------------------------------------
+
+
+def test_a_recording_that_kills_its_process_fails_alone(small: Path, tmp_path: Path) -> None:
+    settings = load_benchmark(small / "benchmark.yaml", ())
+    chair, table = (Job(settings, recording, small) for recording in settings.recordings)
+    deadly = dataclasses.replace(chair, root=Deadly(tmp_path))
+    listener = Listener()
+    outcomes = build([deadly, table], workers=2, watcher=listener)
+    assert [outcome.recording for outcome in outcomes] == ["chair", "table"]
+    assert (
+        outcomes[0].error is not None and "its process was killed although no other ran" in outcomes[0].error
+    )
+    kept = json.loads((tmp_path / "build" / "chair" / "failed.json").read_text())
+    assert kept == {"format_version": 1, "stage": None, "error": outcomes[0].error}
+    assert outcomes[1].error is None and len(outcomes[1].current) == 6
+    assert sorted(listener.ends) == ["chair", "table"]
+    (warning,) = listener.warnings
+    assert "a worker process was killed" in warning and "going on with 1 recording at a time" in warning
+
+
+def test_a_killed_worker_costs_nothing(small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b", "benchmark.yaml", "recordings")
+    process = start(root, "build", "--jobs", "2")
+    wait_for(lambda: bool(list((root / "build").glob("*/.*.part"))), process)
+    workers = [pid for pid in group(process) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(workers[-1], signal.SIGKILL)
+    result = finish(process)
+    assert result.status == 0, result
+    assert "warning: a worker process was killed" in result.err and "Traceback" not in result.err
+    wait_until_all_ended(process)
+    assert hashes(root / "build") == hashes(small / "build") and leftovers(root) == []
+
+
+# --- locks --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "held", "status"),
+    [("build", "build/chair", 3), ("publish", "build", 1)],
+)
+def test_a_second_run_that_does_not_wait_says_who_is_there(
+    command: Command, small: Path, tmp_path: Path, name: str, held: str, status: int
+) -> None:
+    root = copied(small, tmp_path / "b")
+    before = hashes(root)
+    with locked(root / held):
+        result = command(root, name, "--no-wait", "--force", "--jobs", "1")
+    errors = [line for line in result.err.splitlines() if "error: " in line]
+    assert result.status == status and len(errors) == 1
+    assert f"{held}: in use by process {os.getpid()} on " in errors[0] and "(`kinectbench" in errors[0]
+    if name == "publish":
+        assert hashes(root) == before
+    assert command(root, name, "--no-wait", "--jobs", "1").status == 0
+
+
+def test_a_run_that_waits_says_for_whom(small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b")
+    with locked(root / "build" / "chair"):
+        process = start(root, "build", "chair")
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert f"chair: waiting for process {os.getpid()} on " in line and "since 20" in line
+        assert process.poll() is None
+    assert finish(process).status == 0
+
+
+def test_a_lock_names_nobody_once_it_is_free(tmp_path: Path) -> None:
+    with locked(tmp_path):
+        assert f"process {os.getpid()} on" in (tmp_path / ".lock").read_text()
+    assert (tmp_path / ".lock").read_text() == ""
+
+
+# --- what killed runs leave ---------------------------------------------------------------------------
+
+
+def test_what_was_moved_aside_comes_back_if_nothing_took_its_place(tmp_path: Path) -> None:
+    for name in (".views.01ab.old", ".views.01ab.part", ".pairs.02cd.old", "pairs"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_text(name)
+    sweep(tmp_path / "*")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["pairs", "views"]
+    assert (tmp_path / "views" / "file").read_text() == ".views.01ab.old"
+    assert (tmp_path / "pairs" / "file").read_text() == "pairs"
+
+
+def test_a_folder_that_cannot_be_renamed_into_place_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with replaced_folder(tmp_path / "views") as folder:
+        (folder / "file").write_text("old")
+    rename = Path.rename
+
+    def full(path: Path, target: Path) -> Path:
+        if path.suffix == ".part":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", full)
+    with pytest.raises(Exception, match="the disk is full"), replaced_folder(tmp_path / "views") as folder:
+        (folder / "file").write_text("new")
+    assert (tmp_path / "views" / "file").read_text() == "old" and leftovers(tmp_path) == []
+
+
+# --- what people see ----------------------------------------------------------------------------------
+
+
+def test_a_log_has_a_line_for_each_stage_and_recording(command: Command, small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b")
+    assert command(root, "build").progress == ()
+    assert command(root, "pairs", "--force", "--jobs", "1").progress == (
+        "chair: pairs",
+        "chair: done, 1 of 2",
+        "table: pairs",
+        "table: done, 2 of 2",
+    )
+
+
+def test_the_last_line_says_what_failed_and_how_to_go_on(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    (root / "recordings" / "chair").rename(root / "recordings" / "elsewhere")
+    result = command(root, "build", "--jobs", "1")
+    assert result.status == 3
+    assert result.progress[-1] == "chair: failed, 1 of 2"
+    last = result.err.splitlines()[-1]
+    assert last.startswith("failed: 1 of 2 recordings: chair, for the reasons above; the rest is done. ")

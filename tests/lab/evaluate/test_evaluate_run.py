@@ -1,0 +1,159 @@
+"""From folders to evaluation.json, pictures and a page."""
+
+import io
+import json
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from known_builds import Known, write_build
+from rich.console import Console
+
+from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
+from kinectbench.lab.evaluate.build import read_build
+from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
+from kinectbench.lab.evaluate.run import evaluate_recording
+from kinectbench.lab.evaluate.table import evaluation_table, sections
+from kinectbench.lab.simulate.truth import read_truth, write_truth
+
+PICTURES = {"path", "meshes", "errors", "slices"}
+STAGES = ("trajectory", "object", "views", "pairs")
+
+
+@pytest.fixture(scope="module")
+def folders(perfect: Known, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A perfect build and its truth on disk; not to be changed."""
+    build = tmp_path_factory.mktemp("build") / "chair<01>"
+    write_build(perfect, build)
+    write_truth(perfect.truth, {})
+    return build, perfect.truth.folder
+
+
+@pytest.fixture(scope="module")
+def written(folders: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Evaluation, Path]:
+    out = tmp_path_factory.mktemp("out") / "chair"
+    return evaluate_recording(*folders, out), out
+
+
+def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
+    evaluation, out = written
+    found = json.loads((out / "evaluation.json").read_text())
+    assert found["format_version"] == 1
+    # Vertices on disk are float32: 0.1 um.
+    assert found["trajectory"]["error"]["ate_m"]["rmse"] < 1e-9
+    assert found["surface"]["whole"]["accuracy"]["mean_m"] < 1e-6
+    assert [score["f"] for score in found["surface"]["whole"]["scores"]] == [1, 1]
+    assert found["solid"]["fine"]["iou"] > 0.9999
+    assert found["solid"]["coarse"]["known_iou"] > 0.999
+    assert found["solid"]["fine"]["true_unknown_share"] == 0
+    assert found["masks"]["mean_valid_iou"] == found["masks"]["mean_iou"] == 1
+    assert found["pairs"]["iou"]["worst"] > 0.9999
+    assert found["pairs"]["containment"]["worst"] == 1
+    assert abs(found["floor"]["height_m"]) < 1e-6
+    assert len(found["pairs"]["rows"]) == len(found["masks"]["rows"]) == 5
+    assert evaluation.pairs and evaluation.pairs.iou
+    assert found["pairs"]["iou"]["mean"] == pytest.approx(evaluation.pairs.iou.mean, rel=1e-6)
+
+
+def test_pictures_show_what_they_should(written: tuple[Evaluation, Path]):
+    _, out = written
+    assert {path.stem for path in out.glob("*.png")} == PICTURES
+    for name in PICTURES:
+        image = cv2.imread(str(out / f"{name}.png"))
+        assert image is not None and min(image.shape[:2]) > 300
+    slices = cv2.imread(str(out / "slices.png"))[:-80, :, ::-1].reshape(-1, 3).astype(int)
+    # Grey where true and built agree; nothing is missing, too much or unknown (above the legend).
+    assert (np.abs(slices - (176, 172, 164)).max(axis=1) < 3).sum() > 5000
+    for color in ((43, 108, 180), (200, 70, 40), (249, 231, 178)):
+        assert (np.abs(slices - color).max(axis=1) < 3).sum() == 0
+
+
+def test_the_page_opens_alone(written: tuple[Evaluation, Path]):
+    _, out = written
+    page = (out / "index.html").read_text()
+    assert set(re.findall(r'src="(.{0,22})', page)) == {"data:image/png;base64,"}
+    assert page.count("<img") == len(PICTURES)
+    assert "chair&lt;01&gt;" in page
+    assert "chair<01>" not in page
+    assert "href=" not in page.partition("<body>")[2]
+    assert "http:" not in page and "https:" not in page
+    for text in ("chair of boxes", "F at 5 mm, all", "containment of the partial, mean", "<td>1.0000</td>"):
+        assert text in page
+
+
+def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, Path], tmp_path: Path):
+    _, out = written
+    shutil.copytree(out, tmp_path / "again")
+    (tmp_path / "again" / "stray.txt").write_text("of an earlier run")
+    evaluate_recording(*folders, tmp_path / "again")
+    again = {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
+    assert again == {path.name: path.read_bytes() for path in out.iterdir()}
+    assert [path.name for path in tmp_path.iterdir()] == ["again"]
+
+
+@pytest.mark.parametrize("built", range(len(STAGES)))
+def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tmp_path: Path):
+    build, truth = folders
+    for stage in ("sequence", *STAGES[:built]):
+        shutil.copytree(build / stage, tmp_path / stage)
+    evaluation = evaluate(read_build(tmp_path), read_truth(truth))
+    found = evaluation_json(evaluation)
+    there = [found[key] is not None for key in ("trajectory", "solid", "masks", "pairs")]
+    assert there == [number < built for number in range(4)]
+    assert (found["surface"] is None) == (found["floor"] is None) == (found["solid"] is None)
+    missing = [section.title for section in sections(evaluation) if not section.rows]
+    assert len(missing) == [6, 5, 2, 1][built]
+    assert printed(evaluation).count("not built") == len(missing)
+
+
+def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Path):
+    build, truth = folders
+    for stage in ("sequence", "trajectory"):
+        shutil.copytree(build / stage, tmp_path / "build" / stage)
+    evaluate_recording(tmp_path / "build", truth, tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "evaluation.json", "index.html", "path.png",
+    }  # fmt: skip
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert page.count("not built") == 5
+    assert page.count("<img") == 1
+
+
+def printed(evaluation: Evaluation) -> str:
+    console = Console(width=120, file=io.StringIO(), record=True)
+    console.print(evaluation_table(evaluation))
+    return console.export_text()
+
+
+def test_the_table(written: tuple[Evaluation, Path]):
+    text = printed(written[0])
+    for line in (
+        r"F at 10 mm, seen +│ +100\.0 │ %",
+        r"ATE, rmse +│ +0\.00 │ mm",
+        r"frames tracked +│ 60 of 60",
+    ):
+        assert re.search(line, text), line
+
+
+def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path):
+    build, truth = folders
+    shutil.copytree(build, tmp_path / "build")
+    cases: list[tuple[type[KinectBenchError], Path, Path, str]] = [
+        (StorageError, tmp_path / "nowhere", truth, "nothing was built there"),
+        (RecordingError, build, tmp_path / "nowhere", "no readable truth"),
+    ]
+    (tmp_path / "build" / "views" / "002.depth.png").unlink()
+    cases.append((StorageError, tmp_path / "build", truth, "002.depth.png"))
+    for error, built, true, words in cases:
+        with pytest.raises(error, match=words) as caught:
+            evaluate_recording(built, true, tmp_path / "out")
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    with pytest.raises(StorageError, match="something else"):
+        evaluate_recording(build, truth, tmp_path / "mine")
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"

@@ -1,0 +1,106 @@
+"""Camera paths: what they look at, how fast they go, and the events on the way."""
+
+import numpy as np
+import pytest
+
+from kinectbench.core.geometry import Camera, OrientedBox, invert_rigid, transform_points
+from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.lab.simulate.path import SHAKE_HZ, draw_path, draw_waves, look_at
+from kinectbench.lab.simulate.spec import PathSettings
+
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+BOX = box_mesh(OrientedBox((0, 0, 0.4), (0.6, 0.6, 0.8)))
+STEADY = {"shake_m": 0.0, "shake_rad": 0.0}
+
+
+def path_of(seed=0, **changes):
+    return draw_path(PathSettings(**changes), BOX, CAMERA, np.random.default_rng(seed))
+
+
+def times(path):
+    return np.arange(path.settings.frames) / path.settings.rate_hz
+
+
+def turns(poses):
+    return np.unwrap(np.arctan2(poses[:, 1, 3], poses[:, 0, 3]))
+
+
+def test_the_camera_goes_round_and_looks_at_the_target():
+    path = path_of(frames=60, arc_rad=2.2 * np.pi)
+    poses = path.poses(times(path))
+    rotations = poses[:, :3, :3]
+    assert np.allclose(rotations @ rotations.transpose(0, 2, 1), np.eye(3), atol=1e-12)
+    assert np.allclose(np.linalg.det(rotations), 1)
+    for T in poses:
+        at = CAMERA.project(transform_points(invert_rigid(T), path.target_room))
+        assert np.linalg.norm(at - [CAMERA.cx, CAMERA.cy]) < 40
+        assert T[2, 1] < -0.5  # image down is down in the room
+    assert turns(poses)[-1] - turns(poses)[0] == pytest.approx(2.2 * np.pi, abs=0.1)
+    assert poses[:, 2, 3].min() > 0.3
+
+
+def test_without_a_distance_the_whole_subject_is_in_the_image():
+    for elevation_rad in (0.1, 0.8):
+        path = path_of(frames=40, elevation_rad=elevation_rad, swing_rad=0.0, **STEADY)
+        for T in path.poses(times(path)):
+            pixels = CAMERA.project(transform_points(invert_rigid(T), BOX.vertices))
+            assert (pixels > 0).all()
+            assert (pixels < [640, 480]).all()
+    near = path_of(frames=10, distance_m=1.0, swing_rad=0.0, **STEADY).poses(np.zeros(1))[0]
+    assert np.linalg.norm(near[:3, 3] - [0, 0, 0.4]) == pytest.approx(1.0, rel=0.15)
+
+
+def test_the_camera_stays_above_the_floor():
+    path = path_of(frames=200, elevation_rad=-0.2, swing_rad=1.0, swings=3.0)
+    heights_m = path.poses(times(path))[:, 2, 3]
+    assert 0.15 < heights_m.min() < 0.3
+    assert heights_m.max() > 1.0
+
+
+def test_a_path_is_smooth_in_time():
+    path = path_of(frames=300)
+    fine = path.poses(np.arange(0, path.duration_s, 0.002))
+    steps_m = np.linalg.norm(np.diff(fine[:, :3, 3], axis=0), axis=1)
+    # About 10 m in 10 s; no sample is farther than three times the mean step from the next.
+    assert steps_m.max() < 3 * steps_m.mean()
+    assert np.array_equal(path.poses(np.array([1.0, 2.0]))[1], path.poses(np.array([2.0]))[0])
+
+
+def test_shake_has_the_stated_standard_deviation():
+    waves = draw_waves(SHAKE_HZ, 6, np.random.default_rng(1))
+    long = waves.at(np.arange(0, 400, 0.01))
+    assert long.std(axis=0) == pytest.approx(np.ones(6), rel=0.05)
+    still = path_of(frames=300, arc_rad=0.0, swing_rad=0.0, shake_m=0.02, shake_rad=0.0)
+    poses = still.poses(np.arange(0, 200, 0.02))
+    across = poses[:, :3, 3] @ poses[0, :3, 0]  # sideways, where the changing distance does not show
+    assert across.std() == pytest.approx(0.02, rel=0.2)
+
+
+def test_a_pause_stops_the_walk_and_a_steady_pace_keeps_it():
+    path = path_of(frames=101, rate_hz=10.0, arc_rad=4.0, pause_s=4.0, speed_variation=0.0, **STEADY)
+    turned = turns(path.poses(times(path)))
+    steps = np.diff(turned)
+    assert np.abs(steps[31:69]).max() < 1e-6  # from 3 s to 7 s
+    assert steps[5:25] == pytest.approx(4.0 / 60, rel=0.03)
+    assert turned[-1] - turned[0] == pytest.approx(4.0, rel=1e-6)
+
+
+def test_a_jolt_is_sudden_and_passes():
+    plain, knocked = path_of(frames=150), path_of(frames=150, jolt_m=0.08, jolt_rad=0.14)
+    moved = np.linalg.norm((knocked.poses(times(knocked)) - plain.poses(times(plain)))[:, :3, 3], axis=1)
+    assert moved[:100].max() == 0
+    assert moved[100:110].max() == pytest.approx(0.08, rel=0.3)
+    assert moved[-15:].max() < 1e-3
+
+
+def test_a_single_frame_and_the_seed():
+    assert path_of(frames=1).poses(np.zeros(1)).shape == (1, 4, 4)
+    first, again, other = (path_of(seed=s, frames=5).poses(np.arange(5) / 30) for s in (3, 3, 4))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_look_at_is_level():
+    T = look_at(np.array([0.0, -2.0, 1.0]), np.zeros(3))
+    assert np.allclose(T[:3, 0], [1, 0, 0])
+    assert np.allclose(transform_points(invert_rigid(T), np.zeros(3)), [0, 0, np.sqrt(5)])

@@ -1,0 +1,376 @@
+"""Recordings of analytic frames in every format, read back by the readers and by others' libraries."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
+from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig, cut, stamp_as_read
+from kinectbench.lab.simulate.writers.image_folders import seconds
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
+from kinectbench.stages.ingest.registry import FORMATS, open_recording
+from kinectbench.stages.ingest.sequence_folder import write_sequence
+
+READER = {
+    "tum": "tum", "7scenes": "7scenes", "folder": "folder", "redwood": "folder",
+    "bag": "rosbag1", "bag_compressed": "rosbag1",
+    "ros2_sqlite": "rosbag2", "ros2_mcap": "rosbag2",
+    "realsense": "realsense", "realsense_old": "realsense", "klg": "klg", "sens": "sens",
+    "stray": "stray", "scanner_app": "scanner_app", "bop": "bop",
+}  # fmt: skip
+SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0}
+BAGS = ["bag", "bag_compressed"]
+# Without stamps, or where they repeat, frames are counted.
+NUMBERED = {"7scenes", "folder", "redwood", "bop", "scanner_app"}
+# Their layout has no place for poses; nor for saying that colour is registered.
+WITHOUT_POSES = {"realsense", "realsense_old", "klg"}
+UNREGISTERED = {"7scenes"}
+# It says where the colour camera is.
+CALIBRATED = {"tum", "folder", "redwood", "ros2_sqlite", "ros2_mcap", "realsense", "realsense_old", "sens"}
+# Numbers are float32, or text with nine decimals.
+POSE_TOLERANCE = {"sens": 2e-7, "tum": 3e-9, "stray": 3e-9}
+# Their depth images are PNG files.
+FOLDERS = ["tum", "7scenes", "folder", "redwood"]
+# One camera takes both: colour of another is left out.
+ONE_CAMERA = {"klg", "stray", "scanner_app", "bop"}
+START_NS = 1_400_000_000_123_456_000
+STEP_NS = 33_333_000
+DELAY_NS = 7_001_000
+DEPTH = Camera(64, 48, 60.0, 61.0, 31.5, 22.25)
+COLOR = Camera(80, 60, 75.0, 76.0, 40.0, 28.5)
+SETTINGS = {"klg": CameraSettings(**asdict(DEPTH))}
+T_COLOR_DEPTH = rigid(rotation_from_quaternion_xyzw([0.01, 0, 0, 1]), [-0.025, 0.001, 0])
+
+
+def rig(registered: bool) -> Rig:
+    return Rig(DEPTH, DEPTH, True, np.eye(4)) if registered else Rig(DEPTH, COLOR, False, T_COLOR_DEPTH)
+
+
+def pose(index: int) -> NDArray[np.float64]:
+    """Turned about all axes and moved, differently for each frame."""
+    return rigid(rotation_from_quaternion_xyzw([0.1, 0.02 * index, -0.3, 0.9]), [0.1 * index, 1.25, -1 / 3])
+
+
+def frame(
+    index: int, registered: bool = True, given: bool = True, delay_ns: int = DELAY_NS, stamp_ns: int = -1
+) -> RecordedFrame:
+    """A slanted wall with a hole, colour with a ramp in each direction; different for each frame."""
+    v, u = np.mgrid[: DEPTH.height, : DEPTH.width]
+    depth_m = (1.2345 + (u + 0.1 * v + index) / 200).astype(np.float32)
+    depth_m[:4, :6] = 0
+    camera = rig(registered).color
+    v, u = np.mgrid[: camera.height, : camera.width]
+    color_rgb = np.dstack([2 * u, 3 * v, np.full_like(u, 30 * (index % 8))]).astype(np.uint8)
+    stamp_ns = START_NS + index * STEP_NS if stamp_ns < 0 else stamp_ns
+    return RecordedFrame(stamp_ns, depth_m, stamp_ns + delay_ns, color_rgb, pose(index) if given else None)
+
+
+def write(
+    out: Path, name: str, frames: Sequence[RecordedFrame] | Iterator[RecordedFrame], registered: bool = True
+) -> Path:
+    out = out.with_suffix(SUFFIXES.get(name, ""))
+    if name not in SUFFIXES:
+        out.mkdir()
+    WRITERS[name](out, rig(registered), frames)
+    return out
+
+
+def read(recording: Recording) -> list[RawFrame]:
+    frames = list(recording.frames())
+    assert not [f for f in frames if isinstance(f, DamagedFrame)]
+    return [f for f in frames if isinstance(f, RawFrame)]
+
+
+def color_rgb(raw: RawFrame) -> NDArray[np.float64]:
+    assert raw.color is not None
+    decoded = cv2.imdecode(np.frombuffer(raw.color[1], np.uint8), cv2.IMREAD_COLOR)
+    return decoded[..., ::-1].astype(float)
+
+
+def test_every_format_that_is_read_has_a_writer() -> None:
+    assert set(READER) == set(WRITERS)
+    assert set(READER.values()) == set(FORMATS)
+
+
+@pytest.mark.parametrize("given", [True, False])
+@pytest.mark.parametrize("registered", [True, False])
+@pytest.mark.parametrize("name", WRITERS)
+def test_round_trip(tmp_path: Path, name: str, registered: bool, given: bool) -> None:
+    if name == "stray" and not given:
+        return  # its layout asks for a pose of every frame
+    made = [frame(i, registered, given) for i in range(5)]
+    recording = open_recording(write(tmp_path / "r", name, iter(made), registered), SETTINGS.get(name))
+    assert recording.format == READER[name]
+    assert asdict(recording.camera) == pytest.approx(asdict(DEPTH), rel=1e-12)
+    assert recording.depth_scale == SCALE[name]
+    has_color = registered or name not in ONE_CAMERA
+    assert recording.color_registered == (name == "klg" or (registered and name not in UNREGISTERED))
+    calibration = recording.color_calibration
+    assert (calibration is not None) == (name in CALIBRATED and not recording.color_registered)
+    if calibration is not None:
+        assert calibration.camera == rig(registered).color
+        np.testing.assert_allclose(calibration.T_color_depth, rig(registered).T_color_depth, atol=1e-7)
+    if name != "stray" or registered:  # without a video it warns
+        assert recording.warnings == ()
+    stamps_ns = [stamp_as_read(name, i, f.stamp_ns) for i, f in enumerate(made)]
+    found = read(recording)
+    assert [f.stamp_ns for f in found] == stamps_ns
+    for raw, one in zip(found, made, strict=True):
+        np.testing.assert_array_equal(raw.depth, one.depth_native(SCALE[name]))
+        assert (raw.depth > 0).mean() > 0.9
+        # Neighbouring frames differ by 30 in blue, the channels by more.
+        assert not has_color or np.abs(color_rgb(raw) - one.color_rgb).mean() < 3
+    if not given or name in WITHOUT_POSES:
+        assert recording.given_trajectory is None
+        return
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns.tolist() == stamps_ns
+    expected = np.stack([pose(i) for i in range(5)])
+    tolerance = POSE_TOLERANCE.get(name, 1e-14)
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, expected, rtol=0, atol=tolerance)
+
+
+def test_stamps_as_read() -> None:
+    stamp_ns = 1_400_000_000_123_456_789
+    expected = dict.fromkeys(WRITERS, stamp_ns)
+    expected |= dict.fromkeys(("tum", "klg", "sens", "stray"), 1_400_000_000_123_456_000)
+    expected |= {"7scenes": 3 * 10**9, "folder": 3 * 10**9, "redwood": 123_456_000}
+    expected |= {"bop": 3 * 10**9, "scanner_app": 1_400_000_000_123_456_768}
+    assert {name: stamp_as_read(name, 3, stamp_ns) for name in WRITERS} == expected
+    assert seconds(stamp_ns) == "1400000000.123456"
+    assert [seconds(-1), seconds(-1_500_000)] == ["-0.000001", "-0.001500"]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_depth_in_native_units(tmp_path: Path, name: str) -> None:
+    # Rounded to the nearest unit; 14 m does not fit 16 bits at 5000 units per metre.
+    depth_m = np.full((48, 64), 2.0, np.float32)
+    depth_m[0, :5] = [1.23457, 14.0, 0.0, 65.6, 1.0004]
+    stamps_ns = [START_NS + 1000 * i for i in range(3)]
+    made = [RecordedFrame(stamp, depth_m, stamp, frame(0).color_rgb, np.eye(4)) for stamp in stamps_ns]
+    found = read(open_recording(write(tmp_path / "r", name, made), SETTINGS.get(name)))
+    tum, millimetres = [6173, 0, 0, 0, 5002, 10000], [1235, 14000, 0, 0, 1000, 2000]
+    assert found[0].depth[0, :6].tolist() == (tum if name == "tum" else millimetres)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_frames_without_a_pose_are_left_out_of_the_trajectory(tmp_path: Path, name: str) -> None:
+    made = [frame(i, given=i not in (1, 4)) for i in range(5)]
+    recording = open_recording(write(tmp_path / "r", name, made), SETTINGS.get(name))
+    assert len(read(recording)) == (3 if name == "stray" else 5)
+    if name in WITHOUT_POSES:
+        return
+    assert recording.given_trajectory is not None
+    expected = [stamp_as_read(name, i, made[i].stamp_ns) for i in (0, 2, 3)]
+    assert recording.given_trajectory.stamps_ns.tolist() == expected
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera[1], pose(2), rtol=0, atol=2e-7)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_stamps_that_repeat_or_go_back(tmp_path: Path, name: str) -> None:
+    stamps_ns = [START_NS + step * STEP_NS for step in (0, 2, 1, 2, 2)]
+    made = [frame(i, stamp_ns=stamp_ns) for i, stamp_ns in enumerate(stamps_ns)]
+    out = write(tmp_path / "r", name, made)
+    # Readers that have stamps sort, and keep the first of equal ones; others count.
+    expected = [made[i] for i in ((0, 1, 2, 3, 4) if name in NUMBERED else (0, 2, 1))]
+    found = read(open_recording(out, SETTINGS.get(name)))
+    assert len(found) == len(expected)
+    for raw, one in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(raw.depth, one.depth_native(SCALE[name]))
+        assert np.abs(color_rgb(raw) - one.color_rgb).mean() < 3
+    if name in FOLDERS:  # nothing was overwritten
+        digests = {hashlib.sha256(file.read_bytes()).digest() for file in out.rglob("*.png")}
+        assert len(digests) == (10 if name == "7scenes" else 5)
+        assert len(list(out.rglob("*.jpg"))) == (0 if name == "7scenes" else 5)
+
+
+def test_tum_lists_are_in_the_order_of_the_frames_and_colour_has_its_own_stamps(tmp_path: Path) -> None:
+    stamps_ns = [START_NS, START_NS + 2 * STEP_NS, START_NS + STEP_NS, START_NS]
+    made = [frame(i, stamp_ns=stamp_ns) for i, stamp_ns in enumerate(stamps_ns)]
+    out = write(tmp_path / "r", "tum", made)
+    rows = {name: (out / f"{name}.txt").read_text().splitlines()[1:] for name in ("rgb", "depth")}
+    assert rows["depth"] == [
+        "1400000000.123456 depth/1400000000.123456.png",
+        "1400000000.190122 depth/1400000000.190122.png",
+        "1400000000.156789 depth/1400000000.156789.png",
+        "1400000000.123456 depth/1400000000.123456_2.png",
+    ]
+    assert [row.split()[0] for row in rows["rgb"]] == [seconds(f.color_stamp_ns) for f in made]
+    assert rows["rgb"][3] == "1400000000.130457 rgb/1400000000.130457_2.jpg"
+    last = cv2.imread(str(out / "depth/1400000000.123456_2.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(last, made[3].depth_native(5000))
+
+
+@pytest.mark.parametrize(("name", "file"), [("tum", "camera.json"), ("folder", "camera_intrinsic.json")])
+def test_json_says_where_an_unregistered_colour_camera_is(tmp_path: Path, name: str, file: str) -> None:
+    out = write(tmp_path / "r", name, [frame(i, registered=False) for i in range(3)], registered=False)
+    said = json.loads((out / file).read_text())
+    assert said["color_registered"] is False
+    assert Camera(**said["color_camera"]) == COLOR
+    np.testing.assert_array_equal(said["T_color_depth"], T_COLOR_DEPTH)
+    # Colour of the same size is not taken for registered either.
+    same = Rig(DEPTH, DEPTH, False, T_COLOR_DEPTH)
+    (tmp_path / "same").mkdir()
+    WRITERS[name](tmp_path / "same", same, [frame(i) for i in range(3)])
+    assert not open_recording(tmp_path / "same").color_registered
+
+
+def test_open3d_reads_the_plain_folder_alike(tmp_path: Path) -> None:
+    import open3d as o3d
+
+    out = write(tmp_path / "r", "folder", [frame(i, registered=False) for i in range(3)], registered=False)
+    intrinsic = o3d.io.read_pinhole_camera_intrinsic(str(out / "camera_intrinsic.json"))
+    assert (intrinsic.width, intrinsic.height) == (64, 48)
+    np.testing.assert_array_equal(intrinsic.intrinsic_matrix, DEPTH.K)
+    log = o3d.io.read_pinhole_camera_trajectory(str(out / "trajectory.log"))
+    for i, parameters in enumerate(log.parameters):
+        # Open3D's extrinsic is world to camera.
+        np.testing.assert_allclose(parameters.extrinsic @ pose(i), np.eye(4), atol=1e-12)
+    assert len(log.parameters) == 3
+
+
+def test_seven_scenes_marks_no_measurement_as_the_data_set_does(tmp_path: Path) -> None:
+    out = write(tmp_path / "r", "7scenes", [frame(0)])
+    depth = cv2.imread(str(out / "frame-000000.depth.png"), cv2.IMREAD_UNCHANGED)
+    assert (depth[:4, :6] == 65535).all()
+    np.testing.assert_array_equal(np.loadtxt(out / "frame-000000.pose.txt"), pose(0))
+    color = cv2.imread(str(out / "frame-000000.color.png"))
+    np.testing.assert_array_equal(color[..., ::-1], frame(0).color_rgb)
+
+
+@pytest.mark.parametrize("delay_ns", [DELAY_NS, -DELAY_NS, 0])
+@pytest.mark.parametrize("registered", [True, False])
+@pytest.mark.parametrize("name", BAGS)
+def test_the_messages_of_a_bag(tmp_path: Path, name: str, registered: bool, delay_ns: int) -> None:
+    from rosbags.rosbag1 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    made = [frame(i, registered, delay_ns=delay_ns) for i in range(3)]
+    out = write(tmp_path / "r.bag", name, made, registered)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    messages: dict[str, list[tuple[int, object]]] = {}
+    with Reader(out) as bag:
+        for connection, stamp_ns, data in bag.messages():
+            message = store.deserialize_ros1(data, connection.msgtype)
+            messages.setdefault(connection.topic, []).append((stamp_ns, message))
+    folder = "/camera/depth_registered" if registered else "/camera/depth"
+    image = f"{folder}/image_raw" + ("/compressedDepth" if name == "bag_compressed" else "")
+    color = "/camera/rgb/image_color/compressed"
+    depth_topics = [f"{folder}/camera_info", image, "/camera/pose"]
+    assert set(messages) == {*depth_topics, "/camera/rgb/camera_info", color}
+    for topic, found in messages.items():
+        own = [f.stamp_ns if topic in depth_topics else f.color_stamp_ns for f in made]
+        assert [stamp_ns for stamp_ns, _ in found] == own
+        assert [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, m in found] == own
+    first = {topic: found[0][1] for topic, found in messages.items()}
+    frame_ids = {first[topic].header.frame_id for topic in (f"{folder}/camera_info", image)}
+    rgb = "camera_rgb_optical_frame"
+    assert frame_ids == {rgb if registered else "camera_depth_optical_frame"}
+    assert first[color].header.frame_id == first["/camera/rgb/camera_info"].header.frame_id == rgb
+    info = first["/camera/rgb/camera_info"]
+    expected = DEPTH if registered else COLOR
+    assert (info.width, info.height, *info.K[[0, 4, 2, 5]], *info.P[[0, 5, 2, 6]], *info.D) == (
+        *(expected.width, expected.height),
+        *[expected.fx, expected.fy, expected.cx, expected.cy] * 2,
+        *[0.0] * 5,
+    )
+    if name == "bag_compressed":
+        assert first[image].format == "16UC1; compressedDepth png"
+        assert bytes(first[image].data[:20]) == bytes(12) + b"\x89PNG\r\n\x1a\n"
+    else:
+        assert (first[image].encoding, first[image].step, first[image].is_bigendian) == ("16UC1", 128, 0)
+        assert len(first[image].data) == 128 * 48
+
+
+def digests(out: Path) -> dict[str, str]:
+    files = [out] if out.is_file() else sorted(f for f in out.rglob("*") if f.is_file())
+    return {str(f.relative_to(out)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_the_same_frames_give_the_same_bytes(tmp_path: Path, name: str) -> None:
+    first = digests(write(tmp_path / "a", name, [frame(i) for i in range(4)]))
+    assert digests(write(tmp_path / "b", name, [frame(i) for i in range(4)])) == first
+    other = digests(write(tmp_path / "c", name, [frame(i + 1) for i in range(4)]))
+    assert other != first
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.99])
+def test_a_cut_folder_has_a_damaged_last_depth_image(tmp_path: Path, name: str, share: float) -> None:
+    made = [frame(i) for i in range(21)]
+    out = write(tmp_path / "r", name, made)
+    before, sizes = digests(out), {f: f.stat().st_size for f in out.rglob("*") if f.is_file()}
+    cut(out, share)
+    recording = open_recording(out)
+    found = list(recording.frames())
+    assert len(found) == 21
+    for raw, one in zip(found[: 20 if share else 21], made, strict=False):
+        assert isinstance(raw, RawFrame)
+        np.testing.assert_array_equal(raw.depth, one.depth_native(SCALE[name]))
+    changed = [file for file, digest in digests(out).items() if digest != before[file]]
+    assert len(changed) == (1 if share else 0)
+    if share:
+        file = out / changed[0]
+        assert file.stat().st_size == round(sizes[file] * (1 - share))
+        assert isinstance(found[-1], DamagedFrame)
+        assert found[-1].why.startswith(f"{file}: ")
+        assert "\n" not in found[-1].why
+        # One of 21 frames may be left out.
+        assert write_sequence(recording, tmp_path / "s") == [f"frame left out: {found[-1].why}"]
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_short_recording_that_is_cut_gives_one_line(tmp_path: Path, name: str) -> None:
+    out = write(tmp_path / "r", name, [frame(i) for i in range(5)])
+    cut(out, 0.5)
+    with pytest.raises(RecordingError, match=r"\.png: the PNG .*\(1 of 5 frames cannot be used") as caught:
+        write_sequence(open_recording(out), tmp_path / "s")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_the_whole_chunks_of_a_cut_bag_are_saved(tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng(5)  # noise does not compress, so that there are several chunks
+    camera = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
+    made = [
+        RecordedFrame(
+            START_NS + i * STEP_NS,
+            rng.integers(1000, 3000, (120, 160)).astype(np.float32) / np.float32(1000),
+            START_NS + i * STEP_NS,
+            np.full((120, 160, 3), i, np.uint8),
+            pose(i),
+        )
+        for i in range(90)
+    ]
+    out = tmp_path / "r.bag"
+    WRITERS[name](out, Rig(camera, camera, True, np.eye(4)), made)
+    whole = out.read_bytes()
+    cut(out, 0.4)
+    assert out.read_bytes() == whole[: round(0.6 * len(whole))]
+    recording = open_recording(out)
+    assert "is cut off or has no index" in recording.warnings[0]
+    found = read(recording)
+    assert 20 <= len(found) <= 54
+    assert recording.given_trajectory is not None
+    for raw, one in zip(found, made, strict=False):
+        assert raw.stamp_ns == one.stamp_ns
+        np.testing.assert_array_equal(raw.depth, one.depth_native(1000))
+    cut(out, 0.9999)
+    with pytest.raises(RecordingError, match="nothing in it can be saved") as caught:
+        open_recording(out)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_has_no_depth_image_is_not_cut(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="has no depth image to cut off"):
+        cut(write(tmp_path / "r", "tum", []), 0.5)

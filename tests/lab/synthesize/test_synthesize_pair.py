@@ -1,0 +1,153 @@
+"""Depth, cells and pairs of one model: against analytic shapes and the plain rules."""
+
+import numpy as np
+import pytest
+import trimesh
+from references import occupy, shell_of
+from synthesis_shapes import asymmetric, inside_asymmetric, mesh_of, open_box
+
+from kinectbench.core.geometry import Grid, TriangleMesh, rigid, transform_points
+from kinectbench.core.voxels.morphology import containment, packed_containment
+from kinectbench.core.voxels.pair_file import Pair, pack, unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.seen_cells import seen_cells
+from kinectbench.core.voxels.view_grids import depth_cells, object_cube, partial_grids
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh, check_mesh
+from kinectbench.lab.synthesize.models import SynthesisSettings
+from kinectbench.lab.synthesize.pair import make_pair
+from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
+from kinectbench.release.check.pair_check import pair_problems
+
+SETTINGS = SynthesisSettings(up="y")
+CAMERA = virtual_camera(320)
+VIEW = ViewAngles((1, 2, 4), 6)
+
+
+def pair_of(shape: trimesh.Trimesh, view: ViewAngles = VIEW) -> Pair:
+    checked = check_mesh(mesh_of(shape), 10**6)
+    made = make_pair(checked, DepthCamera(checked.mesh, CAMERA), view, SETTINGS)
+    assert made.refused is None
+    return made.pair
+
+
+@pytest.fixture(scope="module")
+def pair() -> Pair:
+    return pair_of(asymmetric())
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[np.ndarray, np.ndarray, Grid]:
+    """Depth of the asymmetric shape, the camera's pose, and its cube."""
+    mesh = mesh_of(asymmetric())
+    pose = camera_pose(mesh.vertices, VIEW, CAMERA, "y")
+    return DepthCamera(mesh, CAMERA).depth_m(pose), pose, object_cube(mesh.vertices, pose)
+
+
+def test_depth_of_a_ball_through_integer_pixel_centres():
+    ball = trimesh.creation.icosphere(6, radius=0.5)
+    pose = rigid(np.eye(3), [0.03, -0.02, -1.5])
+    depth_m = DepthCamera(mesh_of(ball), CAMERA).depth_m(pose)
+    rays = CAMERA.rays()
+    along = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    middle = along @ -pose[:3, 3]
+    gap = middle**2 - (pose[:3, 3] @ pose[:3, 3] - 0.25)
+    expected = np.where(gap > 0, (middle - np.sqrt(np.maximum(gap, 0))) * along[..., 2], 0)
+    sure = np.abs(gap) > 1e-3
+    np.testing.assert_array_equal((depth_m > 0)[sure], (gap > 0)[sure])
+    # The facets of the ball lie up to 0.1 mm within it; half a pixel aside would be 2 mm at its border.
+    np.testing.assert_allclose(depth_m[sure], expected[sure], atol=6e-4)
+
+
+def test_partial_is_depth_voxelised_and_reduced_by_any(seen):
+    depth_m, pose, grid = seen
+    fine, coarse = partial_grids(depth_m, CAMERA, pose, grid)
+    expected = occupy(depth_cells(depth_m, depth_m > 0, CAMERA, pose, grid), grid.shape)
+    # A point on the border of two cells may be rounded into either.
+    assert np.count_nonzero(unpack(fine) != expected) <= 0.002 * expected.sum()
+    np.testing.assert_array_equal(unpack(coarse), reduce_blocks(unpack(fine), "any"))
+
+
+def test_visible_cells_are_those_before_the_depth_of_their_pixel(seen):
+    depth_m, pose, grid = seen
+    cells = unpack(seen_cells(depth_m, CAMERA, pose, grid, noisy=False))
+    index = np.random.default_rng(0).integers(0, 256, (200_000, 3))
+    centres = transform_points(grid.T_world_grid, (index + 0.5) * grid.voxel_size_m)
+    points = (centres - pose[:3, 3]) @ pose[:3, :3]
+    u, v = np.rint(CAMERA.project(points)).astype(int).T
+    reach = np.where(depth_m > 0, depth_m.astype(float) + grid.voxel_size_m, 0)[
+        np.clip(v, 0, 319), np.clip(u, 0, 319)
+    ]
+    expected = (points[:, 2] <= reach) & (u >= 0) & (u < 320) & (v >= 0) & (v < 320)
+    np.testing.assert_array_equal(cells[tuple(index.T)], expected)
+    assert 0.05 < expected.mean() < 0.95
+
+
+def test_cells_outside_the_image_are_not_seen(seen):
+    depth_m, pose, grid = seen
+    near = Grid(grid.shape, grid.voxel_size_m, pose @ rigid(np.eye(3), [-0.5, -0.5, 0.05]))
+    everywhere = np.full_like(depth_m, 9)
+    cells = unpack(seen_cells(everywhere, CAMERA, pose, near, noisy=False))
+    z = 0.05 + 0.5 * near.voxel_size_m
+    x = -0.5 + (np.arange(256) + 0.5) * near.voxel_size_m
+    u = np.rint(CAMERA.fx * x / z + CAMERA.cx)
+    np.testing.assert_array_equal(cells[:, 128, 0], (u >= 0) & (u < 320))
+    assert not cells[0, 128, 0] and cells[128, 128].all()
+
+
+def test_containment_on_packed_grids():
+    rng = np.random.default_rng(3)
+    full = np.zeros((256, 256, 256), bool)
+    full[tuple(rng.integers(0, 256, (3, 3000)))] = True
+    partial = rng.random((64, 64, 64)) < 0.02
+    expected = containment(partial, full)
+    assert 0.02 < expected < 0.9
+    assert packed_containment(pack(partial), pack(full)) == expected
+    assert packed_containment(pack(np.zeros_like(partial)), pack(full)) == 1.0
+
+
+def test_full_is_the_shape_in_the_views_axes(pair):
+    index = np.random.default_rng(0).integers(0, 256, (500_000, 3))
+    centres = transform_points(pair.T_world_grid, (index + 0.5) * pair.voxel_size_m)
+    inside = inside_asymmetric(centres)
+    assert np.count_nonzero(unpack(pair.full)[tuple(index.T)] != inside) <= 1 and inside.sum() > 10_000
+    np.testing.assert_array_equal(pair.shell, shell_of(unpack(pair.full)))
+    assert unpack(pair.known).all() and pair.surface_sigma_m == 0 and pair.occupancy_rule == "winding"
+
+
+def test_a_pair_passes_the_checks_of_a_release(pair):
+    problems = pair_problems(pair, min_containment=0.999, framing="object", partial_rule="any")
+    assert list(problems) == []
+    partial = unpack(pair.partial)
+    assert partial.sum() > 500 and (unpack(pair.seen)[unpack(pair.partial_256)]).mean() > 0.98
+
+
+def test_the_longest_side_spans_252_cells_of_256(pair):
+    used = [np.flatnonzero(unpack(pair.full).any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+    assert max(line[-1] - line[0] + 1 for line in used) == 252
+    assert all(abs(line[0] + line[-1] - 255) <= 1 for line in used)
+
+
+def test_the_partial_has_no_sampling_holes():
+    """A wall seen face on: every 64-cell of its front is hit, at the far side of the image too."""
+    wall = trimesh.creation.box([1.0, 1.0, 0.02])
+    front = pair_of(wall, ViewAngles((0, 0, 0), 5))
+    covered = reduce_blocks(unpack(front.full), "any").any(axis=2)
+    assert covered.sum() == 64**2
+    np.testing.assert_array_equal(unpack(front.partial).any(axis=2), covered)
+
+
+def test_an_open_mesh_is_filled_by_the_authors_rule():
+    pair = pair_of(open_box(), ViewAngles((0, 0, 0), 5))
+    assert pair.occupancy_rule == "six-rays"
+    # Walls of one or two cells, not the box's volume.
+    volume = unpack(pair.full).sum() * pair.voxel_size_m**3
+    area = open_box().area
+    assert 0.8 * area * pair.voxel_size_m < volume < 2.5 * area * pair.voxel_size_m < 0.2 * 0.06
+
+
+def test_walls_thinner_than_a_cell_are_refused():
+    sheet = mesh_of(trimesh.creation.box([1.0, 1.0, 1e-5]))
+    checked = CheckedMesh(TriangleMesh(sheet.vertices, sheet.faces), "winding")
+    eye = DepthCamera(checked.mesh, CAMERA)
+    reasons = {make_pair(checked, eye, view, SETTINGS).refused for view in all_views(2)}
+    assert reasons and all(reason for reason in reasons)

@@ -1,0 +1,32 @@
+"""The sample recordings, built with a few views each: the bars of benchmarks/sample_truth.py."""
+
+import pytest
+from builds import built
+from figures import missed
+from sample_truth import REPOSITORY, PairAgainstTruth, against_truth, figures_of, settings_with_truth
+
+pytestmark = pytest.mark.xdist_group("sample_truth")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[PairAgainstTruth]]:
+    settings = settings_with_truth(REPOSITORY, ["views.count=5"])
+    jobs = built(settings, tmp_path_factory.mktemp("sample"), workers=1)
+    return {job.recording.id: against_truth(job) for job in jobs}
+
+
+def test_both_samples_have_truth(results: dict[str, list[PairAgainstTruth]]) -> None:
+    assert {name: len(pairs) for name, pairs in results.items()} == {"chair_01": 5, "table_01": 5}
+
+
+def test_the_bars_are_met(results: dict[str, list[PairAgainstTruth]]) -> None:
+    assert missed(figures_of(results)) == []
+
+
+def test_every_pair(results: dict[str, list[PairAgainstTruth]]) -> None:
+    for pair in (pair for pairs in results.values() for pair in pairs):
+        assert pair.full > 0.85
+        assert pair.known > 0.85
+        assert pair.shell < 0.5 * pair.full  # a surface is no solid
+        assert pair.mask > 0.9
+        assert pair.not_known < 0.15

@@ -1,0 +1,282 @@
+"""The baselines: hulls against every half-space, files that the scorer accepts, figures that can be known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from synthetic_release import ball, synthetic_pair
+
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.voxels.pair_file import Pair, pack, read_pair, unpack
+from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.release.release import Release
+from kinectbench.scoring.baselines.beside import baselines_beside
+from kinectbench.scoring.baselines.hull import extruded, filled_hull, silhouette
+from kinectbench.scoring.baselines.inputs import Inputs, Training, read_training, up_in_grid
+from kinectbench.scoring.baselines.kernels import mirror_gain
+from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored
+from kinectbench.scoring.baselines.predict import possible_baselines, write_baselines
+from kinectbench.scoring.baselines.registry import BASELINES, constant, empty, mean_shape, nearest, partial
+from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.predictions import check, split_methods
+from kinectbench.scoring.score import score
+
+PAIR = synthetic_pair(0, "chair")
+UP = np.array([0.0, -1.0, 0.0])
+LEFT_OUT = ("mean-shape", "nearest")  # the release has no training pairs
+
+
+def inputs(pair: Pair = PAIR, base_rate: float = 0.1) -> Inputs:
+    return Inputs(pair, base_rate, UP, None)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_hull_is_exact(seed: int) -> None:
+    occupied = np.random.default_rng(seed).random((14, 17, 12)) < 0.01 + 0.01 * seed
+    cells = np.argwhere(np.ones_like(occupied))
+    planes = ConvexHull(np.argwhere(occupied)).equations
+    inside = (cells @ planes[:, :3].T + planes[:, 3] <= 1e-9).all(axis=1)
+    np.testing.assert_array_equal(filled_hull(occupied).ravel(), inside)
+
+
+def test_hull_of_a_box_and_of_a_ball() -> None:
+    box = np.zeros((20, 20, 20), bool)
+    box[3, 4, 5] = box[3, 4, 15] = box[3, 12, 5] = box[10, 4, 5] = box[10, 12, 15] = True
+    box[3, 12, 15] = box[10, 4, 15] = box[10, 12, 5] = True
+    assert filled_hull(box).sum() == 8 * 9 * 11
+    solid = ball((128, 128, 128), 60.3)
+    front = solid & ~np.roll(solid, 1, axis=2)
+    half = filled_hull(front)
+    assert not (half & ~solid).any() and not (front & ~half).any()
+    assert half.sum() == pytest.approx(solid.sum() / 2, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "cells", [[], [(1, 2, 3)], [(1, 2, 3), (4, 4, 4)], [(0, 0, 5), (9, 0, 5), (0, 9, 5), (9, 9, 5)]]
+)
+def test_flat_partials_are_their_own_hull(cells: list[tuple[int, int, int]]) -> None:
+    occupied = np.zeros((10, 10, 10), bool)
+    for cell in cells:
+        occupied[cell] = True
+    np.testing.assert_array_equal(filled_hull(occupied), occupied)
+
+
+def test_baselines_look_at_the_input_only() -> None:
+    nothing = np.zeros_like(PAIR.full)
+    blind = replace(PAIR, full=nothing, shell=nothing, known=nothing)
+    for name in [name for name in BASELINES if name not in LEFT_OUT]:
+        before, baseline = pack(unpack(PAIR.partial_256)), BASELINES[name]
+        np.testing.assert_array_equal(baseline(inputs(blind)), baseline(inputs()), err_msg=name)
+        np.testing.assert_array_equal(PAIR.partial_256, before)
+
+
+def test_trivial() -> None:
+    assert not empty(inputs()).any()
+    assert constant(inputs(PAIR, 0.123))[0, 0, 0] == np.float16(0.123)
+    assert constant(inputs(PAIR, 0.0)).min() > 0 and constant(inputs(PAIR, 1.0)).max() < 1
+    np.testing.assert_array_equal(partial(inputs()), unpack(PAIR.partial_256))
+
+
+def test_written_baselines_are_a_valid_submission(release: Release, tmp_path: Path) -> None:
+    assert write_baselines(release, tmp_path / "a") == possible_baselines(release)
+    methods = split_methods(tmp_path / "a", release.targets)
+    assert list(methods) == sorted(set(BASELINES) - set(LEFT_OUT))
+    tables = {}
+    for name, folder in methods.items():
+        assert check(release, folder) == []
+        tables[name] = score(release, folder, method=name, protocols=["paper", "known"], surface=False)
+    rows = {
+        (name, row.protocol): row
+        for name, table in tables.items()
+        for row in table.rows
+        if row.category == "chair"
+    }
+    assert rows["empty", "known"].iou == 0
+    constant_row = rows["base-rate", "paper"]
+    assert constant_row.ce == pytest.approx(constant_row.base_rate_ce, rel=1e-3)
+    assert rows["hull", "known"].iou > rows["partial", "known"].iou > 0
+    assert rows["partial", "known"].precision == 1
+
+
+def test_same_bytes_with_any_number_of_workers(release: Release, tmp_path: Path) -> None:
+    names = ["base-rate", "partial"]
+    write_baselines(release, tmp_path / "a", names)
+    write_baselines(release, tmp_path / "b", names, jobs=2)
+    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.npz"))
+    assert len(files) == 2 * 7
+    assert all((tmp_path / "a" / f).read_bytes() == (tmp_path / "b" / f).read_bytes() for f in files)
+    assert load_prediction(tmp_path / "a" / files[0]).shape == (16, 16, 16)
+
+
+def test_unknown_baseline(release: Release, tmp_path: Path) -> None:
+    with pytest.raises(
+        SettingsError, match="no baseline 'hul': choose among empty, base-rate, partial, hull, mirror"
+    ):
+        write_baselines(release, tmp_path, ["hul"])
+    with pytest.raises(SettingsError, match="nearest: needs training pairs"):
+        write_baselines(release, tmp_path, ["nearest"])
+
+
+def test_silhouette_of_a_plate_is_a_pyramid() -> None:
+    plate = np.zeros((64, 64, 64), bool)
+    plate[20:44, 24:40, 10] = True
+    camera = np.array([31.5, 31.5, -54.0])  # 64 cells before the plate
+    filled = extruded(plate, camera)
+    cells = np.argwhere(np.ones_like(plate)).astype(float)
+    behind = cells[:, 2] >= 10
+    scale = 64 / np.maximum(cells[:, 2] - camera[2], 1)
+    at = camera[:2] + (cells[:, :2] - camera[:2]) * scale[:, None]
+    exact = behind & (np.abs(at[:, 0] - 31.5) < 12) & (np.abs(at[:, 1] - 31.5) < 8)
+    wrong = filled.ravel() != exact
+    edge = np.minimum(np.abs(np.abs(at[:, 0] - 31.5) - 12), np.abs(np.abs(at[:, 1] - 31.5) - 8))
+    assert not (wrong & (edge > 0.5)).any()
+    assert filled[:, :, 63].sum() > 1.5 * plate.sum()  # it grows with the distance
+    ahead = extruded(plate, np.array([31.5, 31.5, 5.0]))  # the camera is in the grid: straight on
+    assert ahead[:, :, 63].sum() == plate.sum()
+
+
+def test_silhouette_holds_the_partial_and_the_shape_behind_it() -> None:
+    T_world_camera = PAIR.T_world_grid.copy()  # far before the grid: rays along z
+    T_world_camera[:3, 3] += PAIR.T_world_grid[:3, :3] @ np.array([128, 128, -1e5]) * PAIR.voxel_size_m
+    solid = silhouette(inputs(replace(PAIR, T_world_camera=T_world_camera)))
+    front, full = unpack(PAIR.partial_256), unpack(PAIR.full)
+    assert (solid & front).sum() == front.sum()
+    assert (solid & full).sum() > 0.9 * full.sum()
+
+
+def test_the_mirror_plane_of_a_box() -> None:
+    """Two sides of an upright box: the corner is seen, the planes of symmetry are known."""
+    shape = np.zeros((256, 256, 256), bool)
+    shape[60:181, 40:200, 80:141] = True
+    partial = np.zeros_like(shape)
+    partial[60:181, 40:200, 80:82] = True
+    partial[60:62, 40:200, 80:141] = True
+    reduce = partial.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5))
+    empty_seen = ~shape.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5))
+    points = np.argwhere(partial) + 0.5
+    normal, offset = best_plane(points, reduce, empty_seen, UP)
+    image = mirrored(points, normal, offset)
+    assert abs(normal[1]) < 1e-9
+    cells = np.clip(np.floor(image).astype(int), 0, 255)
+    assert shape[tuple(cells.T)].mean() > 0.9
+    np.testing.assert_allclose(mirrored(image, normal, offset), points)
+
+
+def test_mirror_adds_to_the_partial() -> None:
+    cut = np.arange(256)[:, None, None] < 140  # the rest is hidden: nothing was seen there
+    front = unpack(PAIR.partial_256) & cut
+    halved = replace(
+        PAIR,
+        partial_256=pack(front),
+        partial=pack(reduce_blocks(front, "any")),
+        seen=pack(unpack(PAIR.seen) & cut),
+    )
+    found = mirror(inputs(halved))
+    assert (found & front).sum() == front.sum() and found.sum() > front.sum()
+
+
+def test_up_is_away_from_the_floor(release: Release, tmp_path: Path) -> None:
+    target = release.targets[0]
+    pair = read_pair(release.pair_path(target))
+    folder = tmp_path / "objects" / target.recording
+    folder.mkdir(parents=True)
+    moved = Release(tmp_path, release.targets, release.metadata)
+    np.testing.assert_array_equal(up_in_grid(moved, target, pair), UP)
+    (folder / "floor.json").write_text('{"plane_world": [0, 0, 2, -1]}')
+    np.testing.assert_allclose(
+        pair.T_world_grid[:3, :3] @ up_in_grid(moved, target, pair), [0, 0, 1], atol=1e-12
+    )
+    for text in ("[", "{}", '{"plane_world": [0, 0, 0, 1]}', '{"plane_world": ["a", 0, 1, 1]}'):
+        (folder / "floor.json").write_text(text)
+        with pytest.raises(ReleaseError, match="floor"):
+            up_in_grid(moved, target, pair)
+
+
+def test_baselines_that_learn(release: Release) -> None:
+    """The validation split plays the training split."""
+    targets = tuple(
+        replace(target, split="train") for target in release.targets if target.split == "validation"
+    )
+    trained = Release(release.folder, targets, release.metadata)
+    training = read_training(trained, "chair")
+    assert isinstance(training, Training) and read_training(release, "chair") is None
+    pairs = [read_pair(trained.pair_path(target)) for target in targets if target.category == "chair"]
+    blocks = [unpack(pair.full).reshape(64, 4, 64, 4, 64, 4).mean(axis=(1, 3, 5)) for pair in pairs]
+    given = replace(inputs(pairs[1]), training=training)
+    np.testing.assert_allclose(mean_shape(given), np.mean(blocks, axis=0), atol=1e-3)
+    np.testing.assert_array_equal(nearest(given), unpack(pairs[1].full))
+
+
+def plain_extruded(partial: np.ndarray, camera_cells: np.ndarray) -> np.ndarray:
+    """`extruded`, plane by plane in numpy, for a camera before the grid."""
+    count = len(partial)
+    far, cells = np.linspace(-0.5, count - 0.5, 512), np.arange(count)
+    hit, filled = np.zeros((512, 512), bool), partial.copy()
+    for k in range(count):
+        share = (k - camera_cells[2]) / (count - 1 - camera_cells[2])
+        crossings = [camera_cells[axis] * (1 - share) + far * share for axis in (0, 1)]
+        i, j = (np.clip(np.rint(at).astype(int), 0, count - 1) for at in crossings)
+        inside = np.outer(np.abs(i - crossings[0]) <= 0.5, np.abs(j - crossings[1]) <= 0.5)
+        hit |= partial[:, :, k][np.ix_(i, j)] & inside
+        rays = [
+            np.rint(((cells - camera_cells[a] * (1 - share)) / share + 0.5) / count * 511) for a in (0, 1)
+        ]
+        p, q = (np.clip(found, 0, 511).astype(int) for found in rays)
+        filled[:, :, k] |= hit[np.ix_(p, q)] & np.outer(rays[0] == p, rays[1] == q)
+    return filled
+
+
+@pytest.mark.parametrize("camera", [(30.0, 35.0, -40.0), (-20.0, 90.0, -5.0), (32.0, 32.0, -900.0)])
+def test_silhouette_plane_by_plane(camera: tuple[float, float, float]) -> None:
+    partial = np.random.default_rng(5).random((64, 64, 64)) < 0.003
+    partial[:, :, :9] = False
+    found = extruded(partial, np.array(camera))
+    np.testing.assert_array_equal(found, plain_extruded(partial, np.array(camera)))
+    assert found.sum() > 3 * partial.sum()
+
+
+def test_mirror_gain_by_hand() -> None:
+    rng = np.random.default_rng(6)
+    points, gain = rng.random((200, 3)) * 80 - 4, rng.integers(-1, 2, (18, 18, 18)).astype(np.int8)
+    normal = np.array([0.6, 0.0, 0.8])
+    cells = np.floor(mirrored(points, normal, 40.0) / 4).astype(int)
+    expected = sum(int(gain[tuple(cell)]) if ((cell >= 0) & (cell < 18)).all() else -1 for cell in cells)
+    assert mirror_gain(points, points @ normal, normal, 40.0, 4, gain) == expected
+
+
+@pytest.mark.parametrize("upsampling", ["half-pixel", "corner-aligned"])
+def test_baselines_beside_are_what_their_files_score(
+    release: Release, tmp_path: Path, upsampling: str
+) -> None:
+    names = write_baselines(release, tmp_path / "predictions")
+    beside = {"protocols": ["known", "paper"], "upsampling": upsampling}
+    found = baselines_beside(release, tmp_path / "scores", **beside, without=["hull"])
+    assert [table.method for table in found] == [name for name in names if name != "hull"]
+    for table in found:
+        folder = tmp_path / "predictions" / table.method
+        expected = score(release, folder, method=table.method, surface=False, **beside)
+        assert table.baseline and not expected.baseline
+        same = {"baseline": False, "hashes": {}, "settings": expected.settings}
+        assert table.model_copy(update=same) == expected.model_copy(update={"hashes": {}})
+        found_by = table.settings.model_copy(update={"baseline_version": None})
+        assert found_by == expected.settings
+
+
+def test_baselines_beside_are_kept(release: Release, tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def made(protocols: list[str]) -> int:
+        """How many pairs are counted."""
+        calls.clear()
+        baselines_beside(release, tmp_path, protocols=protocols, progress=lambda done, _: calls.append(done))
+        return len(calls)
+
+    assert made(["known"]) == len(release.targets)
+    kept = tmp_path / "baselines" / "partial" / "scores.json"
+    first = kept.read_bytes()
+    assert made(["known"]) == 0
+    kept.write_text("{")
+    assert made(["known"]) == len(release.targets) and kept.read_bytes() == first
+    assert made(["paper"]) == len(release.targets)

@@ -1,0 +1,161 @@
+"""What people who train use: the same numbers from memory as from files, and an example that runs."""
+
+import pickle
+import subprocess
+import sys
+from inspect import signature
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import kinectbench
+from kinectbench.cli import methods as commands_methods
+from kinectbench.cli import score as commands_score
+from kinectbench.core.errors import PredictionError, SettingsError
+from kinectbench.core.voxels.pair_file import read_pair, unpack
+from kinectbench.release.release import Release
+from kinectbench.scoring.compare import compare as compare_tables
+from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.score import score, score_methods
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def test_dataset(release: Release) -> None:
+    dataset = kinectbench.load(release.folder)
+    assert len(dataset) == len(release.targets) == 7 and len(dataset.split("train")) == 0
+    item = dataset.split("test")[1]
+    pair = read_pair(release.folder / "pairs" / "chair_01" / "001.npz")
+    assert item["pair_id"] == "chair_01/001"
+    for name in ("partial", "full", "known"):
+        np.testing.assert_array_equal(item[name], unpack(getattr(pair, name)))
+    assert item["meta"]["category"] == "chair" and item["meta"]["voxel_size_m"] == pair.voxel_size_m
+    assert [one["pair_id"] for one in dataset.split("validation")] == [
+        t.name for t in release.split("validation")
+    ]
+    with pytest.raises(SettingsError, match="no split 'val'"):
+        dataset.split("val")
+
+
+def test_scorer_gives_what_files_give(release: Release, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    dataset = kinectbench.load(release.folder)
+    scorer = kinectbench.Scorer(dataset, method="mine", protocols=["known"])
+    for split in ("validation", "test"):
+        for item in dataset.split(split):
+            y = (0.6 * item["full"][::8, ::8, ::8] + 0.4 * rng.random((32, 32, 32))).astype(np.float32)
+            scorer.update(item["pair_id"], np.asfortranarray(y))
+            recording, _, view = item["pair_id"].partition("/")
+            (tmp_path / recording).mkdir(exist_ok=True)
+            np.save(tmp_path / recording / f"{view}.npy", y)
+    expected = score(release, tmp_path, method="mine", protocols=["known"]).json_value()
+    found = scorer.result().json_value()
+    assert found.pop("hashes").keys() == expected.pop("hashes").keys()
+    assert found == expected
+
+
+def test_an_option_has_one_default() -> None:
+    """The command, both functions behind it and the scorer count alike unless they are told otherwise."""
+    ways = (commands_score.score, score_methods, score, kinectbench.Scorer)
+    for name in ("surface", "upsampling", "missing", "thresholds_file"):
+        defaults = [
+            parameters[name].default for way in ways if name in (parameters := signature(way).parameters)
+        ]
+        assert len(defaults) >= 3 and all(default == defaults[0] for default in defaults), name
+    assert signature(compare_tables).parameters["protocol"].default == PRIMARY
+    assert signature(commands_methods.compare).parameters["protocol"].default == PRIMARY
+
+
+def test_scorer_refuses(release: Release) -> None:
+    scorer = kinectbench.Scorer(release.folder)
+    grid = np.zeros((4, 4, 4), bool)
+    with pytest.raises(PredictionError, match="chair_01/7: no pair"):
+        scorer.update("chair_01/7", grid)
+    with pytest.raises(PredictionError, match="chair_01/000: dtype float64 is not accepted"):
+        scorer.update("chair_01/000", grid.astype(float))
+    with pytest.raises(PredictionError, match=r"chair_01/000: nan at \(0, 0, 0\)"):
+        scorer.update("chair_01/000", np.full((4, 4, 4), np.nan, np.float32))
+    scorer.update("chair_01/000", grid)
+    with pytest.raises(PredictionError, match="update validation pairs first"):
+        scorer.update("chair_03/000", grid)
+    table = scorer.result()
+    assert not table.complete and len(table.failures) == 3 and table.overall is None
+    with pytest.raises(SettingsError, match="no protocol 'all'"):
+        kinectbench.Scorer(release.folder, protocols=["all"])
+
+
+class StandIn:
+    """What `kinectbench.load` uses of torch's Dataset."""
+
+    def __getitem__(self, index: int) -> None:
+        raise NotImplementedError("the stand-in's")
+
+
+def assert_torch_dataset(dataset: kinectbench.Dataset, torch_dataset: type, release: Release) -> None:
+    assert isinstance(dataset, torch_dataset) and isinstance(dataset, kinectbench.Dataset)
+    test = dataset.split("test")
+    assert isinstance(test, torch_dataset) and len(test) == 4
+    again = pickle.loads(pickle.dumps(test))  # what a DataLoader's workers get
+    assert isinstance(again, torch_dataset) and again.targets == test.targets
+    item = again[1]
+    assert item["pair_id"] == "chair_01/001" and item["full"].shape == (256, 256, 256)
+
+
+def test_a_torch_dataset_where_torch_is_stood_in_for(
+    release: Release, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modules = {name: ModuleType(name) for name in ("torch", "torch.utils", "torch.utils.data")}
+    modules["torch.utils.data"].Dataset = StandIn  # type: ignore[attr-defined]
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    assert_torch_dataset(kinectbench.load(release.folder), StandIn, release)
+
+
+def test_torch_itself_reads_it_in_parallel(release: Release) -> None:
+    data = pytest.importorskip("torch.utils.data")
+    dataset = kinectbench.load(release.folder)
+    assert_torch_dataset(dataset, data.Dataset, release)
+    items = [*data.DataLoader(dataset.split("test"), batch_size=None, num_workers=2)]
+    assert [item["pair_id"] for item in items] == [target.name for target in release.split("test")]
+    assert tuple(items[0]["partial"].shape) == (64, 64, 64)
+
+
+def test_importing_the_package_is_light() -> None:
+    code = "import sys, kinectbench; assert 'numpy' not in sys.modules; kinectbench.Scorer"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'lod'"):
+        _ = kinectbench.lod  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["train.py", "train_torch.py"])
+def test_the_example_runs_and_learns(release: Release, name: str) -> None:
+    if "torch" in name:
+        pytest.importorskip("torch")
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / name), str(release.folder), "--epochs", "2"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    losses = [float(line.split(", CE ")[1].split()[0]) for line in done.stdout.splitlines()]
+    assert len(losses) == 2 and losses[1] < losses[0] < 0.7
+
+
+def test_the_old_import_path_has_the_same_names() -> None:
+    """`kinectbench.api`, in a fresh interpreter in each of the ways it was imported."""
+    for statement in (
+        "from kinectbench.api import Dataset, Scorer, load",
+        "import kinectbench.api; Dataset, Scorer, load = (getattr(kinectbench.api, n) for n in NAMES)",
+        "from kinectbench import api; Dataset, Scorer, load = (getattr(api, n) for n in NAMES)",
+    ):
+        code = (
+            f"NAMES = ('Dataset', 'Scorer', 'load')\n{statement}\n"
+            "import sys; assert 'kinectbench.cli' not in sys.modules\n"
+            "from kinectbench.scoring import api as new\n"
+            "assert (Dataset, Scorer, load) == (new.Dataset, new.Scorer, new.load)\n"
+        )
+        subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError):
+        _ = kinectbench.api.nothing

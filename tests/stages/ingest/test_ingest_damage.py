@@ -1,0 +1,97 @@
+"""Bags cut at every tenth: what is whole is read. Fuzzed bags: one line, and no memory is asked for."""
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ingest_writers import CAMERA, START_NS, STEP_NS, depth_image, write_bag
+from mcap.writer import CompressionType
+from test_ingest_realsense import property_of_version_2, units
+from test_ingest_realsense import write as write_realsense
+from test_ingest_rosbag2 import messages, write_mcap
+from test_ingest_rosbag2 import write_bag as write_bag2
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.recording import RawFrame
+from kinectbench.stages.ingest.registry import format_of, open_recording
+
+NATIVE = CameraSettings(depth_scale=5000.0)
+
+
+@pytest.mark.parametrize("compression", [None, "BZ2", "LZ4"])
+@pytest.mark.parametrize("tenth", range(1, 10))
+def test_a_bag_cut_off_at_every_tenth(tmp_path: Path, compression: str | None, tenth: int) -> None:
+    bag = write_bag(tmp_path / "r.bag", 40, compression=compression)
+    data = bag.read_bytes()
+    bag.write_bytes(data[: len(data) * tenth // 10])
+    try:
+        recording = open_recording(bag, NATIVE)
+    except RecordingError as error:
+        # Nothing but the first chunk is lost.
+        assert tenth == 1
+        assert "nothing in it can be saved" in str(error)
+        return
+    frames = list(recording.frames())
+    assert all(isinstance(frame, RawFrame) for frame in frames)
+    assert "is cut off or has no index" in recording.warnings[0]
+    # The index takes some of the file, and a compressed chunk of 32 KB holds a few frames.
+    assert 4 * tenth - 7 <= len(frames) <= 40
+    for frame in frames:
+        assert isinstance(frame, RawFrame)
+        np.testing.assert_array_equal(frame.depth, depth_image((frame.stamp_ns - START_NS) // STEP_NS))
+
+
+def originals(tmp_path: Path) -> dict[str, bytes]:
+    found = messages(3)
+    made = {
+        "bag": write_bag(tmp_path / "a.bag", 3),
+        "bag bz2": write_bag(tmp_path / "b.bag", 3, compression="BZ2"),
+        "bag lz4": write_bag(tmp_path / "c.bag", 3, compression="LZ4"),
+        "realsense": write_realsense(tmp_path / "r.bag", extra=units, compression="LZ4"),
+        "realsense plain": write_realsense(tmp_path / "p.bag", extra=property_of_version_2),
+        "mcap": write_mcap(tmp_path / "a.mcap", found),
+        "mcap zstd": write_mcap(tmp_path / "b.mcap", found, CompressionType.ZSTD),
+        "mcap lz4": write_mcap(tmp_path / "c.mcap", found, CompressionType.LZ4),
+        "mcap plain": write_mcap(tmp_path / "d.mcap", found, use_chunking=False),
+        "db3": write_bag2(tmp_path / "bag", found) / "bag.db3",
+    }
+    return {name: path.read_bytes() for name, path in made.items()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return originals(tmp_path_factory.mktemp("whole"))
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_fuzzed_bags_neither_crash_nor_allocate(
+    tmp_path: Path, whole: dict[str, bytes], data: st.DataObject
+) -> None:
+    name = data.draw(st.sampled_from(sorted(whole)))
+    content = bytearray(whole[name])
+    for _ in range(data.draw(st.integers(1, 5))):
+        # Headers are at the start, and the index at the end.
+        at = data.draw(st.one_of(st.integers(13, 4400), st.integers(0, len(content) - 1)))
+        patch = data.draw(st.one_of(st.binary(min_size=1, max_size=4), st.just(b"\xff" * 8)))
+        content[at : at + len(patch)] = patch
+    path = tmp_path / "fuzzed"
+    path.write_bytes(content)
+    if format_of(path) is None:
+        return
+    tracemalloc.start()
+    try:
+        recording = open_recording(path, CameraSettings(**CAMERA))
+        for frame in recording.frames():
+            assert not isinstance(frame, RawFrame) or frame.depth.dtype == np.uint16
+    except RecordingError as error:
+        assert "\n" not in str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    # The file has 60 KB; the types of ROS take some when they are met first.
+    assert peak < 24 << 20

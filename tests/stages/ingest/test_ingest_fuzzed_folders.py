@@ -1,0 +1,87 @@
+"""Folders of every format with bytes of one file changed are read, or refused in one line."""
+
+import shutil
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ingest_writers import CAMERA, write_folder, write_seven_scenes, write_tum
+from test_ingest_phones_bop import bop, scanner_app, stray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.recording import DamagedFrame
+from kinectbench.stages.ingest.registry import format_of, open_recording
+
+MAKERS: dict[str, Callable[[Path], Path]] = {
+    "tum": write_tum,
+    "7scenes": write_seven_scenes,
+    "folder": write_folder,
+    "stray": lambda folder: stray(folder, video=False),
+    "scanner_app": scanner_app,
+    "bop": bop,
+}
+# Text that is no number, numbers that are none or too large, and other ends of lines and of JSON.
+WORDS = (b"-inf", b"nan", b"1e999", b"9" * 40, b"null", b"[" * 50, b"{}", b"\n\n", b",", b'"', b"-1")
+PATCHES = (b"\xff" * 8, b"\x00" * 4, *WORDS)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("whole")
+    for name, make in MAKERS.items():
+        make(root / name)
+        assert format_of(root / name) == name
+    return root
+
+
+@pytest.mark.parametrize("name", MAKERS)
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_fuzzed_folders_neither_crash_nor_allocate(
+    tmp_path: Path, whole: Path, name: str, data: st.DataObject
+) -> None:
+    folder = tmp_path / "fuzzed"
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(whole / name, folder)
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    texts = [path for path in files if path.suffix not in (".png", ".jpg")]
+    path = data.draw(st.sampled_from(texts) if texts and data.draw(st.booleans()) else st.sampled_from(files))
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        # Headers of images are in front.
+        at = data.draw(st.integers(0, min(len(content), 40) if path not in texts else len(content)))
+        patch = data.draw(st.one_of(st.sampled_from(PATCHES), st.binary(min_size=1, max_size=4)))
+        content[at : at + len(patch) * data.draw(st.integers(0, 1))] = patch
+    path.write_bytes(content)
+    if format_of(folder) is None:
+        return
+    tracemalloc.start()
+    try:
+        recording = open_recording(folder, CameraSettings(**CAMERA) if name == "7scenes" else None)
+        for frame in recording.frames():
+            assert isinstance(frame, DamagedFrame) or frame.depth.dtype == np.uint16
+    except RecordingError as error:
+        assert "\n" not in str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    # A folder holds some 50 KB, and Python's own modules may be loaded.
+    assert peak < 8 << 20
+
+
+@pytest.mark.parametrize("side", [20_000, 60_000])
+def test_an_image_that_says_it_is_huge_is_damaged(tmp_path: Path, side: int) -> None:
+    folder = write_tum(tmp_path / "r")
+    data = bytearray((folder / "depth/1.png").read_bytes())
+    data[16:24] = side.to_bytes(4, "big") * 2
+    (folder / "depth/1.png").write_bytes(data)
+    tracemalloc.start()
+    frames = list(open_recording(folder).frames())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert isinstance(frames[1], DamagedFrame) and peak < 8 << 20

@@ -1,0 +1,212 @@
+"""StrayScanner, 3D Scanner App and BOP folders, written here from their layouts."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from ingest_writers import START_NS, STEP_NS, depth_image, jpeg, png, seconds
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.registry import open_recording
+
+BIG = (256, 192)  # 4 times the depth images
+K_BIG = np.array([[240.0, 0, 127.5], [0, 244.0, 95.5], [0, 0, 1]])
+# (c + 0.5) / 4 - 0.5
+SMALL = (60.0, 61.0, 31.5, 23.5)
+# Turned by 90 degrees about y, moved along x.
+QUATERNION_XYZW = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
+ROTATION = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+
+
+def confidence() -> np.ndarray:
+    """Low in the first columns, then middle, then high."""
+    image = np.full((48, 64), 2, np.uint8)
+    image[:, :10], image[:, 10:20] = 0, 1
+    return image
+
+
+def big_color(index: int) -> np.ndarray:
+    """Blocks of one colour over each depth pixel."""
+    v, u = np.mgrid[:48, :64]
+    small = np.dstack([np.full_like(u, 40 * index), 4 * u, 5 * v]).astype(np.uint8)
+    return np.kron(small, np.ones((4, 4, 1), np.uint8)).astype(np.uint8)
+
+
+def stray(folder: Path, *, video: bool = True, frames: int = 4) -> Path:
+    for name in ("depth", "confidence"):
+        (folder / name).mkdir(parents=True)
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    for i in range(frames):
+        (folder / f"depth/{i:06d}.png").write_bytes(png(depth_image(i, 1000.0)))
+        (folder / f"confidence/{i:06d}.png").write_bytes(png(confidence()))
+        numbers = ", ".join(str(v) for v in [0.5 * i, 0, 0, *QUATERNION_XYZW])
+        rows.append(f"{seconds(START_NS + i * STEP_NS)}, {i:06d}, {numbers}")
+    (folder / "odometry.csv").write_text("\n".join(rows) + "\n")
+    np.savetxt(folder / "camera_matrix.csv", K_BIG, delimiter=", ")
+    if video:
+        writer = cv2.VideoWriter(str(folder / "rgb.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30, BIG)
+        for i in range(frames):
+            writer.write(big_color(i))
+        writer.release()
+    return folder
+
+
+def test_stray_scanner(tmp_path: Path) -> None:
+    recording = open_recording(stray(tmp_path / "r"))
+    camera = recording.camera
+    assert (recording.format, len(recording), recording.warnings) == ("stray", 4, ())
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == SMALL
+    assert recording.color_registered
+    assert recording.stamps_ns.tolist() == [START_NS + i * STEP_NS for i in range(4)]
+    for i in (3, 0, 1, 2):  # at random, and in a row
+        frame = recording.frame(i)
+        expected = np.where(confidence() == 2, depth_image(i, 1000.0), 0)
+        np.testing.assert_array_equal(frame.depth, expected)
+        assert frame.color is not None
+        bgr = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), 1).astype(int)
+        # Video loses some; frames differ by 40 in blue.
+        assert np.abs(bgr - big_color(i)[::4, ::4]).mean() < 6
+        assert abs(bgr[..., 0].mean() - 40 * i) < 8
+    given = recording.given_trajectory
+    assert given is not None
+    np.testing.assert_allclose(given.T_world_camera[2][:3, :3], ROTATION, atol=1e-12)
+    np.testing.assert_allclose(given.T_world_camera[2][:3, 3], [1.0, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("least", [0, 1, 2])
+def test_confidence_becomes_holes(tmp_path: Path, least: int) -> None:
+    frame = open_recording(stray(tmp_path / "r"), CameraSettings(min_confidence=least)).frame(1)
+    expected = np.where(confidence() >= least, depth_image(1, 1000.0), 0)
+    np.testing.assert_array_equal(frame.depth, expected)
+
+
+def test_stray_scanner_with_a_part_missing(tmp_path: Path) -> None:
+    folder = stray(tmp_path / "r", video=False)
+    (folder / "depth/000009.png").write_bytes(png(depth_image(0)))
+    recording = open_recording(folder)
+    # Without a video its usual size, 1920x1440, tells the scale.
+    assert recording.camera.fx == pytest.approx(8.0)
+    assert not recording.color_registered
+    assert "1 depth images have no row" in recording.warnings[0]
+    assert "there will be no colour" in recording.warnings[1]
+    (folder / "rgb.mp4").write_bytes(b"no video")
+    assert open_recording(folder).frame(0).color is None
+    short = stray(tmp_path / "s", frames=6)
+    cut = stray(tmp_path / "t", frames=2)
+    (short / "rgb.mp4").write_bytes((cut / "rgb.mp4").read_bytes())
+    with pytest.raises(DamagedImageError, match="has no frame 4; the video is cut off"):
+        open_recording(short).frame(4)
+    (folder / "odometry.csv").write_text("timestamp, x\n")
+    with pytest.raises(RecordingError, match="does not name the column frame"):
+        open_recording(folder)
+
+
+def scanner_app(folder: Path, change: dict[str, Any] | None = None) -> Path:
+    folder.mkdir()
+    T = np.eye(4)
+    # Optical axes x right, y down, z forward; ARKit's x right, y up, z back.
+    T[:3, :3] = ROTATION @ np.diag([1, -1, -1])
+    for i in range(4):
+        T[0, 3] = 0.5 * i
+        (folder / f"depth_{i:05d}.png").write_bytes(png(depth_image(i, 1000.0)))
+        (folder / f"conf_{i:05d}.png").write_bytes(png(confidence()))
+        if i != 2:
+            (folder / f"frame_{i:05d}.jpg").write_bytes(jpeg(big_color(i)))
+        said = {
+            "intrinsics": K_BIG.ravel().tolist(),
+            "cameraPoseARFrame": T.ravel().tolist(),
+            "time": 7.5 + i,
+        }
+        (folder / f"frame_{i:05d}.json").write_text(json.dumps(said | (change or {})))
+    return folder
+
+
+def test_scanner_app(tmp_path: Path) -> None:
+    recording = open_recording(scanner_app(tmp_path / "r"))
+    camera = recording.camera
+    assert (recording.format, len(recording), recording.warnings) == ("scanner_app", 4, ())
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == SMALL
+    assert recording.stamps_ns.tolist() == [7_500_000_000 + i * 10**9 for i in range(4)]
+    np.testing.assert_array_equal(
+        recording.frame(3).depth, np.where(confidence() == 2, depth_image(3, 1000.0), 0)
+    )
+    assert recording.frame(2).color is None
+    color = recording.frame(3).color
+    assert color is not None
+    bgr = cv2.imdecode(np.frombuffer(color[1], np.uint8), 1).astype(int)
+    assert np.abs(bgr - big_color(3)[::4, ::4]).max() < 12
+    given = recording.given_trajectory
+    assert given is not None
+    np.testing.assert_allclose(given.T_world_camera[3][:3, :3], ROTATION, atol=1e-12)
+    assert given.T_world_camera[3][0, 3] == 1.5
+
+
+def test_a_wrong_json_of_scanner_app(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="'intrinsics' must hold 9"):
+        open_recording(scanner_app(tmp_path / "r", {"intrinsics": [1, 2]}))
+    # Frames can be used without poses.
+    broken = open_recording(scanner_app(tmp_path / "s", {"cameraPoseARFrame": "x"}))
+    assert broken.given_trajectory is None
+    assert "must hold 16" in broken.trajectory_error
+
+
+def bop(folder: Path, *, objects: tuple[int, ...] = (5,)) -> Path:
+    for name in ("depth", "rgb", "mask_visib"):
+        (folder / name).mkdir(parents=True)
+    cameras, poses = {}, {}
+    for i in (1, 2, 30):
+        (folder / f"depth/{i:06d}.png").write_bytes(png(depth_image(i, 10_000.0)))
+        (folder / f"rgb/{i:06d}.png").write_bytes(png(big_color(1)[::4, ::4]))
+        # The camera at x = i m, turned.
+        t_mm = -ROTATION.T @ [1000.0 * i, 0, 0]
+        cameras[str(i)] = {
+            "cam_K": [60.0, 0, 31.5, 0, 61.0, 23.5, 0, 0, 1],
+            "depth_scale": 0.1,
+            "cam_R_w2c": ROTATION.T.ravel().tolist(),
+            "cam_t_w2c": t_mm.tolist(),
+        }
+        poses[str(i)] = [{"obj_id": number} for number in objects]
+        for place, number in enumerate(objects):
+            mask = np.zeros((48, 64), np.uint8)
+            mask[:number] = 255
+            (folder / f"mask_visib/{i:06d}_{place:06d}.png").write_bytes(png(mask))
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    (folder / "scene_gt.json").write_text(json.dumps(poses))
+    return folder
+
+
+def test_bop_scene_with_masks(tmp_path: Path) -> None:
+    recording = open_recording(bop(tmp_path / "r"))
+    assert (recording.format, len(recording), recording.warnings) == ("bop", 3, ())
+    assert (recording.depth_scale, recording.camera.fx, recording.color_registered) == (10_000.0, 60.0, True)
+    frame = recording.frame(2)
+    assert frame.stamp_ns == 30 * 10**9
+    np.testing.assert_array_equal(frame.depth, depth_image(30, 10_000.0))
+    assert frame.mask is not None
+    assert (frame.mask.sum(), frame.mask[:5].all()) == (5 * 64, True)
+    given = recording.given_trajectory
+    assert given is not None
+    np.testing.assert_allclose(given.T_world_camera[2][:3, :3], ROTATION, atol=1e-12)
+    np.testing.assert_allclose(given.T_world_camera[2][:3, 3], [30, 0, 0], atol=1e-9)
+
+
+def test_bop_scene_with_several_objects_or_cameras(tmp_path: Path) -> None:
+    folder = bop(tmp_path / "r", objects=(5, 9, 9))
+    recording = open_recording(folder)
+    assert recording.frame(0).mask is None
+    assert "has the objects 5, 9; no masks are read" in recording.warnings[0]
+    mask = open_recording(folder, CameraSettings(mask_object=9)).frame(0).mask
+    assert mask is not None
+    assert mask.sum() == 9 * 64
+    with pytest.raises(RecordingError, match="`mask_object: 4` is not in the scene; its objects are 5, 9"):
+        open_recording(folder, CameraSettings(mask_object=4))
+    cameras = json.loads((folder / "scene_camera.json").read_text())
+    cameras["2"]["cam_K"][0] = 70.0
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    with pytest.raises(RecordingError, match="image 2 has another camera than the first"):
+        open_recording(folder)

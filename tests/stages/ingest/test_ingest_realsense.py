@@ -1,0 +1,88 @@
+"""RealSense bags: depth unit, extrinsics and cameras of every version; round trips are with the writers'."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ingest_writers import CAMERA, START_NS, BagWriter, color_image, depth_image
+
+from kinectbench.stages.ingest.registry import format_of, open_recording
+
+DEPTH = "/device_0/sensor_0/Depth_0"
+COLOR = "/device_0/sensor_1/Color_0"
+
+
+def write(
+    path: Path, *, compression: str | None = None, extra: Any = None, step_ns: int = 33_000_000
+) -> Path:
+    with BagWriter(path, compression) as bag:
+        for stream in (DEPTH, COLOR):
+            bag.info(f"{stream}/info/camera_info", START_NS, CAMERA, frame_id="", model="Brown Conrady")
+        if extra is not None:
+            extra(bag)
+        for i in range(3):
+            stamp_ns = i * step_ns
+            bag.image(f"{DEPTH}/image/data", stamp_ns, depth_image(i, 4000.0), "mono16", "0")
+            bag.image(f"{COLOR}/image/data", stamp_ns, color_image(i)[..., ::-1], "rgb8", "0")
+            bag.image("/device_0/sensor_0/Infrared_1/image/data", stamp_ns, depth_image(9), "mono16")
+    return path
+
+
+def units(bag: BagWriter) -> None:
+    bag.raw(
+        "/device_0/sensor_0/option/Depth Units/value",
+        "std_msgs/msg/Float32",
+        1,
+        np.float32(0.00025).tobytes(),
+    )
+
+
+def property_of_version_2(bag: BagWriter) -> None:
+    def text(value: str) -> bytes:
+        return len(value).to_bytes(4, "little") + value.encode()
+
+    for key, value in (("Exposure", "33.0"), ("Depth Units", "0.000250000011874363")):
+        bag.raw("/device_0/sensor_0/property", "diagnostic_msgs/msg/KeyValue", 1, text(key) + text(value))
+
+
+def motion(topic: str, x_m: float) -> tuple[str, str, int, bytes]:
+    return topic, "geometry_msgs/msg/Transform", 1, np.array([x_m, 0, 0, 0, 0, 0, 1.0]).tobytes()
+
+
+@pytest.mark.parametrize("extra", [units, property_of_version_2])
+@pytest.mark.parametrize("compression", [None, "LZ4"])
+def test_the_depth_unit_and_a_time_that_starts_at_zero(
+    tmp_path: Path, extra: Any, compression: str | None
+) -> None:
+    path = write(tmp_path / "r.bag", extra=extra, compression=compression)
+    recording = open_recording(path)
+    assert (recording.format, recording.depth_scale, len(recording)) == ("realsense", 4000.0, 3)
+    # One frame_id for all streams does not make colour registered.
+    assert not recording.color_registered
+    assert recording.color_calibration is None
+    np.testing.assert_array_equal(recording.frame(1).depth, depth_image(1, 4000.0))
+    assert recording.stamps_ns.tolist() == [0, 33_000_000, 66_000_000]
+
+
+def test_without_a_unit_depth_is_in_millimetres(tmp_path: Path) -> None:
+    assert open_recording(write(tmp_path / "r.bag")).depth_scale == 1000.0
+
+
+@pytest.mark.parametrize("reference", ["0", "1"])
+def test_extrinsics_of_one_reference(tmp_path: Path, reference: str) -> None:
+    def both(bag: BagWriter) -> None:
+        bag.raw(*motion(f"{DEPTH}/tf/0", 0.25))
+        bag.raw(*motion(f"{COLOR}/tf/{reference}", 0.3))
+
+    calibration = open_recording(write(tmp_path / "r.bag", extra=both)).color_calibration
+    assert (calibration is not None) == (reference == "0")
+    if calibration is not None:
+        # Both map the reference to the stream.
+        np.testing.assert_allclose(calibration.T_color_depth[:3, 3], [0.05, 0, 0], atol=1e-12)
+
+
+def test_another_bag_is_not_taken_for_one(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "r.bag") as bag:
+        bag.image("/camera/depth/image_raw", START_NS, depth_image(0), "16UC1")
+    assert format_of(tmp_path / "r.bag") == "rosbag1"

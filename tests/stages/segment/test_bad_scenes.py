@@ -1,0 +1,207 @@
+"""Recordings with something wrong in them: each says what, and none becomes a silently wrong pair."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_scenes import box, health_of, ring
+from bad_scenes import AROUND, FINE, FLOOR, OBJECT, Recorded, recorded, table_of
+
+from kinectbench.core.errors import KinectBenchError, SegmentationError
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.stages.segment.select import select_in_box
+from kinectbench.stages.segment.witness import unseen_side, witness
+
+pytestmark = pytest.mark.xdist_group("bad_scenes")
+
+
+@functools.cache
+def plain() -> Recorded:
+    return recorded([FLOOR, OBJECT])
+
+
+def warned(warnings: tuple[str, ...] | list[str], words: str) -> bool:
+    return any(words in warning for warning in warnings)
+
+
+def test_nothing_is_said_of_a_good_recording():
+    seen = plain().witness()
+    assert seen.warnings == ()
+    assert seen.unseen_side.share == 0
+    assert seen.moving.json_value() == {"judged": 24, "frames": [], "largest_share": 0.0}
+
+
+def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do():
+    verdict = "not good for ground truth: frames agree within 14.0 mm (median)"
+    health = health_of(24, grade="not good", verdict=verdict, recommended="refine")
+    bad = replace(plain().trajectory, health=health)
+    assert replace(plain(), trajectory=bad).witness().warnings == (
+        f"the trajectory is {verdict}; `trajectory: refine` is recommended",
+    )
+    kept = replace(bad, health=health.model_copy(update={"recommended": "trust"}))
+    (told,) = replace(plain(), trajectory=kept).witness().warnings
+    assert told.endswith("; if odd and even frames agree better with `trajectory: refine`, take that")
+    good = replace(bad, health=health_of(24, grade="10 mm", recommended="trust"))
+    assert replace(plain(), trajectory=good).witness().warnings == ()
+
+
+@pytest.mark.parametrize("arc_deg", [300.0, 180.0, 120.0])
+def test_the_side_never_seen_is_the_middle_of_the_gap(arc_deg):
+    turns = np.radians(np.linspace(-arc_deg / 2, arc_deg / 2, 13) + 70.0)
+    poses = np.tile(np.eye(4), (13, 1, 1))
+    poses[:, :3, 3] = np.array([2.0, -1.0, 0.3]) + np.column_stack([np.cos(turns), np.sin(turns), turns])
+    side = unseen_side(poses, np.array([2.0, -1.0, 0.3]))
+    assert np.degrees(side.gap_rad) == pytest.approx(360 - arc_deg)
+    # The widest gap is the arc's own: 180 degrees from its middle, unless steps are wider.
+    assert np.degrees(side.towards_rad) == pytest.approx(-110.0)
+    assert side.share == pytest.approx(max(0.0, 360 - arc_deg - 150) / 360)
+
+
+def test_one_side_never_seen():
+    half = recorded([FLOOR, OBJECT], AROUND[:11])
+    seen = half.witness()
+    assert warned(seen.warnings, "no frame looks at the object's side towards")
+    # 11 of 24 cameras leave a gap of 14 steps of 15 degrees, and around it 75 degrees on both sides are seen.
+    assert np.degrees(seen.unseen_side.gap_rad) == pytest.approx(210.0, abs=3)
+    assert seen.unseen_side.share == pytest.approx(60 / 360, abs=0.01)
+
+
+def test_two_objects_in_the_box():
+    two = [FLOOR, box((-0.3, -0.1, 0), (-0.1, 0.1, 0.4)), box((0.1, -0.1, 0), (0.3, 0.1, 0.4))]
+    pair = recorded(two)
+    around_both = OrientedBox((0, 0, 0.25), (0.8, 0.4, 0.5))
+    assert warned(pair.witness(around_both).warnings, "the box holds 2 things that stand apart")
+    around_one = OrientedBox((0.2, 0, 0.25), (0.3, 0.4, 0.5))
+    assert pair.witness(around_one).warnings == ()
+    # Without a box the cameras look between them.
+    assert warned(pair.witness().warnings, "as near to where the cameras look")
+
+
+def test_a_box_that_cuts_the_object():
+    whole, half = OrientedBox((0, 0, 0.3), (1.0, 1.0, 0.6)), OrientedBox((-0.25, 0, 0.3), (0.5, 1.0, 0.6))
+    assert plain().witness(whole).warnings == ()
+    assert warned(plain().witness(half).warnings, "the box cuts through what it holds")
+
+
+def test_a_box_under_a_table_top_holds_what_ends_in_it():
+    """A stool beside a table: more of the table's top than of the stool lies in the box, but it runs on."""
+
+    def plate(side_m: float, height_m: float) -> np.ndarray:
+        steps = np.arange(0.015, side_m, 0.03)
+        return np.array(np.meshgrid(steps, steps, [height_m])).reshape(3, -1).T
+
+    stool, top = plate(0.3, 0.4), plate(0.9, 0.7)
+    points = np.concatenate([stool, top])
+    in_box = (points[:, :2] < 0.4).all(axis=1)
+    chosen = select_in_box(points, in_box)
+    assert (top[:, :2] < 0.4).all(axis=1).sum() > len(stool)
+    np.testing.assert_array_equal(np.flatnonzero(chosen), np.arange(len(stool)))
+    # Without the stool the box cuts the table's top, and holds that part of it.
+    np.testing.assert_array_equal(select_in_box(top, in_box[len(stool) :]), in_box[len(stool) :])
+
+
+def test_cameras_whose_axes_part_look_ahead():
+    """Turned away from each other, they all come from a point behind them; what they look at is ahead."""
+    T_world_camera = np.tile(np.eye(4), (9, 1, 1))
+    for pose, turn in zip(T_world_camera, np.linspace(-0.5, 0.5, 9), strict=True):
+        c, s = np.cos(turn), np.sin(turn)
+        pose[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+        pose[:3, 3] = pose[:3, 2]
+    np.testing.assert_allclose(convergence_point(T_world_camera)[:2], 0, atol=1e-9)
+    assert 2.0 < convergence_point(T_world_camera)[2] < 2.5
+
+
+def test_things_that_hardly_touch_are_not_one_object():
+    """A gap of 75 mm between edges is bridged by cells of 30 mm."""
+    close = [FLOOR, box((-0.3, -0.15, 0), (0.02, 0.15, 0.4)), *table_of((0.095, -0.2, 0), (0.5, 0.2, 0.4))]
+    doubtful = recorded(close, ring(16, 1.3, (0, 0, 0.2), (0.5, 0.8)), **FINE)
+    doubts = doubtful.segment().doubts
+    assert warned(doubts, "stand side by side") or warned(doubts, "beside the object")
+    assert all("kinectbench segment --suggest" in line for line in doubts)
+
+
+def test_an_object_too_large_to_be_one():
+    long = recorded([FLOOR, box((-1.4, -0.2, 0), (1.4, 0.2, 0.4))], ring(24, 2.2, (0, 0, 0.2), (0.4, 0.7)))
+    doubts = long.segment().doubts
+    # It is 2.8 m long; at its ends a pixel is 17 mm wide.
+    assert warned(doubts, "2.8 m long") or warned(doubts, "2.9 m long")
+
+
+def test_a_person_walking_through():
+    def person(k):
+        x = -1.2 + 0.1 * k
+        return [box((x - 0.2, -0.9, 0), (x + 0.2, -0.6, 1.7))]
+
+    walked = recorded([FLOOR, OBJECT], passing={k: person(k) for k in range(24)})
+    seen = walked.witness()
+    assert warned(seen.warnings, "something stands before the scene")
+    # The person is at y = -0.75, between the object and the cameras of frames 13 to 22.
+    frames = list(seen.moving.frames)
+    assert set(range(15, 20)) <= set(frames)
+    model = walked.model()
+    np.testing.assert_allclose(model.box.size_m, [0.4, 0.3, 0.5], atol=0.02)
+    for view in walked.views(model).views:
+        assert view.fit.containment >= 0.85
+
+
+@pytest.mark.parametrize("beside", [[], [box((0.9, 0.5, 0), (1.2, 0.8, 0.4))]])
+def test_an_object_without_depth(beside):
+    """Nothing where the cameras look; with clutter, that is not taken for the object."""
+    with pytest.raises(SegmentationError, match=r"no object found.*gives no depth"):
+        recorded([FLOOR, *beside]).segment()
+    with pytest.raises(SegmentationError, match=r"holds nothing|nothing stands"):
+        recorded([FLOOR, *beside]).segment(OrientedBox((0, 0, 0.25), (0.5, 0.4, 0.5)))
+
+
+def test_an_object_cut_by_the_image_border():
+    near = recorded([FLOOR, OBJECT], ring(12, 0.7, (0.0, 0.0, 0.1), (0.5,)))
+    model = near.model()
+    assert warned(near.views(model).warnings, "the image border cuts the object")
+
+
+def test_no_floor():
+    hovering = recorded([OBJECT])
+    with pytest.raises(SegmentationError, match=r"no floor found.*give a box.*--suggest"):
+        hovering.segment()
+    chosen = hovering.segment(OrientedBox((0, 0, 0.25), (0.5, 0.4, 0.6)))
+    assert not chosen.floor.found
+    assert warned(chosen.doubts, "no floor was found")
+    # The cameras are level and the lowest surface is the box's own foot, at the world's z = 0.
+    np.testing.assert_allclose(chosen.floor.plane_world, [0, 0, 1, 0], atol=0.06)
+
+
+def test_a_slope_is_no_floor():
+    """A ramp of 60 degrees: far from what the cameras call up."""
+    from analytic_scenes import plane
+
+    steep = recorded([plane((0.0, -np.sin(np.pi / 3), np.cos(np.pi / 3)), 0.0)])
+    with pytest.raises(SegmentationError, match=r"no floor found.*give a box"):
+        steep.segment()
+
+
+def test_a_floor_that_is_not_flat_may_be_something_else():
+    chosen = plain().segment()
+    rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
+    for each, told in ((chosen, False), (rough, True)):
+        found = witness(plain().sequence, plain().trajectory, plain().scene, each)
+        assert warned(found.warnings, "the floor found scatters by 19 mm") is told
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_few_good_frames(frames):
+    few = recorded([FLOOR, OBJECT], AROUND[:frames])
+    try:
+        model = few.model()
+    except KinectBenchError as error:
+        assert frames == 1 and "no solid shape" in str(error)
+        return
+    assert warned(model.quality.warnings, f"made from {frames} frames only")
+    assert model.quality.good_frames == frames
+    assert warned(few.views(model).warnings, f"all {frames} good frames were tried")
+
+
+def test_a_box_outside_the_volume():
+    with pytest.raises(SegmentationError, match=r"holds nothing.*reaches from.*--suggest"):
+        plain().segment(OrientedBox((4.0, 0, 0.25), (0.5, 0.4, 0.5)))

@@ -1,0 +1,75 @@
+"""Binary opening by a box, against SciPy's; and legs whose upper end no camera saw."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from kinectbench.stages.segment.morphology import carried_up, opened
+
+VOXEL_M = 0.005
+SEAT = np.s_[5:35, 5:35, 60:70]
+LEG = np.s_[10:14, 10:14, :50]
+GAP = np.s_[10:14, 10:14, 50:60]
+
+
+@pytest.mark.parametrize("size", [(3, 3, 7), (3, 3, 3), (1, 2, 4), (1, 1, 1), (12, 11, 10)])
+@pytest.mark.parametrize("seed", range(3))
+def test_as_scipys(size: tuple[int, int, int], seed: int):
+    rng = np.random.default_rng(seed)
+    mask = ndimage.binary_dilation(rng.random((12, 11, 14)) < 0.02, iterations=2 + seed)
+    expected = ndimage.binary_opening(mask, np.ones(size))
+    np.testing.assert_array_equal(opened(mask, size), expected)
+    if size == (3, 3, 3):
+        assert expected.any() and not mask.all()
+
+
+def test_a_box_larger_than_the_grid_fits_nowhere():
+    assert not opened(np.ones((5, 5, 5), dtype=bool), (3, 3, 6)).any()
+
+
+def stool(leg: tuple[slice, ...] = LEG, seat: tuple[slice, ...] = SEAT) -> np.ndarray:
+    solid = np.zeros((40, 40, 80), dtype=bool)
+    solid[seat] = solid[leg] = True
+    return solid
+
+
+def carried(solid: np.ndarray, seen_empty: np.ndarray | None = None) -> np.ndarray:
+    return carried_up(solid, np.zeros_like(solid) if seen_empty is None else seen_empty, 2, VOXEL_M)
+
+
+def test_a_leg_is_carried_up_to_the_seat_and_nothing_else_is_filled():
+    expected = stool()
+    expected[GAP] = True
+    np.testing.assert_array_equal(carried(stool()), expected)
+
+
+def test_where_cameras_saw_through_the_gap_it_stays_open():
+    seen_empty = np.zeros((40, 40, 80), dtype=bool)
+    seen_empty[:, :, 55] = True
+    np.testing.assert_array_equal(carried(stool(), seen_empty), stool())
+
+
+def test_columns_that_were_seen_through_are_left_out():
+    seen_empty = np.zeros((40, 40, 80), dtype=bool)
+    seen_empty[10, :, 55] = True
+    expected = stool()
+    expected[11:14, 10:14, 50:60] = True
+    np.testing.assert_array_equal(carried(stool(), seen_empty), expected)
+
+
+def test_a_stick_beside_the_seat_a_speck_and_something_far_below_stay_as_they_are():
+    beside = np.s_[36:39, 10:14, :50]
+    speck = np.s_[10:14, 10:14, :8]
+    far_below = np.s_[10:14, 10:14, :30]
+    for leg in (beside, speck, far_below):
+        np.testing.assert_array_equal(carried(stool(leg)), stool(leg))
+
+
+def test_what_hangs_is_no_leg():
+    hanging = np.s_[10:14, 10:14, 30:50]
+    np.testing.assert_array_equal(carried(stool(hanging)), stool(hanging))
+
+
+def test_one_piece_stays_as_it_is():
+    whole = stool(np.s_[10:14, 10:14, :60])
+    assert carried(whole) is whole

@@ -1,0 +1,114 @@
+"""The floor: below a larger table top, beside a wall, in any world frame."""
+
+import numpy as np
+import pytest
+from analytic_scenes import ring
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
+from kinectbench.stages.segment.floor import find_floor, floor_frame
+
+CELL_M = 0.03
+FOCUS = np.array([0.0, 0.0, 0.3])
+CAMERAS = ring(12, 1.6, (0.0, 0.0, 0.3), (0.35, 0.6))
+WORLDS = {
+    "upright": np.eye(4),
+    "tilted": rigid(rotation_from_quaternion_xyzw([0.4, -0.5, 0.2, 0.7]), [1.0, -2.0, 0.7]),
+    "camera": invert_rigid(CAMERAS[0]),
+}
+
+
+def patch(u, v, height, normal_axis, noise_m, rng):
+    """Points every 30 mm on a rectangle at `height` along an axis, with noise along it; and normals."""
+    a, b = np.meshgrid(np.arange(*u, CELL_M), np.arange(*v, CELL_M))
+    points = np.insert(np.column_stack([a.ravel(), b.ravel()]), normal_axis, height, axis=1)
+    points[:, normal_axis] += rng.normal(0, noise_m, len(points))
+    normals = np.zeros_like(points)
+    normals[:, normal_axis] = 1
+    normals += rng.normal(0, 0.03, normals.shape)
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def room(noise_m=0.004, floor=True, seed=0):
+    """A floor of 1.8 x 1.8 m, a table top of 2.5 x 2 m at 0.55 m (larger), and a wall larger than both."""
+    rng = np.random.default_rng(seed)
+    parts = [
+        patch((0.9, 3.4), (-1.0, 1.0), 0.55, 2, noise_m, rng),
+        patch((-2.0, 2.0), (0.0, 2.4), 2.5, 1, noise_m, rng),
+    ]
+    if floor:
+        parts.append(patch((-0.9, 0.9), (-0.9, 0.9), 0.0, 2, noise_m, rng))
+    points, normals = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    assert 1.8**2 < 2.5 * 2.0
+    return points, normals
+
+
+def found_in(world, points, normals, cameras=CAMERAS, seed=0):
+    T = WORLDS[world]
+    return find_floor(
+        transform_points(T, points), normals @ T[:3, :3].T, T @ cameras, transform_points(T, FOCUS), seed
+    )
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("seed", [0, 7])
+def test_the_floor_is_found_below_a_larger_table(world, seed):
+    points, normals = room(seed=seed)
+    floor = found_in(world, points, normals, seed=seed)
+    T = WORLDS[world]
+    up = T[:3, :3] @ [0, 0, 1]
+    assert np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ up))) < 0.2
+    # Height of the true floor below the focus above the plane that was found.
+    height_m = floor.plane_world[:3] @ transform_points(T, np.zeros(3)) + floor.plane_world[3]
+    assert abs(height_m) < 0.003
+    assert np.linalg.norm(floor.plane_world[:3]) == pytest.approx(1)
+    assert floor.noise_m == pytest.approx(0.004, rel=0.25)
+    assert floor.inlier_share == pytest.approx(3721 / len(points), abs=0.05)
+
+
+def test_same_seed_same_floor():
+    points, normals = room()
+    one, two = (found_in("tilted", points, normals) for _ in range(2))
+    np.testing.assert_array_equal(one.plane_world, two.plane_world)
+
+
+def test_no_floor():
+    points, normals = room(floor=False)
+    wall = normals[:, 1] > 0.5
+    with pytest.raises(SegmentationError, match=r"no floor found.*more of the floor"):
+        found_in("upright", points[wall], normals[wall])
+
+
+def test_a_ceiling_or_a_plane_above_a_camera_is_no_floor():
+    points, normals = room()
+    low = CAMERAS.copy()
+    low[3, 2, 3] = 0.05  # one camera less than 0.1 m above the floor
+    with pytest.raises(SegmentationError, match="no floor found"):
+        found_in("upright", points, normals, low)
+
+
+def test_frame_of_the_floor():
+    normal = np.array([0.1, 0.2, 0.97])
+    normal /= np.linalg.norm(normal)
+    plane = np.append(normal, -0.35)
+    T_floor_world = floor_frame(plane)
+    np.testing.assert_allclose(T_floor_world[:3, :3] @ T_floor_world[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(T_floor_world[:3, :3]) == pytest.approx(1)
+    # z up, and z = 0 on the plane
+    np.testing.assert_allclose(T_floor_world[:3, :3] @ normal, [0, 0, 1], atol=1e-12)
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    heights_m = transform_points(T_floor_world, points)[:, 2]
+    np.testing.assert_allclose(heights_m, points @ normal - 0.35, atol=1e-12)
+    # the world's origin is straight above (or below) the origin of the floor
+    np.testing.assert_allclose(transform_points(T_floor_world, np.zeros(3))[:2], 0, atol=1e-12)
+    # the world's x axis projects onto the floor's
+    along = T_floor_world[:3, :3] @ [1, 0, 0]
+    assert along[0] > 0 and abs(along[1]) < 1e-12
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_degenerate_x_axis_uses_z(sign):
+    T_floor_world = floor_frame(np.array([sign, 0.0, 0.0, 0.4]))
+    np.testing.assert_allclose(T_floor_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(T_floor_world[:3, :3] @ [1, 0, 0], [0, 0, sign], atol=1e-12)
+    assert np.linalg.det(T_floor_world[:3, :3]) == pytest.approx(1)

@@ -1,0 +1,76 @@
+"""Small analytic recordings with something wrong in them: a box on a floor, seen by 160 x 120 pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from analytic_scenes import CAMERA, Surface, box, depth_of, plane, ring, sequence_of, trajectory_of
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh
+from kinectbench.core.sequence import Sequence
+from kinectbench.engine.object import build_object
+from kinectbench.settings.models import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
+from kinectbench.stages.fuse import fuse
+from kinectbench.stages.sample_views.views import Views, sample_views
+from kinectbench.stages.segment.candidates import Candidates, find_candidates
+from kinectbench.stages.segment.choose import Segmentation, segment
+from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.segment.witness import Witness, witness
+from kinectbench.stages.track import Trajectory
+
+SMALL = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
+FUSION = FusionSettings(voxel_size_m=0.01, scene_voxel_size_m=0.02)
+SEGMENTATION = SegmentationSettings()
+# Resolves gaps of a finger's breadth.
+FINE = {"camera": CAMERA, "fusion": FusionSettings(voxel_size_m=0.01, max_depth_m=2.2)}
+FLOOR = plane((0, 0, 1), 0.0)
+OBJECT = box((-0.2, -0.15, 0.0), (0.2, 0.15, 0.5))
+AROUND = ring(24, 1.4, (0.0, 0.0, 0.25), (0.4, 0.7))
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording and the surface fused from it."""
+
+    sequence: Sequence
+    trajectory: Trajectory
+    scene: TriangleMesh
+
+    def segment(self, given: OrientedBox | None = None) -> Segmentation:
+        return segment(self.scene, self.trajectory, given, SEGMENTATION)
+
+    def suggest(self) -> Candidates:
+        return find_candidates(self.scene, self.trajectory, SEGMENTATION)
+
+    def witness(self, given: OrientedBox | None = None) -> Witness:
+        return witness(self.sequence, self.trajectory, self.scene, self.segment(given))
+
+    def model(self, given: OrientedBox | None = None) -> ObjectModel:
+        return build_object(self.sequence, self.trajectory, self.scene, given, SEGMENTATION, FUSION)
+
+    def views(self, model: ObjectModel) -> Views:
+        settings = (ViewSettings(min_pixels=50), SEGMENTATION, PairSettings())
+        return sample_views(self.sequence, self.trajectory, model, *settings)
+
+
+def recorded(
+    surfaces: list[Surface],
+    poses: NDArray[np.float64] = AROUND,
+    passing: dict[int, list[Surface]] | None = None,
+    camera: Camera = SMALL,
+    fusion: FusionSettings = FUSION,
+) -> Recorded:
+    """Record surfaces, with more of them in some frames, and fuse the frames."""
+    depths_m = [
+        depth_of([*surfaces, *(passing or {}).get(k, [])], camera, pose) for k, pose in enumerate(poses)
+    ]
+    sequence, trajectory = sequence_of(depths_m, camera, poses), trajectory_of(poses)
+    return Recorded(sequence, trajectory, fuse(sequence, trajectory, fusion).mesh)
+
+
+def table_of(low: tuple[float, float, float], high: tuple[float, float, float]) -> list[Surface]:
+    """A table that fills a box: a top of 60 mm, and a panel below its edge at the largest x."""
+    return [
+        box((low[0], low[1], high[2] - 0.06), high),
+        box((high[0] - 0.06, low[1], low[2]), high),
+    ]

@@ -1,0 +1,32 @@
+"""One small simulated chair with its object model, made once per process."""
+
+import functools
+from dataclasses import dataclass
+
+from analytic_scenes import Furniture, furniture, small_spec
+
+from kinectbench.engine.object import build_object
+from kinectbench.settings.models import FusionSettings, SegmentationSettings, TrackingSettings
+from kinectbench.stages.fuse import fuse
+from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.track import Trajectory, track
+
+FUSION = FusionSettings(voxel_size_m=0.008, scene_voxel_size_m=0.016, max_depth_m=2.4)
+
+
+@dataclass(frozen=True)
+class Chair:
+    """A recording, its truth, its trajectory and its object."""
+
+    recorded: Furniture
+    trajectory: Trajectory
+    model: ObjectModel
+
+
+@functools.cache
+def chair() -> Chair:
+    recorded = furniture(small_spec("chair:seed=9", 24, world="random"))
+    trajectory = track(recorded.sequence, "trust", TrackingSettings())
+    scene = fuse(recorded.sequence, trajectory, FUSION).mesh
+    model = build_object(recorded.sequence, trajectory, scene, None, SegmentationSettings(), FUSION)
+    return Chair(recorded, trajectory, model)
