@@ -75,7 +75,14 @@ def _table(model: type[Stored]) -> str:
 
 
 def _markdown(rows: list[tuple[str, ...]]) -> str:
-    return "".join(f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |\n" for row in rows)
+    return "".join(f"| {' | '.join(map(_cell, row))} |\n" for row in rows)
+
+
+def _cell(text: str) -> str:
+    """A cell's text. Outside of code, Markdown would take a bracket for a link and `<` for a tag."""
+    plain_and_code = re.split(r"(`[^`]*`)", text.replace("|", "&#124;"))
+    plain_and_code[::2] = [plain.replace("[", r"\[").replace("<", "&lt;") for plain in plain_and_code[::2]]
+    return "".join(plain_and_code)
 
 
 def _rows(part: Schema, root: Schema, above: str, known: dict[str, str]) -> Iterator[tuple[str, str, str]]:
@@ -94,7 +101,7 @@ def _rows(part: Schema, root: Schema, above: str, known: dict[str, str]) -> Iter
         if name not in part.get("required", ()):
             kind = f"{kind.removesuffix(' or null')}, optional"
         meaning = "; ".join([schema.get("description", ""), *(f"keys as in `{one}`" for one in again)])
-        yield f"`{key}`", kind, meaning.replace("<", "&lt;") if "`" not in meaning else meaning
+        yield f"`{key}`", kind, meaning
         for title, inner, steps in found:
             if title not in known:
                 known[title] = key
