@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import Sequence
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.registry import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 # What a layout cannot hold: no stated pose; colour as a video.

@@ -18,8 +18,8 @@ from memory import peak_mb
 
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_depth_png
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.registry import open_recording
 from kinectbench.stages.ingest.sequence_folder import write_sequence
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))

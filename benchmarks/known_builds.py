@@ -31,7 +31,7 @@ from kinectbench.lab.evaluate.build import Build
 from kinectbench.lab.simulate.render import sample_surface
 from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, truth_occupancy
 from kinectbench.settings.models import PairSettings
-from kinectbench.stages.pairs.pairs import full_shape, make_pair
+from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import View, Views, write_views

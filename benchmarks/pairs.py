@@ -20,7 +20,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.engine.steps import read_tracked
 from kinectbench.settings.models import PairSettings
-from kinectbench.stages.pairs.pairs import FullShape, full_shape, make_pair
+from kinectbench.stages.pairs import FullShape, full_shape, make_pair
 from kinectbench.stages.sample_views.views import View, read_views
 from kinectbench.stages.segment.object_model import ObjectModel, read_object
 

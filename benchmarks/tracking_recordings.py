@@ -18,7 +18,7 @@ from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import is_truth, truth_folder
 from kinectbench.settings.models import TrackingSettings
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 FAMILIES, SEEDS = ("chair", "table", "couch", "bench"), (1, 2, 3)

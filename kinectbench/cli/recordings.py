@@ -26,7 +26,7 @@ def init(
     """Write a commented benchmark.yaml for the recordings found in a folder."""
     from kinectbench.core.storage import replaced_file
     from kinectbench.settings.file import init_benchmark
-    from kinectbench.stages.ingest.registry import find_recordings, name_suffixes
+    from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
 
     target = folder / "benchmark.yaml"
     if not folder.is_dir():
@@ -45,7 +45,7 @@ def init(
 @takes("as_json")
 def formats(common: Common) -> None:
     """List the formats of recordings that are read, what tells each, and on what it was verified."""
-    from kinectbench.stages.ingest.registry import FORMATS, reader_of
+    from kinectbench.stages.ingest.readers import FORMATS, reader_of
 
     rows = [
         {"format": name, "is": reader_of(name).looks_for, "verified": reader_of(name).verified or None}

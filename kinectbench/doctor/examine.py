@@ -25,8 +25,8 @@ from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
-from kinectbench.stages.ingest.registry import open_recording
 
 # Focal length of a Kinect, as a share of the width.
 USUAL_FOCAL = 525 / 640

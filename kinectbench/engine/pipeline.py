@@ -159,7 +159,7 @@ def _make(job: Job, stage: Stage, artefact: Artefact, report: Callable[[str, int
 def _explained(job: Job, failure: KinectBenchError) -> str:
     """The line of a failure, behind the doubts about the depth's scale, if there are any: they explain it."""
     from kinectbench.doctor.during_build import doubted_scale
-    from kinectbench.stages.ingest.registry import open_recording
+    from kinectbench.stages.ingest.readers import open_recording
 
     try:
         recording = open_recording(job.source, job.recording.camera)

@@ -119,7 +119,7 @@ def _mask_sources(job: Job) -> Mapping[str, str]:
 
 
 def _recording_sources(job: Job) -> Mapping[str, str]:
-    from kinectbench.stages.ingest.registry import source_files
+    from kinectbench.stages.ingest.readers import source_files
 
     if not job.source.exists():
         raise RecordingError(f"{job.source}: no such recording; correct `path` of '{job.recording.id}'")

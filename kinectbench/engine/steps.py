@@ -17,9 +17,9 @@ from kinectbench.engine.object import build_object
 from kinectbench.engine.stages import SUGGEST, Job
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.reconstruction import write_reconstruction
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.pairs.pairs import full_shape, write_pairs
+from kinectbench.stages.pairs import full_shape, write_pairs
 from kinectbench.stages.sample_views.views import read_masks, read_views, sample_views, write_views
 from kinectbench.stages.segment.candidate_pictures import write_candidates
 from kinectbench.stages.segment.candidates import find_candidates

@@ -12,7 +12,7 @@ from kinectbench.lab.simulate.presets import PRESETS
 from kinectbench.lab.simulate.truth import read_truth
 from kinectbench.release.check.verify import verify
 from kinectbench.release.release import open_release
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 
 Command = Callable[..., Run]
 SMALL = ("--set", "sensor.width=160", "--set", "sensor.height=120", "--frames", "3")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from small_benchmark import Run
 
-from kinectbench.stages.ingest.registry import FORMATS
+from kinectbench.stages.ingest.readers import FORMATS
 
 
 def test_formats(command: Callable[..., Run], tmp_path: Path) -> None:

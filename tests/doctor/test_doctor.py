@@ -18,7 +18,7 @@ from kinectbench.doctor.finding import Diagnosis, gravest_first
 from kinectbench.doctor.look import frames_to_read
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 CHAIR = RECORDINGS / "chair_01"

@@ -14,7 +14,7 @@ from kinectbench.doctor.during_build import OffsetWatch
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 CHAIR = Path(__file__).parents[2] / "recordings/chair_01"

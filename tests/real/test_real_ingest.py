@@ -14,7 +14,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.stamps import parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import text_rows
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.registry import find_recordings, open_recording
+from kinectbench.stages.ingest.readers import find_recordings, open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 DATA = os.environ.get("KINECTBENCH_DATA")

@@ -24,7 +24,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.release.exchange.bop_export import export_bop
 from kinectbench.release.exchange.bop_object import object_in_view
 from kinectbench.release.release import open_release
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 
 HALF_BOX_MM = (np.array(BOX_HIGH) - np.array(BOX_LOW)) * 500
 SCENES = {"chair_01": "test/000001", "chair_02": "test/000002", "chair_03": "val/000003"}

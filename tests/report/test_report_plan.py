@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.trajectory import RejectedFrame
 from kinectbench.report import figures as words
 from kinectbench.report import recording
 from kinectbench.report.plan import PlanView, draw_plan, time_color
-from kinectbench.stages.track.check.verdict import GRADES
+from kinectbench.stages.track.verdict import GRADES
 
 
 def test_plan_is_seen_from_above_to_scale() -> None:

@@ -6,7 +6,7 @@ import pytest
 from kinectbench.core.errors import SettingsError
 from kinectbench.settings.file import init_benchmark, load_benchmark
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
-from kinectbench.stages.ingest.registry import name_suffixes
+from kinectbench.stages.ingest.readers import name_suffixes
 
 GOOD = """\
 name: furniture

@@ -13,7 +13,7 @@ from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.build import Registration
 from kinectbench.lab.simulate.truth import Truth, truth_occupancy
-from kinectbench.stages.pairs.pairs import full_shape
+from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel
 
 

@@ -1,8 +1,8 @@
 """The stage `track`: a pose for every frame that can be had, and how far it can be trusted.
 
 Where poses come from: a trajectory that is trusted is checked against the depth and kept as it is, but for
-the frames that disagree (`check.check_given`); without one, or to refine it, `tracker.track_frames` decides
-every pose. Then the whole is judged (`check.health`).
+the frames that disagree (`check_given`); without one, or to refine it, `tracker.track_frames` decides
+every pose. Then the whole is judged (`health`).
 """
 
 import numpy as np
@@ -14,14 +14,14 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Progress
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
-from kinectbench.stages.track.check.check_given import (
+from kinectbench.stages.track.check_given import (
     GivenCheck,
     as_refined,
     check_given,
     trusted,
     warnings_of,
 )
-from kinectbench.stages.track.check.health import health
+from kinectbench.stages.track.health import health
 from kinectbench.stages.track.tracked import Tracked
 from kinectbench.stages.track.tracker import track_frames
 

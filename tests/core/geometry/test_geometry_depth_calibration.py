@@ -15,7 +15,7 @@ from kinectbench.core.geometry.depth import NO_CALIBRATION, TERMS, DepthCalibrat
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.engine.steps import read_tracked
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 CAMERA = Camera(6, 4, 5.0, 5.0, 2.5, 1.5)

@@ -18,7 +18,7 @@ from kinectbench.lab.evaluate.solid import iou, share
 from kinectbench.lab.evaluate.surface import SurfaceErrors, surface_errors, surface_figures
 from kinectbench.lab.simulate.truth import SurfaceTruth
 from kinectbench.settings.models import PairSettings
-from kinectbench.stages.pairs.pairs import full_shape, make_pair
+from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
 from kinectbench.stages.segment.floor import Floor, floor_frame
 

@@ -20,7 +20,7 @@ from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import read_truth, truth_folder, truth_occupancy
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS
 from kinectbench.settings.models import BenchmarkSettings, CameraSettings
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -16,8 +16,8 @@ from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xy
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig, cut, stamp_as_read
 from kinectbench.lab.simulate.writers.image_folders import seconds
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import FORMATS, open_recording
 from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
-from kinectbench.stages.ingest.registry import FORMATS, open_recording
 from kinectbench.stages.ingest.sequence_folder import write_sequence
 
 READER = {

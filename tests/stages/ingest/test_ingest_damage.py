@@ -16,8 +16,8 @@ from test_ingest_rosbag2 import write_bag as write_bag2
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.recording import RawFrame
-from kinectbench.stages.ingest.registry import format_of, open_recording
 
 NATIVE = CameraSettings(depth_scale=5000.0)
 

@@ -22,8 +22,7 @@ from ingest_writers import (
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.registry import (
+from kinectbench.stages.ingest.readers import (
     FORMATS,
     find_recordings,
     name_suffixes,
@@ -31,6 +30,7 @@ from kinectbench.stages.ingest.registry import (
     reader_of,
     source_files,
 )
+from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 SMALL = Camera(**CAMERA)  # type: ignore[arg-type]
 

@@ -14,8 +14,8 @@ from test_ingest_phones_bop import bop, scanner_app, stray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.recording import DamagedFrame
-from kinectbench.stages.ingest.registry import format_of, open_recording
 
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "tum": write_tum,

@@ -15,8 +15,8 @@ from ingest_writers import CAMERA, CX, CY, FX, FY, HEIGHT, WIDTH, color_image, d
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame
-from kinectbench.stages.ingest.registry import open_recording
 
 SETTINGS = CameraSettings(**CAMERA)
 START_US = 1_305_031_107_000_000

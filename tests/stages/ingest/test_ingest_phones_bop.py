@@ -12,7 +12,7 @@ from ingest_writers import START_NS, STEP_NS, depth_image, jpeg, png, seconds
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 
 BIG = (256, 192)  # 4 times the depth images
 K_BIG = np.array([[240.0, 0, 127.5], [0, 244.0, 95.5], [0, 0, 1]])

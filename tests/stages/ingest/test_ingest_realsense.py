@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ingest_writers import CAMERA, START_NS, BagWriter, color_image, depth_image
 
-from kinectbench.stages.ingest.registry import format_of, open_recording
+from kinectbench.stages.ingest.readers import format_of, open_recording
 
 DEPTH = "/device_0/sensor_0/Depth_0"
 COLOR = "/device_0/sensor_1/Color_0"

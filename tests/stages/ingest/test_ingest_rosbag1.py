@@ -25,8 +25,8 @@ from ingest_writers import (
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
-from kinectbench.stages.ingest.registry import format_of, open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 NATIVE = CameraSettings(depth_scale=5000.0)

@@ -20,8 +20,8 @@ from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xy
 from kinectbench.lab.simulate.writers.bags import MessageMaker
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.recording import RawFrame
-from kinectbench.stages.ingest.registry import format_of, open_recording
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types

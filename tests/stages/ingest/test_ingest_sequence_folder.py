@@ -26,7 +26,7 @@ from kinectbench.core.errors import RecordingError, StorageError, TrackingError
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw
 from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.depth_code import encode_depth
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.track import track
 

@@ -16,7 +16,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, read_pair, unpack
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
-from kinectbench.stages.pairs.pairs import MadePair, full_shape, make_pair, pair_row
+from kinectbench.stages.pairs import MadePair, full_shape, make_pair, pair_row
 from kinectbench.stages.sample_views.views import View, sample_views
 
 pytestmark = pytest.mark.xdist_group("chair_model")

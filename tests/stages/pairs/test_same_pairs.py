@@ -16,9 +16,9 @@ from kinectbench.core.voxels.known_cells import known_grid
 from kinectbench.core.voxels.pair_file import pair_bytes
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
 from kinectbench.settings.models import CameraSettings, PairSettings
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.pairs.pairs import FullShape, make_pair
+from kinectbench.stages.pairs import FullShape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import View

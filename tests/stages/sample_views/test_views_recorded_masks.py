@@ -21,7 +21,7 @@ from kinectbench.settings.models import (
     ViewSettings,
 )
 from kinectbench.stages.fuse import fuse
-from kinectbench.stages.ingest.registry import open_recording
+from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.sample_views.views import Views, sample_views
 from kinectbench.stages.segment.object_model import ObjectModel

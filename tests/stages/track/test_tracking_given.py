@@ -26,8 +26,8 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.sequence import GivenTrajectory, Sequence
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
-from kinectbench.stages.track.check.check_given import NO_DEPTH, GivenCheck, check_given, warnings_of
-from kinectbench.stages.track.check.disagreement import ask, residuals_m
+from kinectbench.stages.track.check_given import NO_DEPTH, GivenCheck, check_given, warnings_of
+from kinectbench.stages.track.disagreement import ask, residuals_m
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.pictures import write_pictures
 

@@ -19,12 +19,12 @@ from kinectbench.core.images import image_sharpness, relative_blur
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.trajectory.coverage import convergence_point, covered_arc_rad, covisibility, from_above
-from kinectbench.stages.track.check.check_given import GivenCheck
-from kinectbench.stages.track.check.figures import median, median_depths_m, sharpness, tie_correction
-from kinectbench.stages.track.check.frame_check import FrameCheck
-from kinectbench.stages.track.check.health import health
-from kinectbench.stages.track.check.verdict import judge, recommend
+from kinectbench.stages.track.check_given import GivenCheck
+from kinectbench.stages.track.frame_check import FrameCheck
+from kinectbench.stages.track.health import health
+from kinectbench.stages.track.health_figures import median, median_depths_m, sharpness, tie_correction
 from kinectbench.stages.track.tracked import Tie, Tracked
+from kinectbench.stages.track.verdict import judge, recommend
 
 SMALL = Camera(80, 60, 65.625, 65.625, 39.5, 29.5)
 FLOOR = plane((0, 0, 1), -0.3)

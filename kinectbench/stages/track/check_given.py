@@ -13,11 +13,11 @@ from kinectbench.core.sequence import Sequence, counts_frames
 from kinectbench.core.trajectory.compare import compare_poses, has_pose
 from kinectbench.core.types import Float64, Progress
 from kinectbench.settings.models import TrackingSettings
-from kinectbench.stages.track.check.disagreement import distant_residual_m, tie_distant
-from kinectbench.stages.track.check.figures import median
-from kinectbench.stages.track.check.frame_check import FrameCheck, check_frames, evenly_spread
 from kinectbench.stages.track.depth_calibration import calibrate_posed
+from kinectbench.stages.track.disagreement import distant_residual_m, tie_distant
+from kinectbench.stages.track.frame_check import FrameCheck, check_frames, evenly_spread
 from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.health_figures import median
 from kinectbench.stages.track.map_kernels import MAX_DEPTH_M, MIN_DEPTH_M
 from kinectbench.stages.track.tracked import State, Tie, Tracked
 

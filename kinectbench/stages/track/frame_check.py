@@ -13,7 +13,7 @@ from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Bools, Float64, Int64, Progress
 from kinectbench.settings.models import TrackingSettings
-from kinectbench.stages.track.check.disagreement import Disagreement, ask, disagreement, residuals_m
+from kinectbench.stages.track.disagreement import Disagreement, ask, disagreement, residuals_m
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import is_believable
 from kinectbench.stages.track.registration import Registration, register, score, search

@@ -23,8 +23,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility
 from kinectbench.core.types import Bools, Float64
-from kinectbench.stages.track.check.check_given import GivenCheck
-from kinectbench.stages.track.check.figures import (
+from kinectbench.stages.track.check_given import GivenCheck
+from kinectbench.stages.track.health_figures import (
     TieCorrection,
     frame_rows,
     lost_stretches,
@@ -34,8 +34,8 @@ from kinectbench.stages.track.check.figures import (
     sharpness,
     tie_correction,
 )
-from kinectbench.stages.track.check.verdict import judge, recommend
 from kinectbench.stages.track.tracked import Tie, Tracked
+from kinectbench.stages.track.verdict import judge, recommend
 
 COVISIBLE_KEYFRAMES = 60
 

@@ -1,1 +1,0 @@
-"""The partial and the full shape of each view."""

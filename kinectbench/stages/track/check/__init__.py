@@ -1,1 +1,0 @@
-"""How far poses can be trusted."""
