@@ -7,12 +7,11 @@ from pathlib import Path
 from kinectbench.core.artefacts.gallery import Gallery, read_gallery, write_gallery
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import NamedProgress
 from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, gallery_cells, read_pair_truth
-from kinectbench.report.page import Beside, Ranking, make_page, write_report
+from kinectbench.report.page import Beside, Ranks, write_report
 from kinectbench.scoring.compare import ALL, compare, find_scores
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
@@ -106,24 +105,25 @@ def _read(path: Path) -> ScoreFile:
     return ScoreFile(path, ScoreTable.read_file(path), read_gallery(path))
 
 
-def rank(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Ranking:
+def rank(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> tuple[Ranks, tuple[str, ...]]:
     """Rank methods by a paired test over objects (see `compare`).
 
     Args:
         tables: of one truth; a rank is given to those that are complete and have rows. Baselines that were
             added have none: more comparisons would only make methods harder to tell apart.
         protocols: under which to rank.
+
+    Returns:
+        The ranks, and what to know of them, one line each.
     """
     ranked = {
         index: table
         for index, table in enumerate(tables)
         if table.complete and table.rows and not table.baseline
     }
-    if len(ranked) < 2:
-        return Ranking()
     found: dict[str, dict[int, int]] = {}
     notes: list[str] = []
-    for protocol in protocols:
+    for protocol in protocols if len(ranked) > 1 else ():
         try:
             compared = compare([*ranked.values()], protocol=protocol)
         except SettingsError as error:
@@ -132,7 +132,7 @@ def rank(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Ranking:
         of = compared.ranks[ALL if ALL in compared.ranks else next(iter(compared.ranks))]
         found[protocol] = dict(zip(ranked, (of[name] for name in compared.methods), strict=True))
         notes += [note for note in compared.notes if note not in notes]
-    return Ranking(found, tuple(notes))
+    return found, tuple(notes)
 
 
 def page_of_benchmark(
@@ -160,10 +160,9 @@ def page_of_benchmark(
         SettingsError: a score file that was named is missing or of another truth.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
-    files, warnings = _files(scores, release, baselines)
-    tables = [file.table for file in files]
+    tables, beside, warnings = _scores(scores, release, baselines)
     page = out or _folder(scores, root / "scores") / INDEX
-    return write_report(settings, root / "build", tables, page, progress, _beside(files, release)), warnings
+    return write_report(settings, root / "build", tables, page, progress, beside), warnings
 
 
 def page_of_release(
@@ -177,12 +176,9 @@ def page_of_release(
     ]
     pairs = PairSettings(framing=info.framing, partial_rule=info.partial_rule)
     settings = BenchmarkSettings(name=info.name, license=info.license, recordings=recordings, pairs=pairs)
-    files, warnings = _files(scores, release, baselines)
-    text = make_page(settings, (), [file.table for file in files], _beside(files, release), info)
+    tables, beside, warnings = _scores(scores, release, baselines)
     page = out or _folder(scores, Path("scores")) / INDEX
-    with replaced_file(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return page, warnings
+    return write_report(settings, None, tables, page, beside=beside, released=info), warnings
 
 
 def write_galleries(
@@ -210,16 +206,25 @@ def write_galleries(
         write_gallery(cells, scores / SCORES_JSON)
 
 
-def _files(
+def _scores(
     scores: Path | Sequence[Path], release: Release | None, baselines: bool
-) -> tuple[list[ScoreFile], list[str]]:
+) -> tuple[list[ScoreTable], Beside, list[str]]:
+    """The tables to show, what is shown with them, and a warning for each file that is left out."""
     sha256 = release.benchmark_sha256 if release else None
     warnings: list[str] = []
     if isinstance(scores, Path):
         files, warnings = files_in(scores, sha256)
     else:
         files = files_named(scores, sha256)
-    return [*files, *(baselines_of(files) if baselines else [])], warnings
+    files += baselines_of(files) if baselines else []
+    tables = [file.table for file in files]
+    # The truth that is shown is the release's, whatever came with the scores.
+    truths: dict[str, PairTruth] = {}
+    if release is not None:
+        targets = {target.name: target for target in release.split("test")}
+        wanted = {name for file in files if file.gallery for name in file.gallery.cells}
+        truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
+    return tables, Beside(*rank(tables, RANKED), [file.gallery for file in files], truths), warnings
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:
@@ -227,14 +232,3 @@ def _folder(scores: Path | Sequence[Path], default: Path) -> Path:
     if isinstance(scores, Path):
         return scores
     return scores[0] if len(scores) == 1 and scores[0].is_dir() else default
-
-
-def _beside(files: Sequence[ScoreFile], release: Release | None) -> Beside:
-    """Ranks and galleries; the truth that is shown is the release's, whatever came with the scores."""
-    truths: dict[str, PairTruth] = {}
-    if release is not None:
-        targets = {target.name: target for target in release.split("test")}
-        wanted = {name for file in files if file.gallery for name in file.gallery.cells}
-        truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
-    ranking = rank([file.table for file in files], RANKED)
-    return Beside(ranking, [file.gallery for file in files], truths)

@@ -208,11 +208,11 @@ def test_ranks_tie_what_cannot_be_told_apart(tmp_path: Path) -> None:
         ranked_file(tmp_path, name, gain) for name, gain in (("low", 0.0), ("top", 0.2), ("as-top", 0.2))
     ]
     paths.insert(1, put(tmp_path, "older"))  # has no rows to test
-    found = rank(read(paths), ("known", "occluded"))
-    assert found.of == {"known": {0: 3, 2: 1, 3: 1}}
-    assert any("occluded" in note for note in found.notes)
-    assert rank(read(paths[:2]), ("known",)).of == {}
+    ranks, notes = rank(read(paths), ("known", "occluded"))
+    assert ranks == {"known": {0: 3, 2: 1, 3: 1}}
+    assert any("occluded" in note for note in notes)
+    assert rank(read(paths[:2]), ("known",)) == ({}, ())
     many = [ranked_file(tmp_path, name, gain, objects=45) for name, gain in (("many", 0.1), ("more", 0.2))]
-    found = rank(read(many), ("known",))
-    assert found.of == {"known": {0: 2, 1: 1}}
-    assert any("a million sign flips drawn" in note for note in found.notes)
+    ranks, notes = rank(read(many), ("known",))
+    assert ranks == {"known": {0: 2, 1: 1}}
+    assert any("a million sign flips drawn" in note for note in notes)
