@@ -18,7 +18,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from recgan_reader import block_maximum, centring_shift, load
 
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.voxels.morphology import packed_containment, packed_shell
+from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
@@ -73,7 +73,7 @@ def one_pair(checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, clock: Cl
     grids = clock.time("partial", lambda: partial_grids(depth_m, camera, pose, grid))
     clock.time("shell", lambda: packed_shell(full))
     clock.time("seen", lambda: seen_cells(depth_m, camera, pose, grid, noisy=False))
-    clock.time("containment", lambda: packed_containment(grids[1], full))
+    clock.time("containment", lambda: containment(grids[1], full))
     made = make_pair(checked, eye, view, SETTINGS)
     clock.time("encode", lambda: pair_bytes(made.pair))
     return len(clock.time("whole pair", lambda: pair_bytes(make_pair(checked, eye, view, SETTINGS).pair)))

@@ -21,8 +21,6 @@ BLUE: Color = (118, 160, 205)
 # Towards the light, in the viewpoint's axes: from above, the left and behind the viewer.
 LIGHT = np.array([-0.45, -0.7, -0.55]) / np.linalg.norm([-0.45, -0.7, -0.55])
 SUPERSAMPLING = 1.5
-ONE, TWO, FOUR = np.uint64(1), np.uint64(2), np.uint64(4)
-FIVES, THREES, FIFTEENS = (np.uint64(int(byte * 8, 16)) for byte in ("55", "33", "0f"))
 
 
 @dataclass(frozen=True)
@@ -126,14 +124,10 @@ def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleM
 def block_density(packed: NDArray[np.uint8]) -> Float32:
     """Share of set cells in each 4x4x4 block of a packed grid: (n, n, n / 8) uint8 to (n / 4,) * 3."""
     n = packed.shape[0] // 4
-    # Bits are counted side by side in 64-bit words: in pairs, in fours, then each half byte apart.
-    words = np.ascontiguousarray(packed).view(np.uint64)
-    twos = words - (words >> ONE & FIVES)
-    fours = (twos & THREES) + (twos >> TWO & THREES)
-    halves = np.stack([fours >> FOUR & FIFTEENS, fours & FIFTEENS])
-    # A sum of 16 counts is at most 64: no byte of a word runs over.
-    sums = halves.reshape(2, n, 4, n, 4, -1).sum(axis=(2, 4), dtype=np.uint64).view(np.uint8)
-    counts = np.stack([sums[0], sums[1]], axis=-1).reshape(n, n, n)
+    half_bytes = np.stack([np.bitwise_count(packed >> 4), np.bitwise_count(packed & 15)], axis=-1)
+    # A sum of 16 counts is at most 64. Along one axis after the other numpy adds whole rows.
+    rows = np.add.reduce(half_bytes.reshape(n, 4, n, 4, n), axis=1, dtype=np.uint8)
+    counts: NDArray[np.uint8] = np.add.reduce(rows, axis=2, dtype=np.uint8)
     return counts.astype(np.float32) * np.float32(1 / 64)
 
 

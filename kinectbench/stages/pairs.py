@@ -13,7 +13,7 @@ from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
-from kinectbench.core.voxels.morphology import packed_containment, packed_count, packed_shell
+from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
@@ -92,7 +92,7 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
     full = voxelize_solid(mesh.vertices, mesh.faces, grid)
     partial_256, partial = partial_grids(object_m, camera, T_world_camera, grid)
     cut_share = max(0.0, 1.0 - packed_count(full) * grid.voxel_size_m**3 / shape.volume_m3)
-    reason = _refusal(settings, cut_share, packed_containment(partial, full))
+    reason = _refusal(settings, cut_share, containment(partial, full))
     if reason:
         return MadePair(None, cut_share, reason)
     if settings.partial_rule != "any":

@@ -1,41 +1,42 @@
-"""Surfaces, dilated blocks and containment of grids, of booleans and of packed bits."""
+"""Surfaces, dilated blocks and containment of packed grids."""
+
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools, Int64
-from kinectbench.core.voxels.pair_file import BLOCK
+from kinectbench.core.voxels.pair_file import BLOCK, Packed, unpack
 
 
-def blocks_touched(occupied: Bools, block: int) -> Bools:
-    """Blocks of `block`^3 cells that hold a cell of `occupied` dilated once (26 neighbours).
+def blocks_touched(full: Packed) -> Bools:
+    """Blocks of 4^3 cells that hold a set cell, or lie next to one (26 neighbours).
 
     Args:
-        occupied: (n, n, n) bool, n a multiple of block.
-        block: cells along a block's edge.
+        full: (n, n, n / 8) uint8, packed.
 
     Returns:
-        (n / block,) * 3 bool.
+        (n / 4,) * 3 bool.
     """
-    result = occupied
+    result: NDArray[Any] = full
     for axis in range(3):
-        blocks = np.moveaxis(result, axis, 0)
-        blocks = blocks.reshape(-1, block, *blocks.shape[1:])
-        touched: Bools = np.any(blocks, axis=1)
-        touched[1:] |= blocks[:-1, -1]
-        touched[:-1] |= blocks[1:, 0]
+        if axis == 2:  # along x and y eight cells are looked at at once
+            result = unpack(result)
+        layers = np.moveaxis(result, axis, 0)
+        touched = layers[0::BLOCK] | layers[1::BLOCK] | layers[2::BLOCK] | layers[3::BLOCK]
+        touched[1:] |= layers[BLOCK - 1 : -1 : BLOCK]
+        touched[:-1] |= layers[BLOCK::BLOCK]
         result = np.moveaxis(touched, 0, axis)
     return result
 
 
-def containment_of_cells(cells: Int64, full: Bools, block: int) -> float:
+def containment_of_cells(cells: Int64, full: Packed) -> float:
     """Share of a partial view's cells that lie in the full shape, dilated by one of its own cells.
 
     Args:
-        cells: (n, 3) int64, coarse cells of the partial, in any number each, also out of bounds.
-        full: (m, m, m) bool over the same box.
-        block: cells of `full` along a coarse cell's edge.
+        cells: (n, 3) int64, cells of 4^3 of `full`, in any number each, also out of bounds.
+        full: (m, m, m / 8) uint8, packed, over the same box.
 
     Returns:
         In [0, 1]; 1 without any cells. Cells out of bounds are outside.
@@ -43,16 +44,18 @@ def containment_of_cells(cells: Int64, full: Bools, block: int) -> float:
     if len(cells) == 0:
         return 1.0
     distinct = np.unique(cells, axis=0)
-    inside = distinct[np.all((distinct >= 0) & (distinct < full.shape[0] // block), axis=1)]
-    return int(blocks_touched(full, block)[tuple(inside.T)].sum()) / len(distinct)
+    inside = distinct[np.all((distinct >= 0) & (distinct < full.shape[0] // BLOCK), axis=1)]
+    return int(blocks_touched(full)[tuple(inside.T)].sum()) / len(distinct)
 
 
-def containment(partial: Bools, full: Bools) -> float:
-    """`containment_of_cells` of a partial grid (m, m, m) and a full one (n, n, n) over the same box."""
-    return containment_of_cells(np.argwhere(partial), full, full.shape[0] // partial.shape[0])
+def containment(partial: Packed, full: Packed) -> float:
+    """`containment_of_cells` of packed grids over the same box, such as (64, 64, 8) and (256, 256, 32)."""
+    cells = unpack(partial)
+    count = np.count_nonzero(cells)
+    return np.count_nonzero(cells & blocks_touched(full)) / count if count else 1.0
 
 
-def packed_shell(full: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def packed_shell(full: Packed) -> Packed:
     """Occupied cells with an empty 6-neighbour; outside the grid is empty.
 
     Args:
@@ -90,54 +93,6 @@ def _shell(full):  # type: ignore[no-untyped-def]
     return shell
 
 
-def packed_count(packed: NDArray[np.uint8]) -> int:
+def packed_count(packed: Packed) -> int:
     """The number of bits set in a contiguous packed grid of a multiple of 8 bytes."""
-    return int(_count(packed.reshape(-1).view(np.uint64)))
-
-
-@numba.njit(cache=True)
-def _count(words):  # type: ignore[no-untyped-def]
-    """Adds neighbouring bits, pairs and nibbles of each word (the usual parallel count)."""
-    total = np.uint64(0)
-    ones, pairs, nibbles = (
-        np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F),
-    )  # fmt: skip
-    for word in words:
-        word = word - ((word >> np.uint64(1)) & ones)
-        word = (word & pairs) + ((word >> np.uint64(2)) & pairs)
-        word = (word + (word >> np.uint64(4))) & nibbles
-        total += (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
-    return total
-
-
-def packed_containment(partial: NDArray[np.uint8], full: NDArray[np.uint8]) -> float:
-    """Share of the partial's cells whose block of `full`, dilated once, holds anything.
-
-    The same as `voxels.morphology.containment` on packed grids (64, 64, 8) and (256, 256, 32) uint8; 1 for
-    an empty partial.
-    """
-    return float(_containment(partial, full))
-
-
-@numba.njit(cache=True)
-def _containment(partial, full):  # type: ignore[no-untyped-def]
-    cells, inside = 0, 0
-    for i in range(partial.shape[0]):
-        for j in range(partial.shape[1]):
-            for k in range(partial.shape[2] * 8):
-                if partial[i, j, k >> 3] & (128 >> (k & 7)):
-                    cells += 1
-                    inside += _touched(full, i * BLOCK, j * BLOCK, k * BLOCK)
-    return inside / cells if cells else 1.0
-
-
-@numba.njit(cache=True)
-def _touched(full, x, y, z):  # type: ignore[no-untyped-def]
-    """Whether the block from (x, y, z) or a cell next to it holds anything: 0 or 1."""
-    nx, ny, nz = full.shape[0], full.shape[1], full.shape[2] * 8
-    for i in range(max(0, x - 1), min(nx, x + BLOCK + 1)):
-        for j in range(max(0, y - 1), min(ny, y + BLOCK + 1)):
-            for k in range(max(0, z - 1), min(nz, z + BLOCK + 1)):
-                if full[i, j, k >> 3] & (128 >> (k & 7)):
-                    return 1
-    return 0
+    return int(np.bitwise_count(packed.reshape(-1).view(np.uint64)).sum())

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Grid, invert_rigid
 from kinectbench.core.voxels.morphology import containment
-from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.core.voxels.pair_file import Pair, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.lab.evaluate.build import Build, Registration
 from kinectbench.lab.evaluate.solid import iou, known_iou, share
@@ -193,14 +193,14 @@ def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: ND
     true = truth_occupancy(truth, grid_in_truth(pair, T_world_camera))
     full, known = unpack(pair.full), unpack(pair.known)
     # As verify does: before the partial rule thins the cells out.
-    touched = reduce_blocks(unpack(pair.partial_256), "any")
+    touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
     return PairRow(
         view=view,
         frame=frame,
         iou=iou(full, true),
         known_iou=known_iou(full, true, known),
         true_unknown_share=share(~known, of=true),
-        containment=containment(touched, true),
+        containment=containment(touched, pack(true)),
     )
 
 

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinectbench.core.voxels.morphology import packed_containment, packed_shell
+from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
 from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
@@ -73,7 +73,7 @@ def _reason(pair: Pair, min_containment: float) -> str | None:
         return "no cell's centre lies in the shape: its walls are thinner than a cell"
     if not pair.partial.any():
         return "the camera sees nothing of the shape"
-    inside = packed_containment(pair.partial, pair.full)
+    inside = containment(pair.partial, pair.full)
     if inside < min_containment:
         return f"containment is {inside:.3f}, below {min_containment}"
     return None

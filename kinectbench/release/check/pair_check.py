@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinectbench.core.types import Float64
-from kinectbench.core.voxels.morphology import packed_containment, packed_count, packed_shell
+from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, PairInput, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 
@@ -33,7 +33,7 @@ def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_r
     yield from _trust_problems(pair, "known", pair.known)
     # Before the partial rule thins the cells out; those that fell outside the cube are not in the file.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
-    inside = packed_containment(touched, pair.full)
+    inside = containment(touched, pair.full)
     if inside < min_containment:
         yield f"containment is {inside:.3f}, below {min_containment}"
 

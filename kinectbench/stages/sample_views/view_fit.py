@@ -9,7 +9,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.morphology import containment_of_cells
-from kinectbench.core.voxels.pair_file import BLOCK, unpack
+from kinectbench.core.voxels.pair_file import BLOCK
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube
 from kinectbench.settings.models import PairSettings, ViewSettings
@@ -72,7 +72,7 @@ def fit_of_view(
         return ViewFit(pixels, 0.0, 0.0, 1.0, 0.0, float("inf"))
     grid = object_cube(model.shape.mesh.vertices, T_world_camera)
     cells = depth_cells(depth_m, inner, sequence.camera, T_world_camera, grid.coarser(BLOCK))
-    full = unpack(voxelize_solid(model.shape.mesh.vertices, model.shape.mesh.faces, grid))
+    full = voxelize_solid(model.shape.mesh.vertices, model.shape.mesh.faces, grid)
     border = silhouette.copy()
     border[1:-1, 1:-1] = False
     return ViewFit(
@@ -81,7 +81,7 @@ def fit_of_view(
         border_share=int(border.sum()) / area,
         truncated_share=truncated_share(sequence.camera, T_world_camera, renderer),
         dropped_share=int((inner & ~mask).sum()) / int(inner.sum()),
-        containment=containment_of_cells(cells, full, BLOCK),
+        containment=containment_of_cells(cells, full),
         residual_m=float(np.median(np.abs(depth_m[inner] - rendered_m[inner]))),
     )
 
@@ -101,14 +101,13 @@ def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRend
     """
     step = OUTLINE_STRIDE_PX
     across, down = camera.width // step, camera.height // step
+    coarse = camera.every(step)
     wide = replace(
-        camera,
+        coarse,
         width=(2 * AROUND + 1) * across,
         height=(2 * AROUND + 1) * down,
-        fx=camera.fx / step,
-        fy=camera.fy / step,
-        cx=camera.cx / step + AROUND * across,
-        cy=camera.cy / step + AROUND * down,
+        cx=coarse.cx + AROUND * across,
+        cy=coarse.cy + AROUND * down,
     )
     outline = renderer.depth_m(wide, T_world_camera) > 0
     inside = outline[AROUND * down : (AROUND + 1) * down, AROUND * across : (AROUND + 1) * across]

@@ -7,8 +7,7 @@ from references import occupy, shell_of
 from synthesis_shapes import asymmetric, inside_asymmetric, mesh_of, open_box
 
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid, transform_points
-from kinectbench.core.voxels.morphology import containment, packed_containment
-from kinectbench.core.voxels.pair_file import Pair, pack, unpack
+from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube, partial_grids
@@ -92,17 +91,6 @@ def test_cells_outside_the_image_are_not_seen(seen):
     u = np.rint(CAMERA.fx * x / z + CAMERA.cx)
     np.testing.assert_array_equal(cells[:, 128, 0], (u >= 0) & (u < 320))
     assert not cells[0, 128, 0] and cells[128, 128].all()
-
-
-def test_containment_on_packed_grids():
-    rng = np.random.default_rng(3)
-    full = np.zeros((256, 256, 256), bool)
-    full[tuple(rng.integers(0, 256, (3, 3000)))] = True
-    partial = rng.random((64, 64, 64)) < 0.02
-    expected = containment(partial, full)
-    assert 0.02 < expected < 0.9
-    assert packed_containment(pack(partial), pack(full)) == expected
-    assert packed_containment(pack(np.zeros_like(partial)), pack(full)) == 1.0
 
 
 def test_full_is_the_shape_in_the_views_axes(pair):
