@@ -18,6 +18,8 @@ from kinectbench.core.types import Float64
 
 POSES = ("T_world_camera", "T_true")
 PACKAGE = Path(kinectbench.__file__).parent
+# The rooms that a trajectory depends on.
+TRACKER = ("stages/track", "settings", "core")
 
 
 @dataclass(frozen=True)
@@ -159,8 +161,8 @@ def code_of(method: str) -> str:
     here = Path(__file__).parent
     sources = [here / "tracking_rivals.py"]
     if method not in RIVALS:
-        sources = [here / "tracking_measure.py", here / "tracking_distant.py", PACKAGE / "config.py"]
-        sources += sorted((PACKAGE / "tracking").rglob("*.py"))
+        sources = [here / "tracking_measure.py", here / "tracking_distant.py"]
+        sources += sorted(file for room in TRACKER for file in (PACKAGE / room).rglob("*.py"))
     digest = hashlib.sha256(version("open3d").encode())
     for source in sources:
         digest.update(source.read_bytes())
