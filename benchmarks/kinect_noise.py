@@ -20,8 +20,8 @@ from kinectbench.lab.simulate.kinect import (
     draw_device,
     measure,
 )
-from kinectbench.lab.simulate.render import TEXTURE_PX, Renderer, Rendering, Texture
-from kinectbench.lab.simulate.scene import Item, Scene
+from kinectbench.lab.simulate.render import TEXTURE_PX, Renderer, Rendering
+from kinectbench.lab.simulate.scene import Item
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from references import axial_sigma_m, depth_step_m
@@ -33,7 +33,7 @@ DEPTHS_M = np.arange(0.6, 4.01, 0.2)
 TILTS_RAD = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 65.0, 70.0])
 TILTED_AT_M = 1.5
 PHASES = 4
-TEXTURE = Texture(np.zeros((TEXTURE_PX, TEXTURE_PX), np.float32))
+TEXTURE = np.zeros((TEXTURE_PX, TEXTURE_PX), np.float32)
 LAGS_PX = (1, 2, 3, 5)
 REAL_CORRELATIONS = (0.55, 0.40, 0.26, 0.07)
 PATCH_PX = 24
@@ -45,12 +45,11 @@ def plane(depth_m: float, tilt_rad: float) -> Rendering:
     """A grey plane through the axis at a depth, turned about the image's vertical, rendered."""
     size = (60.0, 0.001, 60.0)
     wall = box_mesh(OrientedBox((0.0, 0.0, 0.0), size, tilt_rad))
-    scene = Scene((Item("wall", wall, (0.5, 0.5, 0.5), 0.0),))
     # The camera looks along the room's y, its right is the room's x.
     T_room_camera = np.array(
         [[1.0, 0, 0, 0], [0, 0, 1, -depth_m - 0.0005 / np.cos(tilt_rad)], [0, -1, 0, 0], [0, 0, 0, 1]]
     )
-    return Renderer(scene, TEXTURE).render(CAMERA, T_room_camera)
+    return Renderer([Item("wall", wall, (0.5, 0.5, 0.5), 0.0)], TEXTURE).render(CAMERA, T_room_camera)
 
 
 def errors_m(rendering: Rendering, distortion: float = 0.0, seed: int = 0) -> Float64:

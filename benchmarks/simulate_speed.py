@@ -19,7 +19,7 @@ from kinectbench.lab.simulate.color import expose
 from kinectbench.lab.simulate.kinect import draw_device, measure
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.lab.simulate.render import Renderer, Visibility, make_texture, sample_surface
+from kinectbench.lab.simulate.render import Renderer, make_texture, sample_surface
 from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.simulate import SURFACE_SAMPLES
 from kinectbench.lab.simulate.spec import SceneSettings
@@ -31,7 +31,7 @@ BAR_S = 0.25
 TURN_RAD = 0.01
 
 
-def make_rendered() -> tuple[Renderer, Visibility, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def make_rendered() -> tuple[Renderer, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """A seat on four legs with a back, and a finely meshed ball on the seat, in a room; and its samples."""
     import trimesh
 
@@ -46,7 +46,7 @@ def make_rendered() -> tuple[Renderer, Visibility, tuple[NDArray[np.float64], ND
     rng = np.random.default_rng(0)
     scene = make_scene(subject, 0.4, 1.8, SceneSettings(), rng)
     samples = sample_surface(subject.mesh.vertices, subject.mesh.faces, SURFACE_SAMPLES, rng)
-    return Renderer(scene, make_texture(rng)), Visibility(scene), samples
+    return Renderer(scene, make_texture(rng)), samples
 
 
 def cpu_s(stage: Callable[[int], object]) -> float:
@@ -63,7 +63,7 @@ def cpu_s(stage: Callable[[int], object]) -> float:
 def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
     """Time the stages of a frame, then add them up."""
     del options
-    renderer, visibility, samples = make_rendered()
+    renderer, samples = make_rendered()
     T_room_camera = look_at(np.array([1.2, -1.0, 1.2]), np.array([0, 0, 0.45]))
     T_room_color = T_room_camera @ rigid(np.eye(3), np.array([0.025, 0, 0]))
     exact = renderer.render(CAMERA, T_room_camera)
@@ -81,7 +81,7 @@ def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
     color_s = cpu_s(lambda i: expose(exact, CAMERA, poses, 1.1, np.random.default_rng(i)))
     record_s = cpu_s(lambda i: (png_bytes(frame.depth_native(5000)), frame.color_jpeg()))
     truth_s = cpu_s(lambda i: (png_bytes(true_mm), png_bytes(exact.mask.astype(np.uint8) * np.uint8(255))))
-    seen_s = cpu_s(lambda i: visibility.visible(*samples, CAMERA, T_room_camera))
+    seen_s = cpu_s(lambda i: renderer.visible(*samples, CAMERA, T_room_camera))
     registered_s = render_s + noise_s + color_s + record_s + truth_s + seen_s
     return [
         told("ray casting and shading, s", render_s),

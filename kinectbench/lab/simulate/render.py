@@ -1,6 +1,6 @@
 """Ray casting of a scene, and how what rays hit looks; which of the surface the cameras ever saw."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import raycaster
-from kinectbench.core.types import Float64
-from kinectbench.lab.simulate.scene import Scene
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.lab.simulate.scene import Item
 
 # A power of two, so that coordinates wrap by masking bits.
 TEXTURE_PX = 512
@@ -24,21 +24,11 @@ JOINT_SHADE = 0.55
 TILE_CONTRAST = 0.25
 
 
-@dataclass(frozen=True)
-class Texture:
-    """Smooth noise in [-1, 1] that repeats every 2 m.
+def make_texture(rng: np.random.Generator) -> Float32:
+    """Draw smooth noise (512, 512) in [-1, 1] that repeats every 2 m.
 
-    Attributes:
-        image: (512, 512) float32.
-    """
-
-    image: NDArray[np.float32]
-
-
-def make_texture(rng: np.random.Generator) -> Texture:
-    """Draw the noise: white noise blurred at four scales, each normalised, then summed (own choice).
-
-    Detail at every scale gives a tracker something to hold on to from near and from far.
+    White noise is blurred at four scales, each normalised, then summed (own choice). Detail at every scale
+    gives a tracker something to hold on to from near and from far.
     """
     frequency = np.fft.fftfreq(TEXTURE_PX)
     squared = frequency[:, None] ** 2 + frequency[None, :] ** 2
@@ -48,7 +38,7 @@ def make_texture(rng: np.random.Generator) -> Texture:
         white = rng.standard_normal((TEXTURE_PX, TEXTURE_PX))
         octave = np.fft.ifft2(np.fft.fft2(white) * gain).real
         image += octave / octave.std()
-    return Texture(np.clip(image / (2.5 * image.std()), -1, 1).astype(np.float32))
+    return np.asarray(np.clip(image / (2.5 * image.std()), -1, 1), np.float32)
 
 
 class Looks(NamedTuple):
@@ -62,11 +52,11 @@ class Looks(NamedTuple):
         subject: (n,) bool.
     """
 
-    color_rgb: NDArray[np.float32]
-    contrast: NDArray[np.float32]
-    tile_m: NDArray[np.float32]
-    albedo: NDArray[np.float32]
-    subject: NDArray[np.bool_]
+    color_rgb: Float32
+    contrast: Float32
+    tile_m: Float32
+    albedo: Float32
+    subject: Bools
 
 
 class Rendering(NamedTuple):
@@ -80,14 +70,14 @@ class Rendering(NamedTuple):
         albedo: (height, width) float32.
     """
 
-    depth_m: NDArray[np.float32]
+    depth_m: Float32
     color_rgb: NDArray[np.uint8]
-    mask: NDArray[np.bool_]
-    cos_incidence: NDArray[np.float32]
-    albedo: NDArray[np.float32]
+    mask: Bools
+    cos_incidence: Float32
+    albedo: Float32
 
 
-def pixel_rays(camera: Camera, T_room_camera: NDArray[np.float64]) -> NDArray[np.float32]:
+def pixel_rays(camera: Camera, T_room_camera: Float64) -> Float32:
     """Rays (height, width, 6) through integer pixel centres: origin, then direction, frame `room`.
 
     Directions have z = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole
@@ -112,31 +102,23 @@ def _rays(size, lens, T_room_camera):  # type: ignore[no-untyped-def]
     return rays
 
 
-def shade(
-    rays: NDArray[np.float32],
-    hit_m: NDArray[np.float32],
-    item: NDArray[np.uint32],
-    normals_room: NDArray[np.float32],
-    looks: Looks,
-    image: NDArray[np.float32],
-) -> Rendering:
+@numba.njit(cache=True, error_model="numpy")
+def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
     """Look of every hit: Lambert's law with one far light, times the texture at the point in the room.
 
     So a point has one colour in every view. Light and texture are own choices.
 
     Args:
-        rays: (height, width, 6) of `pixel_rays`.
-        hit_m: (height, width) ray parameters, infinite where nothing is hit.
+        rays: (height, width, 6) float32 of `pixel_rays`.
+        hit_m: (height, width) float32, ray parameters, infinite where nothing is hit.
         item: (height, width), row of `looks` that is hit; any number where nothing is.
-        normals_room: (height, width, 3), unit.
-        looks: of the scene.
-        image: (512, 512) of the `Texture`.
+        normals_room: (height, width, 3) float32, unit.
+        looks: `Looks` of the scene.
+        image: (512, 512) float32 of `make_texture`.
+
+    Returns:
+        The `Rendering`.
     """
-    return Rendering(*_shade(rays, hit_m, item, normals_room, looks, image))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
     # Row by row in short loops without branches, which vectorise; one loop for all takes twice the time.
     height, width = hit_m.shape
     depth_m, cosine = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -160,7 +142,7 @@ def _shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-un
             for k in range(3):
                 value = min(factor * looks.color_rgb[row[u], k], np.float32(255))
                 color[v, u, k] = np.uint8(value + np.float32(0.5))
-    return depth_m, color, mask, cosine, albedo
+    return Rendering(depth_m, color, mask, cosine, albedo)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -218,39 +200,32 @@ LIFT_M = 1e-4
 
 
 class Renderer:
-    """A scene made ready for ray casting once, and then rendered from anywhere."""
+    """A scene made ready for ray casting once, and then seen from anywhere."""
 
-    def __init__(self, scene: Scene, texture: Texture) -> None:
-        """Build the acceleration structure of the scene (Open3D's, which is Embree)."""
-        self._image = texture.image
-        self._caster, self._tensor = raycaster(*(item.mesh for item in scene.items), threads=1)
+    def __init__(self, items: Sequence[Item], texture: Float32) -> None:
+        """Build the acceleration structure of the items (Open3D's, which is Embree)."""
+        self._texture = texture
+        self._caster, self._tensor = raycaster(*(item.mesh for item in items), threads=1)
         self._looks = Looks(
-            np.array([item.color_rgb for item in scene.items] + [BACKGROUND_RGB], np.float32),
-            np.array([item.contrast for item in scene.items] + [0], np.float32),
-            np.array([item.tile_m for item in scene.items] + [0], np.float32),
-            np.array([item.albedo for item in scene.items] + [0], np.float32),
-            np.array([item.role == "subject" for item in scene.items] + [False]),
+            np.array([item.color_rgb for item in items] + [BACKGROUND_RGB], np.float32),
+            np.array([item.contrast for item in items] + [0], np.float32),
+            np.array([item.tile_m for item in items] + [0], np.float32),
+            np.array([item.albedo for item in items] + [0], np.float32),
+            np.array([item.role == "subject" for item in items] + [False]),
         )
 
-    def render(self, camera: Camera, T_room_camera: NDArray[np.float64]) -> Rendering:
+    def render(self, camera: Camera, T_room_camera: Float64) -> Rendering:
         """Render one noise-free frame from a camera at `T_room_camera` (4, 4), on one thread."""
         rays = pixel_rays(camera, T_room_camera)
         hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)
         hit_m, items = hits["t_hit"].numpy(), hits["geometry_ids"].numpy()
         normals_room = hits["primitive_normals"].numpy()
-        return shade(rays, hit_m, items, normals_room, self._looks, self._image)
-
-
-class Visibility:
-    """A scene made ready for shadow rays."""
-
-    def __init__(self, scene: Scene) -> None:
-        """Build the acceleration structure (Open3D's, which is Embree)."""
-        self._caster, self._tensor = raycaster(*(item.mesh for item in scene.items), threads=1)
+        rendering: Rendering = shade(rays, hit_m, items, normals_room, self._looks, self._texture)
+        return rendering
 
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
-    ) -> NDArray[np.bool_]:
+    ) -> Bools:
         """Which points of the surface a camera sees: in its image, facing it, with nothing in between.
 
         Args:
@@ -267,7 +242,7 @@ class Visibility:
         pixels = camera.project(np.where(ahead[:, None], points_camera, 1.0))
         inside = (pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)
         towards = T_room_camera[:3, 3] - points_room
-        seen: NDArray[np.bool_] = ahead & inside.all(axis=1) & (np.sum(towards * normals_room, axis=1) > 0)
+        seen: Bools = ahead & inside.all(axis=1) & (np.sum(towards * normals_room, axis=1) > 0)
         some = np.flatnonzero(seen)
         origins = points_room[some] + LIFT_M * normals_room[some]
         rays = np.concatenate([origins, T_room_camera[:3, 3] - origins], axis=1).astype(np.float32)

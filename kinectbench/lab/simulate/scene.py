@@ -61,16 +61,9 @@ class Item:
     albedo: float = 0.6
 
 
-@dataclass(frozen=True)
-class Scene:
-    """Everything a ray can hit, in frame `room`."""
-
-    items: tuple[Item, ...]
-
-
 def make_scene(
     subject: Subject, yaw_rad: float, reach_m: float, settings: SceneSettings, rng: np.random.Generator
-) -> Scene:
+) -> list[Item]:
     """Put a subject, turned by `yaw_rad` about z, into surroundings drawn by `rng`.
 
     Near clutter keeps 0.6 m away from the subject and stays low, tall clutter stands behind the camera's
@@ -82,6 +75,9 @@ def make_scene(
         reach_m: largest distance of the camera from the vertical through the origin, metres.
         settings: what there is.
         rng: draws the rest.
+
+    Returns:
+        Everything a ray can hit.
     """
     draw = Draw(rng)
     T_room_object = OrientedBox((0, 0, 0), (1, 1, 1), yaw_rad).T_floor_box
@@ -104,7 +100,7 @@ def make_scene(
     items += _low_clutter(clutter, radius_m, draw)
     if settings.touching:
         items.append(_neighbour(mesh_room, draw))
-    return Scene(tuple(items))
+    return items
 
 
 def _floor(draw: Draw) -> Item:

@@ -18,8 +18,8 @@ from kinectbench.lab.simulate.objects.furniture import make_object, parse_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
-from kinectbench.lab.simulate.render import Renderer, Rendering, Visibility, make_texture, sample_surface
-from kinectbench.lab.simulate.scene import Scene, make_scene
+from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture, sample_surface
+from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.spec import DEVICE, PATH, SCENE, SENSOR, WORLD, SimulationSpec
 from kinectbench.lab.simulate.truth import (
     DEPTH_SCALE,
@@ -45,8 +45,7 @@ class Simulation:
     Attributes:
         spec: what was asked for.
         subject: the object.
-        scene: what a ray can hit, frame `room`.
-        renderer: of the scene.
+        renderer: of the scene, frame `room`.
         foreign: renderer of another scene, if the plan has frames of one.
         path: the camera's motion, frame `room`.
         device: this one sensor's own errors, or None for an ideal one.
@@ -59,7 +58,6 @@ class Simulation:
 
     spec: SimulationSpec
     subject: Subject
-    scene: Scene
     renderer: Renderer
     foreign: Renderer | None
     path: CameraPath
@@ -132,7 +130,6 @@ def prepare(spec: SimulationSpec) -> Simulation:
     return Simulation(
         spec=spec,
         subject=subject,
-        scene=scene,
         renderer=Renderer(scene, texture),
         foreign=_foreign(spec, reach_m) if spec.faults.foreign_frames else None,
         path=path,
@@ -267,7 +264,6 @@ class _Recorder:
         self._mesh_room = mesh
         # The samples do not depend on the spec's seed, so that two recordings of one object share them.
         self._samples = sample_surface(mesh.vertices, mesh.faces, SURFACE_SAMPLES, np.random.default_rng(0))
-        self._visibility = Visibility(simulation.scene)
         self._frames_seen = np.zeros(SURFACE_SAMPLES, dtype=np.uint16)
         (folder / "masks").mkdir()
         if spec.save_depth:
@@ -286,7 +282,7 @@ class _Recorder:
                 (self._folder / "depth" / f"{index:06d}.png").write_bytes(png_bytes(depth))
             if not plan.foreign:
                 T_room_camera = simulation.path.poses(np.array([plan.time_s]))[0]
-                seen = self._visibility.visible(*self._samples, simulation.spec.camera, T_room_camera)
+                seen = simulation.renderer.visible(*self._samples, simulation.spec.camera, T_room_camera)
                 self._frames_seen += seen.astype(np.uint16)
             yield recorded.frame
             self._progress(index + 1, len(simulation.frames))

@@ -22,7 +22,7 @@ from kinectbench.lab.simulate.render import (
     pixel_rays,
     shade,
 )
-from kinectbench.lab.simulate.scene import CLEARANCE_M, Item, Scene, make_scene
+from kinectbench.lab.simulate.scene import CLEARANCE_M, Item, make_scene
 from kinectbench.lab.simulate.spec import SceneSettings
 
 CAMERA = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
@@ -44,7 +44,7 @@ def table():
 
 
 def test_depth_of_the_bare_floor_is_analytic(texture):
-    renderer = Renderer(Scene((box("floor", (0, 0, -0.05), (40, 40, 0.1), albedo=0.3),)), texture)
+    renderer = Renderer([box("floor", (0, 0, -0.05), (40, 40, 0.1), albedo=0.3)], texture)
     T_room_camera = look_at(np.array([0.3, -2.0, 1.5]), np.array([0.0, 0.2, 0.0]))
     frame = renderer.render(CAMERA, T_room_camera)
     falls = -(CAMERA.rays() @ T_room_camera[:3, :3].T)[..., 2]
@@ -65,7 +65,7 @@ def test_rays_pass_through_integer_pixel_centres():
 
 
 def test_rays_that_hit_nothing_see_the_background(texture):
-    renderer = Renderer(Scene((box("subject", (0, 0, 0.25), (0.2, 0.2, 0.2)),)), texture)
+    renderer = Renderer([box("subject", (0, 0, 0.25), (0.2, 0.2, 0.2))], texture)
     frame = renderer.render(CAMERA, look_at(np.array([0.0, -2.0, 1.0]), np.array([0.0, 0.0, 0.25])))
     missed = frame.depth_m == 0
     assert 0.5 < missed.mean() < 1
@@ -75,7 +75,7 @@ def test_rays_that_hit_nothing_see_the_background(texture):
 
 
 def test_points_of_the_subject_land_on_the_depth_and_the_mask(texture):
-    renderer = Renderer(Scene((box("subject", (0, 0, 0.25), (0.4, 0.3, 0.5)),)), texture)
+    renderer = Renderer([box("subject", (0, 0, 0.25), (0.4, 0.3, 0.5))], texture)
     T_room_camera = look_at(np.array([0.1, -1.5, 1.2]), np.array([0.0, 0.0, 0.25]))
     frame = renderer.render(CAMERA, T_room_camera)
     assert np.array_equal(frame.mask, frame.depth_m > 0)
@@ -140,8 +140,8 @@ def test_the_kernel_does_what_plain_numpy_does(texture):
         np.array([0.1, 0.5, 0.9, 0], np.float32),
         np.array([True, False, False, False]),
     )
-    shaded = shade(rays, depth_m, item, normals, looks, texture.image)
-    difference = np.abs(shaded.color_rgb - plain_color(rays, depth_m, item, normals, looks, texture.image))
+    shaded = shade(rays, depth_m, item, normals, looks, texture)
+    difference = np.abs(shaded.color_rgb - plain_color(rays, depth_m, item, normals, looks, texture))
     # Rounding may put a point on the other side of a joint.
     assert np.mean(difference.max(axis=-1) > 1) < 1e-3
     assert np.array_equal(shaded.depth_m, depth_m)
@@ -162,9 +162,9 @@ def test_a_frame_is_the_same_every_time(texture):
 def test_clutter_keeps_its_distance(seed):
     settings = SceneSettings(clutter=3, walls=0)
     scene = make_scene(table(), 0.7, 2.0, settings, np.random.default_rng(seed))
-    clutter = [item for item in scene.items if item.role == "clutter"]
+    clutter = [item for item in scene if item.role == "clutter"]
     assert len(clutter) == 3
-    subject = np.concatenate([item.mesh.vertices for item in scene.items if item.role == "subject"])
+    subject = np.concatenate([item.mesh.vertices for item in scene if item.role == "subject"])
     radius = np.linalg.norm(subject[:, :2], axis=1).max()
     for item in clutter:
         flat = item.mesh.vertices[:, :2]

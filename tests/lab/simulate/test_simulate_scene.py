@@ -31,7 +31,7 @@ def radius(items):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_clutter_is_low_and_apart_or_behind_the_camera(seed):
-    items = scene_of(seed, clutter=4).items
+    items = scene_of(seed, clutter=4)
     subject = [item for item in items if item.role == "subject"]
     assert [item.albedo for item in subject] == [0.2]
     things = [item for item in items if item.role == "clutter"]
@@ -49,15 +49,15 @@ def test_clutter_is_low_and_apart_or_behind_the_camera(seed):
 
 
 def test_outdoors_there_are_no_walls():
-    items = scene_of(place="outdoor", clutter=0).items
+    items = scene_of(place="outdoor", clutter=0)
     assert {item.role for item in items} == {"subject", "floor"}
-    assert {item.role for item in scene_of(walls=0, clutter=0).items} == {"subject", "floor"}
-    assert sum(item.role == "wall" for item in scene_of(walls=4).items) == 4
+    assert {item.role for item in scene_of(walls=0, clutter=0)} == {"subject", "floor"}
+    assert sum(item.role == "wall" for item in scene_of(walls=4)) == 4
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_neighbour_touches(seed):
-    items = scene_of(seed, touching=True, clutter=0, walls=0).items
+    items = scene_of(seed, touching=True, clutter=0, walls=0)
     assert [item.role for item in items] == ["subject", "floor", "clutter"]
     turned, box = items[0].mesh.vertices, items[2].mesh.vertices
     # The neighbour's face is 5 mm inside the subject's outermost vertex along its own direction.
@@ -71,11 +71,7 @@ def test_a_neighbour_touches(seed):
 
 def test_the_seed_decides():
     first, again, other = scene_of(3), scene_of(3), scene_of(4)
-    assert all(
-        np.array_equal(a.mesh.vertices, b.mesh.vertices)
-        for a, b in zip(first.items, again.items, strict=True)
-    )
-    assert len(first.items) != len(other.items) or any(
-        not np.array_equal(a.mesh.vertices, b.mesh.vertices)
-        for a, b in zip(first.items, other.items, strict=True)
+    assert all(np.array_equal(a.mesh.vertices, b.mesh.vertices) for a, b in zip(first, again, strict=True))
+    assert len(first) != len(other) or any(
+        not np.array_equal(a.mesh.vertices, b.mesh.vertices) for a, b in zip(first, other, strict=True)
     )

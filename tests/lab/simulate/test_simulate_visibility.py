@@ -6,10 +6,11 @@ import pytest
 from kinectbench.core.geometry import Camera, OrientedBox
 from kinectbench.core.geometry.mesh import box_mesh
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.lab.simulate.render import Visibility, sample_surface
-from kinectbench.lab.simulate.scene import Item, Scene
+from kinectbench.lab.simulate.render import Renderer, sample_surface
+from kinectbench.lab.simulate.scene import Item
 
 CAMERA = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
+NO_TEXTURE = np.zeros((512, 512), np.float32)
 BOX = box_mesh(OrientedBox((0, 0, 0.25), (0.4, 0.2, 0.5)))
 
 
@@ -26,14 +27,13 @@ def test_samples_are_spread_by_area_and_lie_on_the_surface():
 def test_a_camera_sees_the_sides_that_face_it_unless_something_stands_before_them():
     points, normals = sample_surface(BOX.vertices, BOX.faces, 4000, np.random.default_rng(0))
     T_room_camera = look_at(np.array([0.0, -2.0, 1.5]), np.array([0.0, 0.0, 0.25]))
-    alone = Visibility(Scene((Item("subject", BOX, (0.5, 0.5, 0.5), 0.0),)))
+    alone = Renderer([Item("subject", BOX, (0.5, 0.5, 0.5), 0.0)], NO_TEXTURE)
     seen = alone.visible(points, normals, CAMERA, T_room_camera)
     # Front and top face this camera, and nothing hides them.
     assert np.array_equal(seen, (normals[:, 1] < -0.5) | (normals[:, 2] > 0.5))
     screen = box_mesh(OrientedBox((0, -0.5, 0.1), (2.0, 0.02, 0.2)))
-    hidden = Visibility(
-        Scene((Item("subject", BOX, (0.5,) * 3, 0.0), Item("clutter", screen, (0.5,) * 3, 0.0)))
-    ).visible(points, normals, CAMERA, T_room_camera)
+    items = [Item("subject", BOX, (0.5,) * 3, 0.0), Item("clutter", screen, (0.5,) * 3, 0.0)]
+    hidden = Renderer(items, NO_TEXTURE).visible(points, normals, CAMERA, T_room_camera)
     # The ray over the screen's upper front edge (y = -0.51, z = 0.2) meets the front at this height.
     edge_z = 1.5 - 1.3 * (2.0 - 0.1) / (2.0 - 0.51)
     front = normals[:, 1] < -0.5

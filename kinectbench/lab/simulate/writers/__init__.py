@@ -5,17 +5,13 @@ A writer gets where to write, the cameras and the frames, and writes them; it ne
 
 import os
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.lab.simulate import Format
-from kinectbench.lab.simulate.writers.bags import (
-    write_rosbag1,
-    write_rosbag1_compressed,
-    write_rosbag2_mcap,
-    write_rosbag2_sqlite,
-)
+from kinectbench.lab.simulate.writers.bags import write_rosbag1, write_rosbag2
 from kinectbench.lab.simulate.writers.binary_logs import write_klg, write_sens
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig
 from kinectbench.lab.simulate.writers.image_folders import (
@@ -26,7 +22,7 @@ from kinectbench.lab.simulate.writers.image_folders import (
     write_tum,
 )
 from kinectbench.lab.simulate.writers.phones import write_scanner_app, write_stray
-from kinectbench.lab.simulate.writers.realsense import write_realsense, write_realsense_old
+from kinectbench.lab.simulate.writers.realsense import write_realsense
 
 Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
 
@@ -36,12 +32,12 @@ WRITERS: dict[Format, Writer] = {
     "7scenes": write_seven_scenes,
     "folder": write_folder,
     "redwood": write_redwood,
-    "bag": write_rosbag1,
-    "bag_compressed": write_rosbag1_compressed,
-    "ros2_sqlite": write_rosbag2_sqlite,
-    "ros2_mcap": write_rosbag2_mcap,
-    "realsense": write_realsense,
-    "realsense_old": write_realsense_old,
+    "bag": partial(write_rosbag1, depth_code="raw"),
+    "bag_compressed": partial(write_rosbag1, depth_code="png"),
+    "ros2_sqlite": partial(write_rosbag2, depth_code="raw", mcap=False),
+    "ros2_mcap": partial(write_rosbag2, depth_code="rvl", mcap=True),
+    "realsense": partial(write_realsense, old=False),
+    "realsense_old": partial(write_realsense, old=True),
     "klg": write_klg,
     "sens": write_sens,
     "stray": write_stray,
@@ -99,15 +95,8 @@ def cut(path: Path, share: float) -> None:
         RecordingError: a folder without depth images.
     """
     assert 0 <= share < 1
-    file = path if path.is_file() else _last_file(path)
-    os.truncate(file, round(file.stat().st_size * (1 - share)))
-
-
-def _last_file(folder: Path) -> Path:
-    bags = sorted([*folder.glob("*.db3"), *folder.glob("*.mcap")])
-    if bags:
-        return bags[-1]
-    images = sorted(image for pattern in DEPTH_IMAGES for image in folder.glob(pattern))
-    if not images:
-        raise RecordingError(f"{folder}: has no depth image to cut off; record more frames, or cut nothing")
-    return images[-1]
+    files = [path] if path.is_file() else [*path.glob("*.db3"), *path.glob("*.mcap")]
+    files = files or [image for pattern in DEPTH_IMAGES for image in path.glob(pattern)]
+    if not files:
+        raise RecordingError(f"{path}: has no depth image to cut off; record more frames, or cut nothing")
+    os.truncate(max(files), round(max(files).stat().st_size * (1 - share)))

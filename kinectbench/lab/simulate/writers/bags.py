@@ -140,32 +140,6 @@ NAME = "recording"
 Messages = Iterator[tuple[str, str, int, Any]]
 
 
-def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
-    """Write a ROS 1 bag that does not exist yet, with raw 16UC1 depth in bz2 chunks.
-
-    Messages are logged at the stamps of their headers.
-    """
-    _write_rosbag1(path, rig, frames, "raw")
-
-
-def write_rosbag1_compressed(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
-    """Write a recording as `write_rosbag1` does, but with depth as compressedDepth PNG and plain chunks."""
-    _write_rosbag1(path, rig, frames, "png")
-
-
-def write_rosbag2_sqlite(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
-    """Write a ROS 2 bag into an empty folder: metadata.yaml and recording.db3, with raw 16UC1 depth.
-
-    Where colour is not registered, /tf_static says how its camera lies.
-    """
-    _write_rosbag2(folder, rig, frames, "raw", mcap=False)
-
-
-def write_rosbag2_mcap(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
-    """Write a recording as `write_rosbag2_sqlite` does, but to recording.mcap with compressedDepth RVL."""
-    _write_rosbag2(folder, rig, frames, "rvl", mcap=True)
-
-
 def log_messages(writer: Any, store: Any, messages: Messages, *, ros2: bool = False) -> None:
     """Write messages to a bag that is open, each topic's connection with its first message."""
     serialize = store.serialize_cdr if ros2 else store.serialize_ros1
@@ -176,7 +150,11 @@ def log_messages(writer: Any, store: Any, messages: Messages, *, ros2: bool = Fa
         writer.write(connections[topic], stamp_ns, serialize(message, kind))
 
 
-def _write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], depth_code: DepthCode) -> None:
+def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, depth_code: DepthCode) -> None:
+    """Write a ROS 1 bag that does not exist yet, raw 16UC1 depth in bz2 chunks, coded depth in plain ones.
+
+    Messages are logged at the stamps of their headers.
+    """
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -196,9 +174,13 @@ def _write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], depth_
         log_messages(writer, store, messages())
 
 
-def _write_rosbag2(
-    folder: Path, rig: Rig, frames: Iterable[RecordedFrame], depth_code: DepthCode, *, mcap: bool
+def write_rosbag2(
+    folder: Path, rig: Rig, frames: Iterable[RecordedFrame], *, depth_code: DepthCode, mcap: bool
 ) -> None:
+    """Write a ROS 2 bag into an empty folder: metadata.yaml, and recording.mcap or recording.db3.
+
+    Where colour is not registered, /tf_static says how its camera lies.
+    """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

@@ -1,6 +1,8 @@
 """What a recorder gets: the rig of cameras, and one frame after another; how recordings spell them."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,12 +66,16 @@ class RecordedFrame:
         """Depth in native units as a PNG file."""
         return png_bytes(self.depth_native(depth_scale))
 
+    @property
+    def color_bgr(self) -> NDArray[np.uint8]:
+        """Colour as OpenCV has it: (height, width, 3) uint8 in blue, green, red."""
+        return np.ascontiguousarray(self.color_rgb[..., ::-1])
+
     def color_jpeg(self) -> bytes:
         """Colour as a JPEG file."""
         import cv2
 
-        bgr = np.ascontiguousarray(self.color_rgb[..., ::-1])
-        ok, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        ok, encoded = cv2.imencode(".jpg", self.color_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         assert ok
         return bytes(encoded)
 
@@ -104,3 +110,14 @@ def color_json(rig: Rig) -> dict[str, Any]:
 def matrix_rows(matrix: NDArray[np.float64]) -> list[str]:
     """The rows of a matrix (n, m) as text: numbers with every digit they have, spaces between."""
     return [" ".join(repr(number) for number in row) for row in matrix.tolist()]
+
+
+def make_folders(folder: Path, *names: str) -> None:
+    """Make the folders that a recording's images go into."""
+    for name in names:
+        (folder / name).mkdir()
+
+
+def write_lines(path: Path, lines: Sequence[str]) -> None:
+    """Write a text file of lines."""
+    path.write_text("\n".join(lines) + "\n")

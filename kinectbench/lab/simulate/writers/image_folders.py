@@ -1,6 +1,6 @@
 """Folders of images: TUM RGB-D, 7-Scenes, plain ones as Open3D uses them, Redwood's scans, BOP scenes."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ from kinectbench.lab.simulate.writers.frame import (
     RecordedFrame,
     Rig,
     color_json,
+    make_folders,
     matrix_rows,
     png_bytes,
+    write_lines,
 )
 
 TUM_DEPTH_SCALE = 5000.0
@@ -38,7 +40,7 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     frame has one. `camera.json` holds what TUM folders by themselves do not say: width, height, fx, fy, cx,
     cy, depth_scale, and what `color_json` says of colour.
     """
-    _make_folders(folder, "rgb", "depth")
+    make_folders(folder, "rgb", "depth")
     rows = {name: [header] for name, header in TUM_HEADERS.items()}
     for frame in frames:
         depth = frame.depth_png(TUM_DEPTH_SCALE)
@@ -49,7 +51,7 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     if len(rows["groundtruth"]) == 1:
         del rows["groundtruth"]
     for name, lines in rows.items():
-        _write_lines(folder / f"{name}.txt", lines)
+        write_lines(folder / f"{name}.txt", lines)
     camera = asdict(rig.depth) | {"depth_scale": TUM_DEPTH_SCALE} | color_json(rig)
     (folder / "camera.json").write_text(pretty_json(camera))
 
@@ -67,11 +69,10 @@ def write_seven_scenes(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) 
         depth = frame.depth_native()
         depth[depth == 0] = SEVEN_SCENES_INVALID
         (folder / f"{stem}.depth.png").write_bytes(png_bytes(depth))
-        bgr = np.ascontiguousarray(frame.color_rgb[..., ::-1])
-        (folder / f"{stem}.color.png").write_bytes(png_bytes(bgr))
+        (folder / f"{stem}.color.png").write_bytes(png_bytes(frame.color_bgr))
         if frame.T_world_camera is not None:
-            _write_lines(folder / f"{stem}.pose.txt", matrix_rows(frame.T_world_camera))
-    _write_lines(folder / "camera-intrinsics.txt", matrix_rows(rig.depth.K))
+            write_lines(folder / f"{stem}.pose.txt", matrix_rows(frame.T_world_camera))
+    write_lines(folder / "camera-intrinsics.txt", matrix_rows(rig.depth.K))
 
 
 def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -81,14 +82,7 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
     `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with depth_scale and what `color_json`
     says beside it, which Open3D passes over. `trajectory.log` is not there if no frame has a pose.
     """
-    _make_folders(folder, "depth", "color")
-    log: list[str] = []
-    for index, frame in enumerate(frames):
-        (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
-        (folder / "color" / f"{index:06d}.jpg").write_bytes(frame.color_jpeg())
-        log += _log_rows(index, frame)
-    if log:
-        _write_lines(folder / "trajectory.log", log)
+    _write_scan(folder, "color", frames, "trajectory.log", lambda n, ns: f"{n:06d}")
     camera = {
         "width": rig.depth.width,
         "height": rig.depth.height,
@@ -104,18 +98,7 @@ def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> No
     Depth is in mm. Frames are numbered from 1, depth and colour each with stamps of their own. The layout
     does not say its intrinsics; `camera.json` does, unlike in the data set.
     """
-    _make_folders(folder, "depth", "rgb")
-    log: list[str] = []
-    for index, frame in enumerate(frames):
-        depth_name, color_name = (
-            f"{index + 1:07d}-{stamp_ns // 1000 % 10**12:012d}"
-            for stamp_ns in (frame.stamp_ns, frame.color_stamp_ns)
-        )
-        (folder / "depth" / f"{depth_name}.png").write_bytes(frame.depth_png())
-        (folder / "rgb" / f"{color_name}.jpg").write_bytes(frame.color_jpeg())
-        log += _log_rows(index, frame)
-    if log:
-        _write_lines(folder / "scan.log", log)
+    _write_scan(folder, "rgb", frames, "scan.log", lambda n, ns: f"{n + 1:07d}-{ns // 1000 % 10**12:012d}")
     (folder / "camera.json").write_text(pretty_json(asdict(rig.depth) | color_json(rig)))
 
 
@@ -125,7 +108,7 @@ def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     Poses are world to camera, translation in mm. The layout has no stamps. A writer does not see the truth:
     there are no masks. Colour that is not registered is left out, as the format has one camera.
     """
-    _make_folders(folder, "depth", "rgb")
+    make_folders(folder, "depth", "rgb")
     cameras: dict[str, dict[str, Any]] = {}
     for index, frame in enumerate(frames):
         (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
@@ -163,17 +146,24 @@ def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: byte
     return f"{stamp} {name}/{file.name}"
 
 
-def _log_rows(index: int, frame: RecordedFrame) -> Iterator[str]:
-    """A frame in Redwood's trajectory log: `i i i+1` and four rows, camera to world; none without a pose."""
-    if frame.T_world_camera is not None:
-        yield f"{index} {index} {index + 1}"
-        yield from matrix_rows(frame.T_world_camera)
+def _write_scan(
+    folder: Path, colors: str, frames: Iterable[RecordedFrame], log: str, name: Callable[[int, int], str]
+) -> None:
+    """Write depth, colour and Redwood's trajectory log.
 
-
-def _make_folders(folder: Path, *names: str) -> None:
-    for name in names:
-        (folder / name).mkdir()
-
-
-def _write_lines(path: Path, lines: Sequence[str]) -> None:
-    path.write_text("\n".join(lines) + "\n")
+    Args:
+        folder: of the recording.
+        colors: name of the colour images' folder.
+        frames: what was recorded.
+        log: name of the log: `i i i+1` and four rows, camera to world, for each frame with a pose.
+        name: (index, stamp in nanoseconds) -> name of an image.
+    """
+    make_folders(folder, "depth", colors)
+    rows: list[str] = []
+    for index, frame in enumerate(frames):
+        (folder / "depth" / f"{name(index, frame.stamp_ns)}.png").write_bytes(frame.depth_png())
+        (folder / colors / f"{name(index, frame.color_stamp_ns)}.jpg").write_bytes(frame.color_jpeg())
+        if frame.T_world_camera is not None:
+            rows += [f"{index} {index} {index + 1}", *matrix_rows(frame.T_world_camera)]
+    if rows:
+        write_lines(folder / log, rows)

@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, matrix_rows, png_bytes
+from kinectbench.lab.simulate.writers.frame import (
+    RecordedFrame,
+    Rig,
+    make_folders,
+    matrix_rows,
+    png_bytes,
+    write_lines,
+)
 from kinectbench.lab.simulate.writers.image_folders import tum_line
 
 HIGH = 2
@@ -21,25 +28,27 @@ def write_stray(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None
     Every pixel has high confidence. The layout asks for a pose of every frame: one that has none gets no row,
     and is not read. Colour that is not registered is left out, as the layout has one camera.
     """
-    for name in ("depth", "confidence"):
-        (folder / name).mkdir()
+    import cv2
+
+    make_folders(folder, "depth", "confidence")
     rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
-    video = _Video(folder / "rgb.mp4", rig) if rig.color_registered else None
+    code, size = cv2.VideoWriter.fourcc(*"mp4v"), (rig.color.width, rig.color.height)
+    video = cv2.VideoWriter(str(folder / "rgb.mp4"), code, 30.0, size) if rig.color_registered else None
     for index, frame in enumerate(frames):
         depth = frame.depth_native()
         (folder / "depth" / f"{index:06d}.png").write_bytes(png_bytes(depth))
         confidence = np.full(depth.shape, HIGH, np.uint8)
         (folder / "confidence" / f"{index:06d}.png").write_bytes(png_bytes(confidence))
         if video is not None:
-            video.add(frame)
+            video.write(frame.color_bgr)
         if frame.T_world_camera is not None:
             stamp, *numbers = tum_line(frame.stamp_ns, frame.T_world_camera).split()
             rows.append(", ".join([stamp, f"{index:06d}", *numbers]))
     if video is not None:
-        video.close()
-    (folder / "odometry.csv").write_text("\n".join(rows) + "\n")
+        video.release()
+    write_lines(folder / "odometry.csv", rows)
     matrix = [row.replace(" ", ", ") for row in matrix_rows(_color_matrix(rig))]
-    (folder / "camera_matrix.csv").write_text("\n".join(matrix) + "\n")
+    write_lines(folder / "camera_matrix.csv", matrix)
 
 
 def write_scanner_app(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -72,19 +81,3 @@ def _color_matrix(rig: Rig) -> NDArray[np.float64]:
     x, y = COLOR_PX[0] / camera.width, COLOR_PX[1] / camera.height
     cx, cy = (camera.cx + 0.5) * x - 0.5, (camera.cy + 0.5) * y - 0.5
     return np.array([[camera.fx * x, 0, cx], [0, camera.fy * y, cy], [0, 0, 1]])
-
-
-class _Video:
-    """An mp4 of the colour images."""
-
-    def __init__(self, path: Path, rig: Rig) -> None:
-        import cv2
-
-        code = cv2.VideoWriter.fourcc(*"mp4v")
-        self._writer = cv2.VideoWriter(str(path), code, 30.0, (rig.color.width, rig.color.height))
-
-    def add(self, frame: RecordedFrame) -> None:
-        self._writer.write(np.ascontiguousarray(frame.color_rgb[..., ::-1]))
-
-    def close(self) -> None:
-        self._writer.release()

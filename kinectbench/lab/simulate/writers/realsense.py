@@ -25,22 +25,13 @@ DEFINITIONS = {
 STATIC_NS = 1
 
 
-def write_realsense(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
-    """Write a recording to a bag that does not exist yet, in the layout of file version 3.
+def write_realsense(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, old: bool) -> None:
+    """Write a recording to a bag that does not exist yet, in the layout of file version 3, or else of 1.
 
     Depth is mono16 in mm with its Depth Units, colour rgb8, both without compression; extrinsics lie under
     tf/0 with depth as the reference. The layout has no place for poses, or to say that colour is registered:
     where it is, the extrinsics are none.
     """
-    _write(path, rig, frames, old=False)
-
-
-def write_realsense_old(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
-    """Write a recording as `write_realsense` does, but in the layout of file version 1."""
-    _write(path, rig, frames, old=True)
-
-
-def _write(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, old: bool) -> None:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
