@@ -26,6 +26,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import align_positions
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.track.frame_maps import FrameMaps, maps_of, reduced_frame
+from kinectbench.stages.track.registration import Registration
+from kinectbench.stages.track.tracked import Tie, TieKind
 
 Float64 = NDArray[np.float64]
 # Points (..., 3) of the world to intensities 0 to 255.
@@ -205,3 +207,20 @@ def errors_m(T_found: Float64, T_true: Float64) -> Float64:
     errors = np.full(len(T_found), np.nan)
     errors[good] = np.linalg.norm((T_true_found @ T_found[good])[:, :3, 3] - T_true[good, :3, 3], axis=1)
     return errors
+
+
+def tie_at(
+    a: int,
+    b: int,
+    T_a_b: np.ndarray,
+    information: np.ndarray,
+    kind: TieKind,
+    overlap: float = 0.8,
+    inlier_share: float = 0.99,
+    residual_m: float = 0.002,
+    weight: float = 1.0,
+) -> Tie:
+    """A tie of which the registration says no more than the pose graph and health.json take from it."""
+    unknown = dict.fromkeys(("noise_m", "over_noise", "sigma_m", "intensity_correlation"), np.nan)
+    found = Registration(T_a_b, information, overlap, inlier_share, residual_m, **unknown)
+    return Tie(a, b, found, kind, weight)

@@ -1,6 +1,7 @@
 """The pinhole camera: optical axes (x right, y down, z forward), integer pixel centres; and what it sees."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,10 @@ class Camera:
 
     def rays(self) -> Float64:
         """Directions through every pixel centre with z = 1: (height, width, 3), camera frame."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return self.rays_at(*np.meshgrid(np.arange(self.width), np.arange(self.height)))
+
+    def rays_at(self, u: NDArray[Any], v: NDArray[Any]) -> Float64:
+        """Directions through pixels (...) with z = 1: (..., 3), camera frame."""
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 

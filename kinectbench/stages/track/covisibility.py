@@ -38,9 +38,9 @@ class Glimpse:
 
 def glimpse(maps: FrameMaps) -> Glimpse:
     """Take what is needed from the maps of a keyframe."""
-    level = maps.levels[COARSEST]
+    level = maps[COARSEST]
     chosen = np.linspace(0, len(level.points) - 1, min(POINTS, len(level.points))).astype(int)
-    return Glimpse(level.depth_m, level.intrinsics, level.points[chosen, :6].astype(np.float64))
+    return Glimpse(level.depth_m, level.camera.intrinsics, level.points[chosen, :6].astype(np.float64))
 
 
 def shared_view(a: Glimpse, b: Glimpse, T_a_b: Float64) -> float:

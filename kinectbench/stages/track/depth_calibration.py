@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, invert_rigid, transform_points
+from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.geometry.depth import (
     NO_CALIBRATION,
     TERMS,
@@ -99,7 +99,7 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
     seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
     found = _all_sums(
-        View(maps[b].levels[0], maps[a].levels[0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
+        View(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
         for a, b in evenly_chosen(pairs)
     )
     sums = [each.unexplained for each in found]
@@ -177,7 +177,7 @@ def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
     # Twice the cosine of half the angle between the normals.
     met = (d > 0) & (np.abs(d - at[:, 2]) < GATE_M) & (length > 2 * MIN_FACING)
     p, at, u, v, d, n = p[met], at[met], u[met], v[met], d[met], n[met] / length[met][:, None]
-    q = _rays(target.camera, u, v) * d[:, None]
+    q = target.camera.rays_at(u, v) * d[:, None]
     residuals = (n * (q - at)).sum(axis=1)
     own = source.camera.project(p)
     by_target = (
@@ -190,7 +190,3 @@ def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
     sigma = np.sqrt(depth_sigma_m(d) ** 2 + depth_sigma_m(p[:, 2]) ** 2)
     huber = np.minimum(1.0, HUBER_SIGMAS * sigma / np.maximum(np.abs(residuals), 1e-9))
     return rows, residuals, huber / sigma**2
-
-
-def _rays(camera: Camera, u: NDArray[np.int64], v: NDArray[np.int64]) -> Float64:
-    return np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])

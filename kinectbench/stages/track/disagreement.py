@@ -15,7 +15,7 @@ from kinectbench.core.geometry.rigid import twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, glimpse
 from kinectbench.stages.track.frame_maps import FrameMaps, Level, MapCache
-from kinectbench.stages.track.odometry import is_believable, tie
+from kinectbench.stages.track.odometry import is_believable
 from kinectbench.stages.track.registration import PLACED, Registration, register
 from kinectbench.stages.track.tracked import Tie
 
@@ -91,7 +91,7 @@ def disagreement(source: FrameMaps, T_target_source: Float64, found: Registratio
         found: its registration to the same target.
     """
     off = invert_rigid(T_target_source) @ found.T_target_source
-    points = source.levels[0].points[:, :3].astype(np.float64)
+    points = source[0].points[:, :3].astype(np.float64)
     points = points[:: max(1, len(points) // MOVED_POINTS)]
     shift_m = float(np.median(np.linalg.norm(transform_points(off, points) - points, axis=1)))
     twist = twist_from_rigid(off)
@@ -113,10 +113,10 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
     """
     return np.asarray(
         _residuals(
-            source.levels[0].points[::every],
+            source[0].points[::every],
             target.depth_m,
             target.normals,
-            target.intrinsics,
+            target.camera.intrinsics,
             np.ascontiguousarray(T_target_source),
         )
     )
@@ -179,7 +179,7 @@ def tie_distant(
         asked = (ask(maps[b], [maps[a]], [T_a_b], coarsest, every) for coarsest in (1, 2))
         found = next((each for each in asked if each and is_believable(each.registration)), None)
         if found is not None:
-            ties.append(tie(a, b, found.registration, "loop"))
+            ties.append(Tie(a, b, found.registration, "loop"))
             shifts_m.append(found.shift_m)
     unmatched = 1 - len(ties) / len(tried) if len(tried) >= MIN_TRIED else np.nan
     return tuple(ties), np.array(shifts_m), unmatched
@@ -202,6 +202,6 @@ def distant_residual_m(
         if T_world_camera is not None:
             T_a_b = invert_rigid(T_world_camera[each.a]) @ T_world_camera[each.b]
         if np.isfinite(T_a_b).all():
-            found = residuals_m(maps[each.b], maps[each.a].levels[0], T_a_b, every)
+            found = residuals_m(maps[each.b], maps[each.a][0], T_a_b, every)
             medians += [float(np.median(found))] if len(found) >= MIN_RESIDUALS else []
     return float(np.median(medians)) if medians else np.nan

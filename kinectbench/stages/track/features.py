@@ -64,7 +64,7 @@ def find_features(maps: FrameMaps) -> Features:
     """ORB features with depth, of intensity where there is some, else of the depth's shading."""
     import cv2
 
-    level = maps.levels[0]
+    level = maps[0]
     image = level.intensity if maps.has_intensity else shading(level.normals)
     orb = cv2.ORB.create(nfeatures=MAX_FEATURES, fastThreshold=FAST_THRESHOLD, edgeThreshold=16, patchSize=25)
     keypoints, descriptors = orb.detectAndCompute(np.clip(image, 0, 255).astype(np.uint8), None)
@@ -73,10 +73,7 @@ def find_features(maps: FrameMaps) -> Features:
     pixels = np.array([keypoint.pt for keypoint in keypoints])
     u, v = np.rint(pixels).astype(int).T
     z = level.depth_m[v, u].astype(np.float64)
-    camera = level.camera
-    points = np.column_stack(
-        [(pixels[:, 0] - camera.cx) / camera.fx * z, (pixels[:, 1] - camera.cy) / camera.fy * z, z]
-    )
+    points = level.camera.rays_at(*pixels.T) * z[:, None]
     has_depth = z > 0
     return Features(pixels[has_depth], points[has_depth], np.asarray(descriptors)[has_depth])
 

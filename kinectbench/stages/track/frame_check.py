@@ -110,7 +110,7 @@ class _Checker:
 
     def compare(self, frame: int) -> None:
         """With the frames that look at the same place from nearby."""
-        self.blind[frame] = len(self.maps[frame].levels[0].points) == 0
+        self.blind[frame] = len(self.maps[frame][0].points) == 0
         near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
         found = self._ask(frame, near, coarsest=0) if near else None
         if found is None:
@@ -118,13 +118,13 @@ class _Checker:
         self.found[frame] = found
         residuals = np.concatenate(
             [
-                residuals_m(self.maps[frame], self.maps[k].levels[0], T, 2 * self.every)
+                residuals_m(self.maps[frame], self.maps[k][0], T, 2 * self.every)
                 for k, T in zip(near, self._starts(frame, near), strict=True)
             ]
         )
         self.residual_m[frame] = np.median(residuals) if len(residuals) else np.nan
         # A residual is the difference of two measurements.
-        self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame].levels[0].points[:, 6])
+        self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame][0].points[:, 6])
 
     def step(self, before: int, frame: int) -> None:
         """With the frame before it."""

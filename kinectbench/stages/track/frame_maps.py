@@ -86,41 +86,26 @@ class Level:
     points: Float32
     normal_noise: float
 
-    @property
-    def intrinsics(self) -> NDArray[np.float64]:
-        """(4,): fx, fy, cx, cy in pixels."""
-        return self.camera.intrinsics
 
-
-class Levels:
-    """The resolutions of one frame, each half the one before; made when first asked for."""
+class FrameMaps:
+    """One frame at three resolutions, each half the one before; made when first asked for."""
 
     def __init__(self, camera: Camera, depth_m: Float32, intensity: Float32) -> None:
         self._inputs = [(camera, depth_m, intensity)]
         self._made: dict[int, Level] = {}
 
     def __getitem__(self, level: int) -> Level:
+        """A resolution by its number, 0 the finest."""
         while len(self._inputs) <= level:
             self._inputs.append(_halved_inputs(*self._inputs[-1]))
         if level not in self._made:
             self._made[level] = _level(*self._inputs[level], POINTS[level])
         return self._made[level]
 
-
-@dataclass(frozen=True)
-class FrameMaps:
-    """One frame at three resolutions.
-
-    Attributes:
-        levels: by number, 0 the finest.
-    """
-
-    levels: Levels
-
     @property
     def has_intensity(self) -> bool:
         """Whether the photometric term can be used."""
-        return self.levels[0].intensity.size > 0
+        return self[0].intensity.size > 0
 
 
 @dataclass
@@ -216,7 +201,7 @@ def maps_of(camera: Camera, frame: ReducedFrame, correction_per_m: Float32 | Non
     intensity = np.zeros((0, 0), np.float32)
     if frame.gray.size:
         intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)
-    return FrameMaps(Levels(reduced_camera(camera, _reduction(camera)), depth_m, intensity))
+    return FrameMaps(reduced_camera(camera, _reduction(camera)), depth_m, intensity)
 
 
 def _reduction(camera: Camera) -> int:
@@ -276,30 +261,22 @@ def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.flo
     return max(MIN_NORMAL_NOISE, float(np.sqrt(np.median(squared) / (4 * np.log(2)))))
 
 
-@dataclass
 class DepthAverage:
-    """The depth of one keyframe while frames are added.
+    """The depth of one keyframe while frames are added."""
 
-    Attributes:
-        level: the keyframe at its finest resolution.
-    """
-
-    level: Level
-    frames: int = 0
-    _total: NDArray[np.float32] = field(init=False)
-    _count: NDArray[np.float32] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._total = self.level.depth_m.copy()
-        self._count = (self.level.depth_m > 0).astype(np.float32)
+    def __init__(self, keyframe: Level) -> None:
+        """Begin with the keyframe at its finest resolution."""
+        self._own = keyframe.depth_m
+        self._total, self._count = self._own.copy(), (self._own > 0).astype(np.float32)
+        self._frames = 0
 
     def add(self, frame: Level, T_keyframe_frame: NDArray[np.float64]) -> None:
         """Add a frame that lies at T_keyframe_frame (4, 4) to the keyframe."""
-        if self.frames >= MAX_FRAMES:
+        if self._frames >= MAX_FRAMES:
             return
-        self.frames += 1
+        self._frames += 1
         T_frame_keyframe = np.ascontiguousarray(invert_rigid(T_keyframe_frame))
-        _add(self._total, self._count, self.level.depth_m, frame.depth_m, frame.intrinsics, T_frame_keyframe)
+        _add(self._total, self._count, self._own, frame.depth_m, frame.camera.intrinsics, T_frame_keyframe)
 
     def stored(self) -> NDArray[np.uint16]:
         """(height, width) uint16 mean depth in 0.1 mm, 0 = none."""

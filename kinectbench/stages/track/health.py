@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.stored import known
 from kinectbench.core.artefacts.trajectory import (
     ConstraintCounts,
     Covisibility,
+    FrameHealth,
     FrameState,
     LoopClosure,
     Recommendation,
@@ -19,6 +20,7 @@ from kinectbench.core.artefacts.trajectory import (
     Source,
     TrajectoryHealth,
 )
+from kinectbench.core.images import relative_blur
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility
@@ -26,10 +28,10 @@ from kinectbench.core.types import Bools, Float64
 from kinectbench.stages.track.check_given import GivenCheck
 from kinectbench.stages.track.health_figures import (
     TieCorrection,
-    frame_rows,
     lost_stretches,
     median,
     median_depths_m,
+    motion,
     pose_sigma_m,
     sharpness,
     tie_correction,
@@ -77,14 +79,7 @@ def health(
         **_tie_figures(case),
         given=None if given is None else given.figures,
         covisibility=_covisibility(case),
-        per_frame=frame_rows(
-            sequence.stamps_ns,
-            tracked,
-            case.states,
-            shift_m=case.shift_m,
-            residual_m=case.residual_m,
-            sharpness=sharpness(sequence, tracked.sharpness),
-        ),
+        per_frame=_frame_rows(case),
     )
     grade, verdict = judge(figures)
     return figures.model_copy(update={"grade": grade, "verdict": verdict})
@@ -175,6 +170,26 @@ def _rejected(case: _Case, frame: int) -> RejectedFrame:
     )
 
 
+def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
+    """A row of figures per frame."""
+    tracked, residual_m = case.tracked, case.residual_m
+    speed_m_per_s, turn_rad_per_s = motion(tracked.T_world_camera, case.sequence.stamps_ns)
+    blurred = relative_blur(sharpness(case.sequence, tracked.sharpness))
+    return tuple(
+        FrameHealth(
+            frame=frame,
+            state=state,
+            residual_m=known(residual_m[frame]),
+            shift_m=known(case.shift_m[frame]),
+            inlier_share=known(tracked.inlier_share[frame], 4),
+            speed_m_per_s=known(speed_m_per_s[frame], 4),
+            turn_rad_per_s=known(turn_rad_per_s[frame], 4),
+            blur=known(blurred[frame], 4),
+        )
+        for frame, state in enumerate(case.states)
+    )
+
+
 def _residual_figures(case: _Case) -> dict[str, Any]:
     """Residuals of the frames with a pose. Keyframes take part in the model that others are compared with."""
     others = case.posed.copy()
@@ -223,9 +238,9 @@ def _loop(each: TieCorrection) -> LoopClosure:
     return LoopClosure(
         a=each.tie.a,
         b=each.tie.b,
-        residual_m=known(each.tie.residual_m),
-        overlap=known(each.tie.overlap, 4),
-        inlier_share=known(each.tie.inlier_share, 4),
+        residual_m=known(each.tie.registration.residual_m),
+        overlap=known(each.tie.registration.overlap, 4),
+        inlier_share=known(each.tie.registration.inlier_share, 4),
         correction_m=known(each.shift_m),
         correction_rad=known(each.turn_rad),
         weight=known(each.tie.weight, 4),

@@ -6,16 +6,14 @@ motion and blur; and where the camera was lost.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from collections.abc import Sequence as Rows
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.stored import known
-from kinectbench.core.artefacts.trajectory import FrameHealth, FrameState, LostStretch
+from kinectbench.core.artefacts.trajectory import LostStretch
 from kinectbench.core.geometry import Camera, invert_rigid, rotation_angle_rad, transform_points
-from kinectbench.core.images import image_sharpness, relative_blur
+from kinectbench.core.images import image_sharpness
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Bools, Float64
@@ -82,8 +80,7 @@ def tie_correction(tie: Tie, T_world_camera: Float64, camera: Camera, depth_m: f
         return TieCorrection(tie, np.nan, np.nan)
     T_measured_final = invert_rigid(tie.T_a_b) @ T_a_b
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, GRID), np.linspace(0, camera.height - 1, GRID))
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-    points = depth_m * rays.reshape(-1, 3)
+    points = depth_m * camera.rays_at(u, v).reshape(-1, 3)
     moved_m = np.linalg.norm(transform_points(T_measured_final, points) - points, axis=1)
     turn_rad = float(rotation_angle_rad(T_measured_final[:3, :3]))
     return TieCorrection(tie, float(np.sqrt(np.mean(moved_m**2))), turn_rad)
@@ -121,42 +118,6 @@ def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64
     to_after_ns = np.abs(stamps_ns[keyframes[after]] - stamps_ns)
     to_before_ns = np.abs(stamps_ns - stamps_ns[keyframes[before]])
     return keyframes[np.where(to_before_ns <= to_after_ns, before, after)]
-
-
-def frame_rows(
-    stamps_ns: NDArray[np.int64],
-    tracked: Tracked,
-    states: Rows[FrameState],
-    *,
-    shift_m: Float64,
-    residual_m: Float64,
-    sharpness: Float64,
-) -> tuple[FrameHealth, ...]:
-    """A row of figures per frame.
-
-    Args:
-        stamps_ns: (n,).
-        tracked: what the tracker found.
-        states: (n,) tracked, relocalised, lost or rejected.
-        shift_m: (n,) by how much each pose may be off, metres; NaN where unknown.
-        residual_m: (n,) to other frames, metres; NaN where unknown.
-        sharpness: (n,) of the colour; NaN where there is none.
-    """
-    speed_m_per_s, turn_rad_per_s = motion(tracked.T_world_camera, stamps_ns)
-    blurred = relative_blur(sharpness)
-    return tuple(
-        FrameHealth(
-            frame=frame,
-            state=state,
-            residual_m=known(residual_m[frame]),
-            shift_m=known(shift_m[frame]),
-            inlier_share=known(tracked.inlier_share[frame], 4),
-            speed_m_per_s=known(speed_m_per_s[frame], 4),
-            turn_rad_per_s=known(turn_rad_per_s[frame], 4),
-            blur=known(blurred[frame], 4),
-        )
-        for frame, state in enumerate(states)
-    )
 
 
 def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float64, Float64]:

@@ -16,7 +16,7 @@ from kinectbench.stages.track.covisibility import Glimpse, covisible, glimpse
 from kinectbench.stages.track.depth_calibration import View, calibrate, evenly_chosen
 from kinectbench.stages.track.features import FeatureCache, likeness, pose_from_features
 from kinectbench.stages.track.frame_maps import MapCache
-from kinectbench.stages.track.odometry import Odometry, every_of, is_believable, tie
+from kinectbench.stages.track.odometry import Odometry, every_of, is_believable
 from kinectbench.stages.track.pose_graph import optimise
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
 from kinectbench.stages.track.tracked import Tie, TieKind
@@ -120,7 +120,7 @@ class _Builder:
         """A tie of the odometry, registered again now that the keyframes' depth is averaged."""
         source, target = self.maps[each.b], self.maps[each.a]
         found = register(source, [target], [each.T_a_b], 0, PLACED, every_of(source))
-        return tie(each.a, each.b, found, each.kind) if is_believable(found) else each
+        return Tie(each.a, each.b, found, each.kind) if is_believable(found) else each
 
     def tie_alike(self) -> None:
         """Try keyframes that look alike and are not neighbours; and those on both sides of a gap."""
@@ -174,7 +174,7 @@ class _Builder:
         best = self._register(frames, T_a_b)
         if best is None:
             return
-        made = tie(*frames, best, kind)
+        made = Tie(*frames, best, kind)
         believed = self._is_mutual(frames, best) and not (
             self.group[a] == self.group[b] and self._breaks_drift_bound(a, b, best.T_target_source)
         )
@@ -187,9 +187,7 @@ class _Builder:
             best = register(source, [target], [T_a_b], every=every_of(source))
         lost = T_a_b is None or self.round == 0
         if lost and (best is None or not _convinces(best)):
-            seen = pose_from_features(
-                self.features[frames[1]], self.features[frames[0]], source.levels[0].camera
-            )
+            seen = pose_from_features(self.features[frames[1]], self.features[frames[0]], source[0].camera)
             if seen is not None:
                 best = better(best, register(source, [target], [seen[0]], 1, every=every_of(source)))
         if lost and T_a_b is not None and best is not None and not _convinces(best):
@@ -242,7 +240,7 @@ class _Builder:
             self.ties[t] = self._again(self.ties[t])
 
     def _view(self, a: int, b: int) -> View:
-        target, source = (self.maps[self.keyframes[row]].levels[0] for row in (a, b))
+        target, source = (self.maps[self.keyframes[row]][0] for row in (a, b))
         return View(source, target, self._between(a, b))
 
     def _ends(self, each: Tie) -> tuple[int, int]:
@@ -254,11 +252,12 @@ class _Builder:
 
     def _joints(self) -> dict[tuple[int, int], list[Tie]]:
         """The ties between each two groups that are nearly as good as those of consecutive keyframes."""
-        usual = np.median([each.inlier_share for each in self.ties if each.kind == "odometry"] or [0.0])
+        along = [each.registration for each in self.ties if each.kind == "odometry"]
+        usual = np.median([each.inlier_share for each in along] or [0.0])
         between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
         for each in self.ties:
             low, high = sorted(int(self.group[row]) for row in self._ends(each))
-            if low != high and each.inlier_share >= usual - FEWER_INLIERS:
+            if low != high and each.registration.inlier_share >= usual - FEWER_INLIERS:
                 between[low, high].append(each)
         return between
 

@@ -94,7 +94,7 @@ def linearise(
         target.normals,
         # A frame that came without colour is compared by its depth alone.
         target.intensity if source.intensity.size else source.intensity,
-        target.intrinsics,
+        target.camera.intrinsics,
         np.ascontiguousarray(T_target_source),
         gate_m,
         exposure,

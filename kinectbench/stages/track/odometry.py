@@ -16,7 +16,7 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.features import FeatureCache, pose_from_features
 from kinectbench.stages.track.frame_maps import DepthAverage, FrameMaps, MapCache
 from kinectbench.stages.track.registration import Registration, better, measure, register, search
-from kinectbench.stages.track.tracked import Tie, TieKind
+from kinectbench.stages.track.tracked import Tie
 
 # A frame with fewer points (of some 19000) shows nothing to register.
 MIN_POINTS = 400
@@ -165,7 +165,7 @@ class _Follower:
         if frame.keyframe == index:
             self._begin_keyframe(index, frame)
         elif self.average is not None and frame.keyframe == self.keyframes[-1] and frame.registration:
-            self.average.add(self.maps[index].levels[0], frame.registration.T_target_source)
+            self.average.add(self.maps[index][0], frame.registration.T_target_source)
         self.frames.append(frame)
 
     def odometry(self) -> Odometry:
@@ -184,19 +184,19 @@ class _Follower:
         self.usual = self.usual.after(followed.registration)
         if not _is_keyframe(followed.registration, self.maps[index]):
             return followed
-        self.ties.append(tie(followed.keyframe, index, followed.registration, "odometry"))
+        self.ties.append(Tie(followed.keyframe, index, followed.registration, "odometry"))
         return replace(followed, keyframe=index)
 
     def _begin_keyframe(self, index: int, keyframe: Followed) -> None:
         """Average the new keyframe's depth, first with the frames just before it."""
         self._end_average()
         self.keyframes.append(index)
-        self.average = DepthAverage(self.maps[index].levels[0])
+        self.average = DepthAverage(self.maps[index][0])
         for before in range(max(0, index - FRAMES_BEFORE), index):
             frame = self.frames[before]
             if frame is not None and frame.segment == keyframe.segment:
                 T_keyframe_frame = invert_rigid(keyframe.T_segment_camera) @ frame.T_segment_camera
-                self.average.add(self.maps[before].levels[0], T_keyframe_frame)
+                self.average.add(self.maps[before][0], T_keyframe_frame)
 
     def _end_average(self) -> None:
         if self.average is not None:
@@ -227,7 +227,7 @@ class _Follower:
             if self.usual.is_sure(best):
                 break
         else:
-            seen = pose_from_features(self.features[index], self.features[reference], source.levels[0].camera)
+            seen = pose_from_features(self.features[index], self.features[reference], source[0].camera)
             if seen is not None:
                 best = better(best, register(source, [target], [seen[0]], coarsest=1, every=every))
             if best is None or not self.usual.is_sure(best):
@@ -267,7 +267,7 @@ class _Follower:
 
 def _too_little(maps: FrameMaps) -> str | None:
     """Why a frame cannot be registered to anything; None if it can."""
-    if len(maps.levels[0].points) < MIN_POINTS:
+    if len(maps[0].points) < MIN_POINTS:
         return NO_DEPTH
     alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
     return OPEN_MOTION if alone.degenerate and alone.over_noise < ONE_PLANE else None
@@ -276,20 +276,6 @@ def _too_little(maps: FrameMaps) -> str | None:
 def every_of(source: FrameMaps) -> int:
     """Every how many points of a frame are enough to register it."""
     return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
-
-
-def tie(a: int, b: int, registration: Registration, kind: TieKind) -> Tie:
-    """The registration of keyframe b to keyframe a as a tie."""
-    return Tie(
-        a=a,
-        b=b,
-        T_a_b=registration.T_target_source,
-        information=registration.information,
-        kind=kind,
-        overlap=registration.overlap,
-        inlier_share=registration.inlier_share,
-        residual_m=registration.residual_m,
-    )
 
 
 def is_believable(registration: Registration) -> bool:
@@ -306,7 +292,7 @@ def is_believable(registration: Registration) -> bool:
 def _is_keyframe(registration: Registration, maps: FrameMaps) -> bool:
     """Whether a frame has moved so far from its keyframe that it becomes the next one."""
     T = registration.T_target_source
-    depth_m = float(np.median(maps.levels[0].points[:, 2]))
+    depth_m = float(np.median(maps[0].points[:, 2]))
     return bool(
         registration.overlap < KEYFRAME_OVERLAP
         or rotation_angle_rad(T[:3, :3]) > KEYFRAME_TURN_RAD

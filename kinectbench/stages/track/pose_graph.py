@@ -27,6 +27,8 @@ PER_DISAGREEING_SHARE = 100.0
 LOOSE = 1e-3
 # Squared error of a tie, in its own sigmas, at which it loses three quarters of its weight.
 KERNEL = 30.0
+# How loosely priors are believed: 30 mrad and 50 mm.
+PRIOR = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
 ITERATIONS, COARSE_ITERATIONS, STEP_ENOUGH = 40, 4, 1e-6
 TIGHTENINGS = 8
 
@@ -36,7 +38,6 @@ def optimise(
     ties: Sequence[Tie],
     nodes: Sequence[tuple[int, int]],
     T_prior: Float64 | None = None,
-    prior_sigma: tuple[float, float] = (0.03, 0.05),
 ) -> tuple[Float64, Float64]:
     """Move poses until the ties agree.
 
@@ -45,7 +46,6 @@ def optimise(
         ties: measured T_a_b with information.
         nodes: for each tie its two rows of `T_world`.
         T_prior: (k, 4, 4) poses believed loosely, NaN where there is none; or None.
-        prior_sigma: how loosely: radians, metres.
 
     Returns:
         (k, 4, 4) poses and (number of ties,) weights, 0 to 1.
@@ -57,7 +57,7 @@ def optimise(
     weights = np.ones(len(ties))
     if len(poses) == 1 or not len(ties):
         return poses, weights
-    graph = _Graph(measured, information, ends, T_prior, prior_sigma)
+    graph = _Graph(measured, information, ends, T_prior)
     largest = graph.squared(poses).max(initial=0.0)
     kernels = KERNEL * np.maximum(1.0, (largest / KERNEL) ** np.linspace(1, 0, TIGHTENINGS))
     for kernel in kernels:
@@ -71,8 +71,9 @@ def softened(tie: Tie) -> Float64:
 
     Their growth is an own rule, found on simulated orbits. Also where A is singular.
     """
-    A = tie.information
-    growth = (1 + PER_DISAGREEING_SHARE * (1 - tie.inlier_share)) / max(tie.overlap, 0.1) ** 2
+    found = tie.registration
+    A = found.information
+    growth = (1 + PER_DISAGREEING_SHARE * (1 - found.inlier_share)) / max(found.overlap, 0.1) ** 2
     systematic = np.diag((SYSTEMATIC * growth) ** 2)
     return np.asarray(A - A @ np.linalg.solve(A + np.linalg.inv(systematic), A))
 
@@ -85,7 +86,6 @@ class _Graph:
     information: Float64
     ends: NDArray[np.int64]
     T_prior: Float64 | None
-    prior_sigma: tuple[float, float]
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
         """Levenberg-Marquardt: a step that does not lower the cost is taken back and damped."""
@@ -115,8 +115,8 @@ class _Graph:
         """Sum of the kernels of all ties and priors."""
         squares = self.squared(poses)
         total = float((kernel * squares / (kernel + squares)).sum())
-        for _, error, prior in self._priors(poses):
-            square = float(error @ prior @ error)
+        for _, error in self._priors(poses):
+            square = float(error @ PRIOR @ error)
             total += KERNEL * square / (KERNEL + square)
         return total
 
@@ -133,11 +133,11 @@ class _Graph:
         np.add.at(diagonal, b, information)
         np.add.at(gradient, a, -(to_a @ errors))
         np.add.at(gradient, b, -(information @ errors))
-        for node, error, prior in self._priors(poses):
+        for node, error in self._priors(poses):
             # A prior that is far off is wrong, not loose.
-            weight = 1 / (1 + error @ prior @ error / KERNEL) ** 2
-            diagonal[node] += weight * prior
-            gradient[node, :, 0] -= weight * prior @ error
+            weight = 1 / (1 + error @ PRIOR @ error / KERNEL) ** 2
+            diagonal[node] += weight * PRIOR
+            gradient[node, :, 0] -= weight * PRIOR @ error
         if self.T_prior is None:
             diagonal[0] += 1e12 * np.eye(6)
         across = np.arange(6)
@@ -150,12 +150,11 @@ class _Graph:
             gradient,
         )
 
-    def _priors(self, poses: Float64) -> Iterator[tuple[int, Float64, Float64]]:
+    def _priors(self, poses: Float64) -> Iterator[tuple[int, Float64]]:
         if self.T_prior is None:
             return
-        prior = np.diag([self.prior_sigma[0] ** -2] * 3 + [self.prior_sigma[1] ** -2] * 3)
         for node in np.flatnonzero(np.isfinite(self.T_prior).all(axis=(1, 2))):
-            yield int(node), twist_from_rigid(invert_rigid(self.T_prior[node]) @ poses[node]), prior
+            yield int(node), twist_from_rigid(invert_rigid(self.T_prior[node]) @ poses[node])
 
 
 def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float64:

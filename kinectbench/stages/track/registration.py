@@ -161,8 +161,8 @@ def _linearised(
     finest = level == 0
     return [
         linearise(
-            source.levels[level],
-            target.levels[level],
+            source[level],
+            target[level],
             T,
             GATES_M[level],
             exposure,
@@ -185,7 +185,7 @@ def _figures(
     compared = inliers + sum(terms.violations for terms in found)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
     variances = sum(terms.inliers * terms.noise_m**2 for terms in found)
-    held = openness(found, source.levels[0], [target.levels[0] for target in targets])
+    held = openness(found, source[0], [target[0] for target in targets])
     geometric = held.without_noise(np.sum([terms.geometric for terms in found], axis=0))
     photometric = np.sum([terms.photometric for terms in found], axis=0)
     information = (geometric + photometric) * (every / CORRELATED_POINTS)
@@ -195,7 +195,7 @@ def _figures(
     registration = Registration(
         T_target_source=on_so3(T_target_source),
         information=information,
-        overlap=min(1.0, compared * every / max(1, len(source.levels[0].points) * len(targets))),
+        overlap=min(1.0, compared * every / max(1, len(source[0].points) * len(targets))),
         inlier_share=inliers / max(1, compared),
         residual_m=float(np.sqrt(squares / max(1, inliers))),
         noise_m=float(np.sqrt(variances / max(1, inliers))),
@@ -269,7 +269,7 @@ def better(best: Registration | None, other: Registration) -> Registration:
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
     """The most convincing registration of a frame to another around `T_start` (4, 4)."""
-    points, maps = source.levels[COARSEST], target.levels[COARSEST]
+    points, maps = source[COARSEST], target[COARSEST]
     T_settled, _ = _settle(points, maps, T_start)
     terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_shares=True)
     weakest = openness([terms], points, [maps]).motions[:, :3]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.types import Float64
+from kinectbench.stages.track.registration import Registration
 
 State = Literal["tracked", "relocalised", "lost"]
 TieKind = Literal["odometry", "covisible", "loop"]
@@ -21,24 +22,21 @@ class Tie:
     Attributes:
         a: index of the one frame, in the sequence.
         b: index of the other.
-        T_a_b: (4, 4), measured by registration.
-        information: (6, 6) inverse covariance of a twist (rotation, translation) in b's frame.
+        registration: of b to a.
         kind: odometry: consecutive; covisible: near in time; loop: a place seen again.
-        overlap: share of b's points that can be compared with a.
-        inlier_share: share of these that agree.
-        residual_m: root mean square point-to-plane residual of these, metres.
         weight: 0 to 1, what the robust kernel of the pose graph left of it.
     """
 
     a: int
     b: int
-    T_a_b: Float64
-    information: Float64
+    registration: Registration
     kind: TieKind
-    overlap: float
-    inlier_share: float
-    residual_m: float
     weight: float = 1.0
+
+    @property
+    def T_a_b(self) -> Float64:
+        """(4, 4), as it was measured."""
+        return self.registration.T_target_source
 
 
 @dataclass(frozen=True)

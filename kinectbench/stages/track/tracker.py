@@ -198,7 +198,7 @@ class _Placer:
 def _tied(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
     """For each keyframe the ones tied to it, the strongest first."""
     tied: list[list[int]] = [[] for _ in graph.keyframes]
-    for each in sorted(graph.ties, key=lambda t: -t.weight * t.overlap):
+    for each in sorted(graph.ties, key=lambda t: -t.weight * t.registration.overlap):
         tied[row[each.a]].append(row[each.b])
         tied[row[each.b]].append(row[each.a])
     return tied

@@ -31,7 +31,7 @@ def distorted(coefficients: np.ndarray) -> list[FrameMaps]:
 
 def views(frames: list[FrameMaps], pairs: list[tuple[int, int]]) -> list[View]:
     T = couch().simulation.T_world_camera
-    return [View(frames[b].levels[0], frames[a].levels[0], invert_rigid(T[a]) @ T[b]) for a, b in pairs]
+    return [View(frames[b][0], frames[a][0], invert_rigid(T[a]) @ T[b]) for a, b in pairs]
 
 
 def test_a_known_distortion_is_found():

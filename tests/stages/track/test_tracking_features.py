@@ -28,7 +28,7 @@ def test_points_lie_where_their_pixels_see_depth(color):
     maps = frame_maps(sequence, 3)
     found = find_features(maps)
     assert len(found.pixels) == len(found.points_m) == len(found.descriptors) > 50
-    camera, depth = maps.levels[0].camera, maps.levels[0].depth_m
+    camera, depth = maps[0].camera, maps[0].depth_m
     np.testing.assert_allclose(camera.project(found.points_m), found.pixels, atol=1e-6)
     u, v = np.rint(found.pixels).astype(int).T
     np.testing.assert_array_equal(found.points_m[:, 2].astype(np.float32), depth[v, u])
@@ -39,7 +39,7 @@ def test_points_lie_where_their_pixels_see_depth(color):
 def test_a_known_motion_without_a_start(a, b):
     """From 0.14 to 0.3 m; registration takes over from there."""
     target, source = frame_maps(couch().sequence, a), frame_maps(couch().sequence, b)
-    seen = pose_from_features(find_features(source), find_features(target), source.levels[0].camera)
+    seen = pose_from_features(find_features(source), find_features(target), source[0].camera)
     assert seen is not None and seen[1] >= 30
     poses = couch().simulation.T_world_camera
     error = invert_rigid(invert_rigid(poses[a]) @ poses[b]) @ seen[0]
@@ -117,6 +117,6 @@ def test_the_same_features_again():
     poses = []
     for seed in (1, 2):
         cv2.setRNGSeed(seed)
-        poses.append(pose_from_features(a, target, maps.levels[0].camera))
+        poses.append(pose_from_features(a, target, maps[0].camera))
     assert poses[0] is not None and poses[1] is not None
     np.testing.assert_array_equal(poses[0][0], poses[1][0])

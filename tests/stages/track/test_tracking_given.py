@@ -76,7 +76,7 @@ def test_a_known_shift_is_measured(off: tuple[float, float, float, float]) -> No
     maps = corner()
     T_off = displaced(np.eye(4), off[:3], off[3])
     found = ask(maps, [maps], [T_off], 2, 1)
-    points = maps.levels[0].points[:, :3].astype(float)
+    points = maps[0].points[:, :3].astype(float)
     expected_m = np.median(np.linalg.norm(transform_points(T_off, points) - points, axis=1))
     assert found is not None
     assert found.shift_m == pytest.approx(expected_m, rel=0.03)
@@ -105,11 +105,11 @@ def test_residuals_are_the_distances_to_the_plane() -> None:
     down = look_at(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.01, 0.0]))
     maps = MapCache(painted([FLOOR], down[None]))[0]
     nearer = displaced(np.eye(4), (0.0, 0.0, -0.02), 0.0)
-    found = residuals_m(maps, maps.levels[0], nearer, 1)
+    found = residuals_m(maps, maps[0], nearer, 1)
     assert len(found) > 5000
     np.testing.assert_allclose(found, 0.02, atol=1e-4)
     beyond = displaced(np.eye(4), (0.0, 0.0, -0.15), 0.0)
-    assert len(residuals_m(maps, maps.levels[0], beyond, 1)) == 0
+    assert len(residuals_m(maps, maps[0], beyond, 1)) == 0
 
 
 # --- each frame against those around it

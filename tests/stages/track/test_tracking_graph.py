@@ -11,6 +11,7 @@ from tracking_scenes import (
     frame_maps,
     noisy_circle,
     painted,
+    tie_at,
     walk,
     without_color,
 )
@@ -35,7 +36,7 @@ INFORMATION = np.diag([1e6] * 3 + [1e6] * 3)  # 1 mrad, 1 mm
 
 
 def tie_of(a: int, b: int, T_a_b: np.ndarray, kind: TieKind = "odometry") -> Tie:
-    return Tie(a, b, T_a_b, INFORMATION, kind, overlap=0.8, inlier_share=0.99, residual_m=0.002)
+    return tie_at(a, b, T_a_b, INFORMATION, kind)
 
 
 def between(poses: np.ndarray, a: int, b: int, twist: np.ndarray | None = None) -> np.ndarray:
@@ -149,8 +150,8 @@ def test_what_a_tie_leaves_open_stays_open():
     poses = np.stack([np.eye(4), displaced(np.eye(4), (0.1, 0.0, 0.0), 0.0)])
     wrong_in_x = displaced(poses[1], (0.03, 0.0, 0.0), 0.0)
     ties = [
-        Tie(0, 1, wrong_in_x, loose, "odometry", 0.8, 0.99, 0.002),
-        Tie(0, 1, poses[1], 1e-2 * INFORMATION, "covisible", 0.8, 0.99, 0.002),
+        tie_at(0, 1, wrong_in_x, loose, "odometry"),
+        tie_at(0, 1, poses[1], 1e-2 * INFORMATION, "covisible"),
     ]
     found, _ = optimise(np.stack([np.eye(4), wrong_in_x]), ties, [(0, 1), (0, 1)])
     assert off_mm(found, poses).max() < 1.0
@@ -158,14 +159,14 @@ def test_what_a_tie_leaves_open_stays_open():
 
 def test_information_is_softened_by_what_is_systematic():
     """No tie is better than tenths of a millimetre, a poor overlap is worse, unknown stays unknown."""
-    sure = Tie(0, 1, np.eye(4), 1e12 * np.eye(6), "loop", 1.0, 1.0, 0.001)
+    sure = tie_at(0, 1, np.eye(4), 1e12 * np.eye(6), "loop", 1.0, 1.0)
     sigma = np.sqrt(np.diag(np.linalg.inv(softened(sure))))
     assert (sigma > 1e-4).all() and (sigma < 5e-3).all()
-    half = Tie(0, 1, np.eye(4), 1e12 * np.eye(6), "loop", 0.5, 0.95, 0.001)
+    half = tie_at(0, 1, np.eye(4), 1e12 * np.eye(6), "loop", 0.5, 0.95)
     assert (np.sqrt(np.diag(np.linalg.inv(softened(half)))) > 2 * sigma).all()
-    open_x = Tie(0, 1, np.eye(4), np.diag([1e6, 1e6, 1e6, 0.0, 1e6, 1e6]), "loop", 1.0, 1.0, 0.001)
+    open_x = tie_at(0, 1, np.eye(4), np.diag([1e6, 1e6, 1e6, 0.0, 1e6, 1e6]), "loop", 1.0, 1.0)
     assert softened(open_x)[3, 3] == 0 and np.isfinite(softened(open_x)).all()
-    weak = Tie(0, 1, np.eye(4), np.eye(6), "loop", 1.0, 1.0, 0.001)
+    weak = tie_at(0, 1, np.eye(4), np.eye(6), "loop", 1.0, 1.0)
     np.testing.assert_allclose(softened(weak), np.eye(6), atol=1e-4)
 
 

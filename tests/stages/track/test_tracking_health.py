@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from analytic_scenes import CAMERA, depth_of, displaced, health_of, plane, ring, sequence_of, sphere
+from tracking_scenes import tie_at
 
 from kinectbench.core.artefacts.stored import known
 from kinectbench.core.artefacts.trajectory import GivenFigures, LoopClosure, RejectedFrame, TrajectoryHealth
@@ -45,7 +46,7 @@ def tie(poses: np.ndarray, a: int, b: int, kind: str = "odometry", **changes: ob
     off = changes.pop("off", np.eye(4))
     measured = invert_rigid(poses[a]) @ poses[b] @ off
     values = {"overlap": 0.7, "inlier_share": 0.9, "residual_m": 0.004, **changes}
-    return Tie(a, b, measured, np.eye(6), kind, **values)
+    return tie_at(a, b, measured, np.eye(6), kind, **values)
 
 
 def tracked_of(poses: np.ndarray, **changes: object) -> Tracked:

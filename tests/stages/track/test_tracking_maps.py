@@ -39,9 +39,9 @@ BALL_CENTER, BALL_RADIUS_M = np.array([0.1, 0.05, 1.0]), 0.2
 def test_three_resolutions_of_any_size(camera):
     """The finest is some 320 wide, the others a half and a fourth; a plane stays where the rays meet it."""
     maps = frame_maps(painted([BACK], np.eye(4)[None], camera=camera), 0)
-    widths = [level.camera.width for level in maps.levels]
+    widths = [level.camera.width for level in maps]
     assert widths[0] in range(150, 331) and widths[1:] == [widths[0] // 2, widths[0] // 4]
-    for level in maps.levels:
+    for level in maps:
         assert level.depth_m.shape == (level.camera.height, level.camera.width) == level.normals.shape[:2]
         # TILTED . (z ray) = -1.6 at the centres of the larger pixels.
         expected = -1.6 / (level.camera.rays() @ TILTED)
@@ -62,7 +62,7 @@ def test_a_reduced_camera_sees_the_same_rays():
 def test_edges_stay_sharp():
     """A pixel that covers two surfaces takes the nearer one, not something in between."""
     surfaces = [BACK, sphere(tuple(BALL_CENTER), BALL_RADIUS_M)]
-    for level in frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["kinect"]), 0).levels:
+    for level in frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["kinect"]), 0):
         wall, ball = (depth_of([each], level.camera, np.eye(4)).astype(np.float64) for each in surfaces)
         off_m = np.minimum(np.abs(level.depth_m - wall), np.where(ball > 0, np.abs(level.depth_m - ball), 9))
         on_edge = (ball == 0) & (level.depth_m < wall - 0.1)  # the ball's rim, a pixel wider
@@ -77,7 +77,7 @@ def test_depth_out_of_range_is_not_used():
     sequence = replace(
         painted(ROOM, np.eye(4)[None]), depth_scale=1000.0, frames=PaintedFrames([raw], [None])
     )
-    finest = frame_maps(sequence, 0).levels[0].depth_m
+    finest = frame_maps(sequence, 0)[0].depth_m
     np.testing.assert_array_equal(finest[:50], 0)
     np.testing.assert_array_equal(finest[110:], 0)
     np.testing.assert_allclose(finest[50:110], depth_m[50:110])
@@ -91,7 +91,7 @@ def test_normals_of_a_plane_and_a_ball(noise):
     rng = np.random.default_rng(0) if noise else None
     for surfaces, limit_deg in (([BACK], 0.2), ([sphere(tuple(BALL_CENTER), BALL_RADIUS_M)], 3.0)):
         sequence = painted(surfaces, np.eye(4)[None], camera=SIZES["quarter"], noise=rng)
-        level = frame_maps(sequence, 0).levels[0]
+        level = frame_maps(sequence, 0)[0]
         found = level.normals[..., 2] != 0
         assert found.sum() > 0.4 * (level.depth_m > 0).sum()
         points = level.camera.backproject(level.depth_m)[found]
@@ -111,9 +111,7 @@ def test_the_noise_of_normals_is_told(distance_m):
     for seed in (None, 0):
         rng = None if seed is None else np.random.default_rng(seed)
         surfaces = [plane((0, 0, -1), -distance_m)]
-        level = frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["quarter"], noise=rng), 0).levels[
-            0
-        ]
+        level = frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["quarter"], noise=rng), 0)[0]
         tangents = level.normals[level.normals[..., 2] != 0][:, :2]
         spread = float(tangents.std()) * distance_m / depth_sigma_m(distance_m)
         assert level.normal_noise == pytest.approx(max(spread, MIN_NORMAL_NOISE), rel=0.15)
@@ -123,7 +121,7 @@ def test_the_noise_of_normals_is_told(distance_m):
 def test_points_lie_on_their_pixels_and_rare_directions_count():
     """A floor that fills the image and a small box: the box's sides keep most of their points."""
     sequence = painted(ROOM, CORNER_VIEW[None], camera=SIZES["quarter"], texture=waves)
-    for level in frame_maps(sequence, 0).levels:
+    for level in frame_maps(sequence, 0):
         p = level.points.astype(np.float64)
         pixels = level.camera.project(p[:, :3])
         u, v = np.rint(pixels).astype(int).T
@@ -133,7 +131,7 @@ def test_points_lie_on_their_pixels_and_rare_directions_count():
         np.testing.assert_array_equal(p[:, 3:6].astype(np.float32), level.normals[v, u])
         np.testing.assert_allclose(p[:, 6], depth_sigma_m(p[:, 2]), rtol=1e-5)
         np.testing.assert_array_equal(p[:, 7].astype(np.float32), level.intensity[v, u])
-    coarse = frame_maps(sequence, 0).levels[1]
+    coarse = frame_maps(sequence, 0)[1]
     normals_world = coarse.normals.astype(np.float64) @ CORNER_VIEW[:3, :3].T
     chosen_world = coarse.points[:, 3:6].astype(np.float64) @ CORNER_VIEW[:3, :3].T
     valid = coarse.normals[..., 2] != 0
@@ -148,7 +146,7 @@ def test_points_lie_on_their_pixels_and_rare_directions_count():
 
 def test_a_frame_without_depth_has_no_points():
     empty = PaintedFrames([np.zeros((120, 160), np.uint16)], [None])
-    for level in frame_maps(replace(painted(ROOM, np.eye(4)[None]), frames=empty), 0).levels:
+    for level in frame_maps(replace(painted(ROOM, np.eye(4)[None]), frames=empty), 0):
         assert len(level.points) == 0 and not level.depth_m.any() and not level.normals.any()
         assert level.normal_noise > 0
 
@@ -160,10 +158,10 @@ def test_intensity_is_the_texture_at_each_pixel():
     sequence = painted(ROOM, CORNER_VIEW[None], camera=SIZES["kinect"], texture=waves)
     maps = frame_maps(sequence, 0)
     assert maps.has_intensity
-    level = maps.levels[0]
+    level = maps[0]
     expected = waves(level.camera.backproject(level.depth_m) @ CORNER_VIEW[:3, :3].T + CORNER_VIEW[:3, 3])
     assert np.median(np.abs(level.intensity - expected)) < 2.0
-    assert [each.intensity.shape for each in maps.levels] == [each.depth_m.shape for each in maps.levels]
+    assert [each.intensity.shape for each in maps] == [each.depth_m.shape for each in maps]
 
 
 @pytest.mark.parametrize("color", ["unregistered", "another size", "missing", "damaged"])
@@ -178,7 +176,7 @@ def test_colour_that_does_not_lie_on_depth_is_not_used(color):
         sequence = replace(sequence, frames=replace(frames, color=[image]))
     maps = frame_maps(sequence, 0)
     assert not maps.has_intensity
-    assert not maps.levels[0].points[:, 7].any() and len(maps.levels[0].points) > 1000
+    assert not maps[0].points[:, 7].any() and len(maps[0].points) > 1000
 
 
 # --- the cache, and better depth
@@ -197,7 +195,7 @@ def test_the_cache_is_bounded_and_gives_the_same_maps():
         assert cache[index] is not first
     again = cache[0]
     assert again is not first  # forgotten by now
-    np.testing.assert_array_equal(again.levels[0].points, first.levels[0].points)
+    np.testing.assert_array_equal(again[0].points, first[0].points)
 
 
 def test_averaged_depth_has_less_noise():
@@ -206,24 +204,24 @@ def test_averaged_depth_has_less_noise():
     poses = np.stack([displaced(CORNER_VIEW, (0.004 * k, 0.0, 0.003 * k), 0.2 * k) for k in range(11)])
     sequence = painted(ROOM, poses, camera=SIZES["quarter"], noise=rng)
     cache = MapCache(sequence)
-    average = DepthAverage(cache[0].levels[0])
+    average = DepthAverage(cache[0][0])
     for k in range(1, 11):
-        average.add(cache[k].levels[0], invert_rigid(poses[0]) @ poses[k])
+        average.add(cache[k][0], invert_rigid(poses[0]) @ poses[k])
     true_m = depth_of(ROOM, SIZES["quarter"], poses[0])
-    before_m = cache[0].levels[0].depth_m - true_m
-    noisy_points = cache[0].levels[0].normal_noise
+    before_m = cache[0][0].depth_m - true_m
+    noisy_points = cache[0][0].normal_noise
     cache.improve(0, average.stored())
-    after_m = cache[0].levels[0].depth_m - true_m
-    seen = (cache[0].levels[0].depth_m > 0) & (true_m > 0)
+    after_m = cache[0][0].depth_m - true_m
+    seen = (cache[0][0].depth_m > 0) & (true_m > 0)
     assert np.median(np.abs(after_m[seen])) < 0.45 * np.median(np.abs(before_m[seen]))
     assert abs(np.median(after_m[seen])) < 0.0003
-    assert cache[0].levels[0].normal_noise < 0.6 * noisy_points
+    assert cache[0][0].normal_noise < 0.6 * noisy_points
 
 
 def test_another_surface_is_not_averaged_in():
     """Something stands in front of the wall in the second frame."""
     wall, near = [plane((0, 0, -1), -1.5)], [plane((0, 0, -1), -1.5), sphere((0, 0, 1.0), 0.2)]
-    maps = [frame_maps(painted(each, np.eye(4)[None]), 0).levels[0] for each in (wall, near)]
+    maps = [frame_maps(painted(each, np.eye(4)[None]), 0)[0] for each in (wall, near)]
     for this, other in (maps, maps[::-1]):
         average = DepthAverage(this)
         average.add(other, np.eye(4))
@@ -236,5 +234,5 @@ def test_recorded_depth_is_left_alone():
     before = sequence.frames.depth_native(0).copy()
     a, b = frame_maps(sequence, 0), frame_maps(sequence, 0)
     np.testing.assert_array_equal(sequence.frames.depth_native(0), before)
-    assert a.levels[0].points.tobytes() == b.levels[0].points.tobytes()
+    assert a[0].points.tobytes() == b[0].points.tobytes()
     assert before.max() / SCALE > 1

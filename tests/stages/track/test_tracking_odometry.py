@@ -87,8 +87,9 @@ def test_keyframes_and_their_ties():
     for tie in odometry.ties:
         error = invert_rigid(invert_rigid(poses[tie.a]) @ poses[tie.b]) @ tie.T_a_b
         assert np.linalg.norm(error[:3, 3]) < 0.01
-        assert tie.kind == "odometry" and tie.inlier_share > 0.9 and tie.overlap > 0.25
-        assert np.linalg.eigvalsh(tie.information).min() > 0
+        assert tie.kind == "odometry" and tie.registration.inlier_share > 0.9
+        assert tie.registration.overlap > 0.25
+        assert np.linalg.eigvalsh(tie.registration.information).min() > 0
 
 
 def test_a_pause_moves_nothing():

@@ -133,7 +133,7 @@ def numeric(function, size: int, step: float = 1e-6) -> np.ndarray:
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_geometric_sums_equal_a_plain_reference(pair, level):
-    target, source = (maps.levels[level] for maps in pair)
+    target, source = (maps[level] for maps in pair)
     T = rigid_from_twist(np.array([0.01, -0.004, 0.006, 0.004, 0.003, -0.006]))
     found = corresponding(source, target, T, GATE_M)
     r, J = found.residuals(T), geometric_jacobian(found, T)
@@ -171,7 +171,7 @@ def without_intensity(level: Level) -> Level:
 
 def test_geometric_terms_are_derivatives_of_the_cost(pair):
     """Correspondences held fixed: J^T w J of the numeric Jacobian, and minus the gradient of the loss."""
-    target, source = (without_intensity(maps.levels[0]) for maps in pair)
+    target, source = (without_intensity(maps[0]) for maps in pair)
     T = rigid_from_twist(np.array([-0.006, 0.008, 0.003, -0.003, 0.005, 0.004]))
     found = corresponding(source, target, T, GATE_M)
     terms = linearise(source, target, T, GATE_M)
@@ -190,7 +190,7 @@ def test_geometric_terms_are_derivatives_of_the_cost(pair):
 
 def test_photometric_terms_are_derivatives_of_the_cost(pair):
     """The step of the twist and of gain and offset is that of the full system of eight unknowns."""
-    target, source = (maps.levels[0] for maps in pair)
+    target, source = (maps[0] for maps in pair)
     T = rigid_from_twist(np.array([-0.003, 0.004, 0.002, -0.002, 0.003, 0.002]))
     exposure = np.array([1.05, -5.0])
     found = corresponding(source, target, T, GATE_M)
@@ -324,7 +324,7 @@ def test_a_plane_is_seen_to_leave_motions_open(noise):
         across = np.concatenate([np.zeros(3), normal])
         assert twist @ found.information @ twist < 1e-3 * (across @ found.information @ across)
     # And noise does not drive the camera there: what it sees is not moved along the floor.
-    points = source.levels[0].points[:, :3].astype(np.float64)
+    points = source[0].points[:, :3].astype(np.float64)
     moved = transform_points(found.T_target_source, points) - points
     along_m = moved - (moved @ normal)[:, None] * normal
     assert np.linalg.norm(along_m.mean(axis=0)) < 0.01
@@ -413,20 +413,18 @@ def test_twists_there_and_back():
 
 
 def test_the_inputs_stay_as_they_are_and_the_bytes_are_the_same(pair):
-    before = [level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in maps.levels]
+    before = [level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in maps]
     a, b = (register(pair[1], [pair[0]], [np.eye(4)]) for _ in range(2))
     assert a.T_target_source.tobytes() == b.T_target_source.tobytes()
     assert a.information.tobytes() == b.information.tobytes()
-    assert before == [
-        level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in maps.levels
-    ]
+    assert before == [level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in maps]
 
 
 def test_exposure_follows_from_the_step(pair):
     """The second image is 0.9 of the first and 12 brighter: so is what registration ends with."""
     T, exposure = invert_rigid(CORNER_VIEW) @ MOVED, np.array([1.0, 0.0])
     for _ in range(10):
-        terms: LinearTerms = linearise(pair[1].levels[0], pair[0].levels[0], T, GATE_M, exposure)
+        terms: LinearTerms = linearise(pair[1][0], pair[0][0], T, GATE_M, exposure)
         exposure = terms.exposure_after(np.zeros(6))
     assert exposure[0] == pytest.approx(1 / 0.9, abs=0.02)
     assert exposure[1] == pytest.approx(-12 / 0.9, abs=3)
