@@ -19,7 +19,7 @@ from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.report import looks
 from kinectbench.report.figures import Figures, health_figures, quality_figures, text_of
-from kinectbench.report.plan import PlanView, draw_plan
+from kinectbench.report.plan import draw_plan
 from kinectbench.settings.models import RecordingSettings
 
 
@@ -130,9 +130,7 @@ def _plan(
     if cameras_world is None or T_floor_world is None:
         return None
     cameras_floor = T_floor_world @ cameras_world
-    left_out_floor = _left_out(cameras_floor, health)
-    # Only numbers of our own making go into the drawing: it is safe as it is.
-    return Markup(draw_plan(PlanView(cameras_floor, left_out_floor, looks.outlines(mesh) if mesh else [])))
+    return draw_plan(cameras_floor, _left_out(cameras_floor, health), looks.outlines(mesh) if mesh else [])
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:

@@ -15,13 +15,13 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.trajectory import RejectedFrame
 from kinectbench.report import figures as words
 from kinectbench.report import recording
-from kinectbench.report.plan import PlanView, draw_plan, time_color
+from kinectbench.report.plan import draw_plan, time_color
 from kinectbench.stages.track.verdict import GRADES
 
 
 def test_plan_is_seen_from_above_to_scale() -> None:
     corners = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    svg = draw_plan(PlanView(cameras_floor(), np.array([[0.0, 1.2, 1.0]]), [corners]))
+    svg = draw_plan(cameras_floor(), np.array([[0.0, 1.2, 1.0]]), [corners])
     root = ElementTree.fromstring(svg)
     assert root.get("class") == "plan"
     start = root.find("circle")
@@ -46,7 +46,7 @@ def test_plan_is_seen_from_above_to_scale() -> None:
 
 
 def test_ticks_point_at_what_the_cameras_look_at() -> None:
-    root = ElementTree.fromstring(draw_plan(PlanView(cameras_floor(), np.zeros((0, 3)), [])))
+    root = ElementTree.fromstring(draw_plan(cameras_floor(), np.zeros((0, 3)), []))
     ticks = [{k: float(v) for k, v in t.attrib.items() if len(k) == 2} for t in root.findall("line")]
     starts = np.array([[t["x1"], t["y1"]] for t in ticks])
     ends = np.array([[t["x2"], t["y2"]] for t in ticks])
@@ -60,7 +60,7 @@ def test_ticks_point_at_what_the_cameras_look_at() -> None:
 
 @pytest.mark.parametrize("n", [1, 2, 500])
 def test_plan_of_few_and_many_cameras(n: int) -> None:
-    svg = draw_plan(PlanView(np.repeat(np.eye(4)[None], n, axis=0), np.zeros((0, 3)), []))
+    svg = draw_plan(np.repeat(np.eye(4)[None], n, axis=0), np.zeros((0, 3)), [])
     assert ElementTree.fromstring(svg).get("role") == "img"
     assert "nan" not in svg and len(svg) < 30_000
 
