@@ -1,16 +1,15 @@
-"""Charts of the scores: bars by category, IoU against threshold and against visible share.
-
-Drawn here, as SVG or as numbers for the template; they hold no text from elsewhere.
-"""
+"""Charts of the scores: bars by category, IoU against threshold and against visible share."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from kinectbench.core.artefacts.scores import OVERALL, ScoreRow, ScoreTable
+from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
+from kinectbench.report.plan import svg_path
 from kinectbench.report.tables import shown
 from kinectbench.scoring.counts import THRESHOLDS
 
@@ -33,35 +32,25 @@ class Bar:
     interval_text: str
 
 
-@dataclass(frozen=True)
-class Bars:
-    """One category."""
-
-    category: str
-    bars: tuple[Bar, ...]
-
-
-def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> tuple[Bars, ...]:
+def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]]:
     """Bars of the mean IoU with its interval, a group for each category and one over all."""
     scores = {table.method: table.averages(protocol) for table in tables}
     names = sorted({c for of in scores.values() for c in of} - {OVERALL})
     values = [s.iou for of in scores.values() for s in of.values() if s.iou is not None]
     ends = [end for of in scores.values() for s in of.values() for end in s.intervals.get("iou") or ()]
     scale = 100 / nice_top(max([*values, *ends], default=1.0))
-    groups = []
+    groups: dict[str, list[Bar]] = {}
     for category in [OVERALL, *names] if len(names) > 1 else names:
-        bars = []
         for method, of in scores.items():
             score = of.get(category)
             if score is not None and score.iou is not None:
-                ends_of = score.intervals.get("iou")
-                interval = (
-                    None if ends_of is None else (ends_of[0] * scale, (ends_of[1] - ends_of[0]) * scale)
-                )
-                words = "" if ends_of is None else f"{shown(ends_of[0])}–{shown(ends_of[1])}"
-                bars.append(Bar(method, shown(score.iou), score.iou * scale, interval, words))
-        groups.append(Bars(category, tuple(bars)))
-    return tuple(group for group in groups if group.bars)
+                interval, words = None, ""
+                if between := score.intervals.get("iou"):
+                    interval = between[0] * scale, (between[1] - between[0]) * scale
+                    words = f"{shown(between[0])}–{shown(between[1])}"
+                bar = Bar(method, shown(score.iou), score.iou * scale, interval, words)
+                groups.setdefault(category, []).append(bar)
+    return groups
 
 
 def nice_top(value: float) -> float:
@@ -85,40 +74,15 @@ class Axes:
             HEIGHT - BOTTOM - y / self.y_high * (HEIGHT - TOP - BOTTOM),
         )
 
-    def path(self, xs: Sequence[float], ys: Sequence[float]) -> str:
-        """The `d` of a line through points."""
-        return "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in map(self.at, xs, ys))
 
+@dataclass(frozen=True)
+class Series:
+    """What is drawn of one method: its index in the legend, the `d` of points and of a line, and a dot."""
 
-def _steps(low: float, high: float) -> list[float]:
-    """Ticks of an axis, four to six of them."""
-    step = next((s for s in TICKS if (high - low) / s <= 5), TICKS[-1])
-    first = int(np.ceil(round(low / step, 6)))
-    return [k * step for k in range(first, int(np.floor(round(high / step, 6))) + 1)]
-
-
-def _frame(axes: Axes, x_name: str, body: Sequence[str], label: str) -> Markup:
-    """The SVG element: grid, ticks, names, and what is drawn in it."""
-    parts = []
-    for y in _steps(0, axes.y_high):
-        (x0, y0), (x1, _) = axes.at(axes.x_low, y), axes.at(axes.x_high, y)
-        parts.append(f'<path class="rule" d="M{x0:.1f},{y0:.1f}H{x1:.1f}"/>')
-        parts.append(f'<text x="{x0 - 6:.1f}" y="{y0 + 4:.1f}" text-anchor="end">{y:.4g}</text>')
-    for x in _steps(axes.x_low, axes.x_high):
-        px, py = axes.at(x, 0)
-        parts.append(f'<path class="tick" d="M{px:.1f},{py:.1f}v4"/>')
-        parts.append(f'<text x="{px:.1f}" y="{py + 16:.1f}" text-anchor="middle">{x:.4g}</text>')
-    middle = axes.at((axes.x_low + axes.x_high) / 2, 0)[0]
-    parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 4:.1f}" text-anchor="middle">{x_name}</text>')
-    parts.append(f'<text x="{LEFT:.1f}" y="{TOP - 9:.1f}">IoU</text>')
-    head = f'<svg class="chart" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" role="img"'
-    head += f' aria-label="{escape(label)}">'
-    return Markup(head + "".join([*parts, *body]) + "</svg>")
-
-
-def series_class(index: int) -> str:
-    """The style of the method at an index of the legend."""
-    return f"s{index % COLORS}" + (f" dash{index // COLORS % 3}" if index >= COLORS else "")
+    index: int
+    points: str = ""
+    line: str = ""
+    dot: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -129,6 +93,33 @@ class Chart:
     svg: Markup
 
 
+def _chart(title: str, label: str, x_name: str, axes: Axes, series: Sequence[Series]) -> Chart:
+    shown = {
+        "label": f"{label}, {title}: {len(series)} methods",
+        "x_name": x_name,
+        "axes": axes,
+        "size": (WIDTH, HEIGHT),
+        "top": TOP,
+        "x_ticks": _ticks(axes.x_low, axes.x_high),
+        "y_ticks": _ticks(0, axes.y_high),
+        "series": series,
+        "series_class": series_class,
+    }
+    return Chart(title, Markup(render_page("report/chart.svg", shown)))
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Ticks of an axis, four to six of them."""
+    step = next((s for s in TICKS if (high - low) / s <= 5), TICKS[-1])
+    first = int(np.ceil(round(low / step, 6)))
+    return [k * step for k in range(first, int(np.floor(round(high / step, 6))) + 1)]
+
+
+def series_class(index: int) -> str:
+    """The style of the method at an index of the legend."""
+    return f"s{index % COLORS}" + (f" dash{index // COLORS % 3}" if index >= COLORS else "")
+
+
 def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
     """IoU against the threshold, a chart for each category; a dot marks the threshold that was used."""
     curves = [_curves_of(table, protocol) for table in tables]
@@ -136,12 +127,14 @@ def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart
     charts = []
     for category in categories:
         top = nice_top(max(max(of[category]) for of in curves if category in of))
-        axes, body = Axes(THRESHOLDS[0], THRESHOLDS[-1], top), []
+        axes, series = Axes(THRESHOLDS[0], THRESHOLDS[-1], top), []
         for index, (table, of) in enumerate(zip(tables, curves, strict=True)):
             if category in of:
-                body.append(_curve(axes, index, of[category], table.thresholds.get(category)))
-        label = f"IoU against the threshold, {category}: {len(body)} methods"
-        charts.append(Chart(category, _frame(axes, "threshold", body, label)))
+                points = [axes.at(*point) for point in zip(THRESHOLDS, of[category], strict=True)]
+                used = table.thresholds.get(category)
+                dot = points[THRESHOLDS.index(used)] if used in THRESHOLDS else None
+                series.append(Series(index, line=svg_path(points), dot=dot))
+        charts.append(_chart(category, "IoU against the threshold", "threshold", axes, series))
     return tuple(charts)
 
 
@@ -149,18 +142,6 @@ def _curves_of(table: ScoreTable, protocol: str) -> dict[str, list[float]]:
     """IoU at each threshold by category; a curve of another length than the thresholds is left out."""
     curves = (table.iou_by_threshold or {}).get(protocol, {})
     return {category: curve for category, curve in curves.items() if len(curve) == len(THRESHOLDS)}
-
-
-def _curve(axes: Axes, index: int, curve: Sequence[float], used: float | None) -> str:
-    line = f'<path class="line" d="{axes.path(THRESHOLDS, curve)}"/>'
-    if used in THRESHOLDS:
-        x, y = axes.at(used, curve[THRESHOLDS.index(used)])
-        line += f'<circle class="used" cx="{x:.1f}" cy="{y:.1f}" r="3.2"/>'
-    return _series(index, line)
-
-
-def _series(index: int, content: str) -> str:
-    return f'<g class="series {series_class(index)}" data-series="{index}">{content}</g>'
 
 
 def visible_shares(table: ScoreTable) -> dict[str, float]:
@@ -191,9 +172,9 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
         every = np.concatenate(by_method)
         if len(every):
             axes = Axes(0.0, nice_top(float(every[:, 0].max())), nice_top(float(every[:, 1].max())))
-            body = [_scatter(axes, index, of) for index, of in enumerate(by_method) if len(of)]
-            label = f"IoU of each pair against the share of the shape seen, {category}: {len(body)} methods"
-            charts.append(Chart(category, _frame(axes, "share of the shape that the view saw", body, label)))
+            series = [_scatter(axes, index, of) for index, of in enumerate(by_method) if len(of)]
+            label = "IoU of each pair against the share of the shape seen"
+            charts.append(_chart(category, label, "share of the shape that the view saw", axes, series))
     return tuple(charts)
 
 
@@ -203,12 +184,9 @@ def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
     return np.array(found, np.float64).reshape(-1, 2)
 
 
-def _scatter(axes: Axes, index: int, points: Float64) -> str:
+def _scatter(axes: Axes, index: int, points: Float64) -> Series:
     """Points, and the means of groups of as many pairs each."""
     dots = "".join("M{:.1f},{:.1f}h0".format(*axes.at(*point)) for point in points.tolist())
-    drawn = f'<path class="dots" d="{dots}"/>'
     groups = np.array_split(points, min(MAX_GROUPS, max(1, len(points) // GROUP_PAIRS)))
-    if len(groups) > 1:
-        means = np.array([group.mean(axis=0) for group in groups])
-        drawn += f'<path class="line" d="{axes.path(means[:, 0].tolist(), means[:, 1].tolist())}"/>'
-    return _series(index, drawn)
+    means = [axes.at(*group.mean(axis=0).tolist()) for group in groups]
+    return Series(index, dots, svg_path(means) if len(means) > 1 else "")

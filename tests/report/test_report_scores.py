@@ -84,13 +84,14 @@ def test_numbers_that_are_none_are_refused(value: str) -> None:
 
 def test_bars_by_hand() -> None:
     parsed = parsed_tables([made("a", 0.5, 1.0, [0.25, 0.78]), made("b", 0.2, 1.0), made("c", None, 1.0)])
-    (group,) = charts.iou_bars(parsed, "known")
-    assert group.category == "chair"
-    assert [(bar.method, bar.text) for bar in group.bars] == [("a", "0.500"), ("b", "0.200")]
+    groups = charts.iou_bars(parsed, "known")
+    assert list(groups) == ["chair"]
+    bars = groups["chair"]
+    assert [(bar.method, bar.text) for bar in bars] == [("a", "0.500"), ("b", "0.200")]
     # The axis ends at 0.8, the tenth above the highest interval.
-    assert group.bars[0].length == pytest.approx(62.5)
-    assert group.bars[0].interval == pytest.approx((31.25, 66.25))
-    assert group.bars[1].interval is None
+    assert bars[0].length == pytest.approx(62.5)
+    assert bars[0].interval == pytest.approx((31.25, 66.25))
+    assert bars[1].interval is None
 
 
 @pytest.mark.parametrize(
