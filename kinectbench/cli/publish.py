@@ -13,7 +13,8 @@ from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
-    from kinectbench.release.publish.publish import PublishOptions, PublishSummary
+    from kinectbench.core.artefacts.benchmark import PublishOptions
+    from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -67,8 +68,8 @@ def publish_options(
     Raises:
         SettingsError: no such split, or an unusable threshold file.
     """
+    from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
-    from kinectbench.release.publish.publish import PublishOptions
     from kinectbench.scoring.thresholds import read_thresholds
 
     for split in hold_back:
@@ -76,11 +77,11 @@ def publish_options(
             raise SettingsError(f"--hold-back {split}: choose among {', '.join(SPLITS)}")
     hidden = tuple(sorted(split for split in SPLITS if split in hold_back))
     if thresholds is None:
-        return PublishOptions(hidden)
+        return PublishOptions(hold_back=hidden, thresholds=None)
     test = [recording for recording in settings.recordings if recording.split == "test"]
     categories = sorted({recording.category for recording in test})
     read_thresholds(thresholds, categories, frozenset(recording.object_name for recording in test))
-    return PublishOptions(hidden, thresholds.read_text())
+    return PublishOptions(hold_back=hidden, thresholds=thresholds.read_text())
 
 
 def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> None:

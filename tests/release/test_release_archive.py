@@ -12,9 +12,10 @@ import pytest
 from small_benchmark import Run, hashes
 from synthetic_release import synthetic_settings, write_build
 
+from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.publish.archive import write_archive
-from kinectbench.release.publish.publish import PublishOptions, publish
+from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release
 
 Command = Callable[..., Run]
@@ -50,7 +51,7 @@ def test_content(release: Release, tmp_path: Path) -> None:
 def test_names_of_versions_and_parts(tmp_path: Path) -> None:
     write_build(tmp_path / "build")
     settings = synthetic_settings(publish={"citation": {"version": "1.0.0"}})
-    options = PublishOptions(("test",))
+    options = PublishOptions(hold_back=("test",), thresholds=None)
     summary = publish(settings, tmp_path / "build", tmp_path / "b", ["chair_02"], options)
     assert summary.private is not None
     names = [write_archive(part, tmp_path).name for part in (summary.folder, summary.private)]

@@ -13,12 +13,13 @@ from synthetic_release import synthetic_settings
 from typer.testing import CliRunner
 
 from kinectbench.cli.main import app
+from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.bop_export import export_bop
 from kinectbench.release.exchange.recgan_export import export_recgan
 from kinectbench.release.exchange.webdataset_export import export_webdataset
-from kinectbench.release.publish.publish import PublishOptions, publish
+from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import open_release
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "damaged_releases.py"
@@ -40,7 +41,13 @@ def parts(analytic: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`whole/`, of two pairs, and `public/`, whose test split is held back."""
     root: Path = tmp_path_factory.mktemp("parts")
     publish(synthetic_settings(), analytic / "build", root / "whole", RECORDINGS)
-    publish(synthetic_settings(), analytic / "build", root / "public", RECORDINGS, PublishOptions(("test",)))
+    publish(
+        synthetic_settings(),
+        analytic / "build",
+        root / "public",
+        RECORDINGS,
+        PublishOptions(hold_back=("test",), thresholds=None),
+    )
     return root
 
 

@@ -14,6 +14,7 @@ from synthetic_release import FLOOR, RECORDINGS, resum, synthetic_pair, syntheti
 
 from kinectbench import Scorer, load
 from kinectbench.cli.publish import publish_options
+from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.pair_file import (
@@ -28,7 +29,7 @@ from kinectbench.release.check.pair_check import input_problems
 from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.recgan_export import export_recgan
 from kinectbench.release.publish.held_back import own_world, without_truth
-from kinectbench.release.publish.publish import PublishOptions, PublishSummary, publish
+from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.release.release import open_release
 from kinectbench.scoring.baselines.predict import possible_baselines, write_baselines
 from kinectbench.scoring.score import score
@@ -42,7 +43,13 @@ TEST = [name for name, _, _, split, _ in RECORDINGS if split == "test"]
 def parts(tmp_path_factory: pytest.TempPathFactory) -> PublishSummary:
     root: Path = tmp_path_factory.mktemp("held")
     write_build(root / "build")
-    return publish(synthetic_settings(), root / "build", root / "benchmark", NAMES, PublishOptions(("test",)))
+    return publish(
+        synthetic_settings(),
+        root / "build",
+        root / "benchmark",
+        NAMES,
+        PublishOptions(hold_back=("test",), thresholds=None),
+    )
 
 
 def test_the_parts_name_each_other(parts: PublishSummary, release) -> None:
@@ -183,7 +190,11 @@ def test_scores_of_the_private_part(parts: PublishSummary, release, tmp_path: Pa
 def test_everything_held_back(tmp_path: Path) -> None:
     write_build(tmp_path / "build")
     summary = publish(
-        synthetic_settings(), tmp_path / "build", tmp_path / "b", ["chair_02"], PublishOptions(("test",))
+        synthetic_settings(),
+        tmp_path / "build",
+        tmp_path / "b",
+        ["chair_02"],
+        PublishOptions(hold_back=("test",), thresholds=None),
     )
     public = open_release(summary.folder)
     assert "base-rate" not in possible_baselines(public)
@@ -219,7 +230,9 @@ def test_options(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="--hold-back tset: choose among train, validation, test"):
         publish_options(settings, ["tset"], None)
     with pytest.raises(ReleaseError, match="--hold-back train: no recording of this split"):
-        publish(settings, tmp_path, tmp_path / "b", NAMES, PublishOptions(("train",)))
+        publish(
+            settings, tmp_path, tmp_path / "b", NAMES, PublishOptions(hold_back=("train",), thresholds=None)
+        )
     file = tmp_path / "t.json"
     file.write_text('{"thresholds": {"chair": 0.4}}')
     with pytest.raises(SettingsError, match="no threshold for table"):

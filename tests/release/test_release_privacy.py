@@ -13,7 +13,7 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build, write
 
 from kinectbench.core.artefacts.provenance import Removed
 from kinectbench.core.errors import ReleaseError
-from kinectbench.release.publish.privacy import Found, scrubbed, without_metadata
+from kinectbench.release.publish.privacy import scrubbed, without_metadata
 from kinectbench.release.publish.publish import publish
 
 NAMES = [recording[0] for recording in RECORDINGS]
@@ -65,9 +65,9 @@ def test_what_is_no_jpeg(data: bytes) -> None:
     ],
 )
 def test_json(value: object, clean: object, removed: list[str]) -> None:
-    found = Found()
+    found: list[Removed] = []
     assert scrubbed(value, "f.json", found) == clean
-    assert found.rows == [Removed(file="f.json", what=what) for what in removed]
+    assert found == [Removed(file="f.json", what=what) for what in removed]
 
 
 def test_a_release_with_color(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ import pytest
 from analytic_release import CAMERA, T_world_floor, surface_distance_m, true_depth_m
 from synthetic_release import synthetic_settings
 
+from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.geometry import invert_rigid, transform_points
-from kinectbench.release.publish.publish import PublishOptions, publish
+from kinectbench.release.publish.publish import publish
 
 # Runs the page, then says what was imported; and that this environment has nothing else.
 AFTER = """
@@ -30,7 +31,13 @@ def held(analytic: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Public parts: `some` has pairs with truth too, `all` has none."""
     root: Path = tmp_path_factory.mktemp("reading")
     for name, recordings in (("some", ["chair_02", "chair_03"]), ("all", ["chair_02"])):
-        publish(synthetic_settings(), analytic / "build", root / name, recordings, PublishOptions(("test",)))
+        publish(
+            synthetic_settings(),
+            analytic / "build",
+            root / name,
+            recordings,
+            PublishOptions(hold_back=("test",), thresholds=None),
+        )
     return root
 
 

@@ -107,8 +107,8 @@ class ReleaseInfo(ReleaseFile):
         return super().parse(text, where)
 
 
-class AskedOptions(Part):
-    """The options of `publish`."""
+class PublishOptions(Part):
+    """What is asked of `publish` beyond the settings."""
 
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
@@ -121,7 +121,7 @@ class PublishStamp(Stored):
     ERROR: ClassVar[type[KinectBenchError]] = ReleaseError
 
     fingerprint: str = Field(description="of the settings, the pairs' manifests and the options")
-    options: AskedOptions = Field(description="what was asked for beyond the settings")
+    options: PublishOptions = Field(description="what was asked for beyond the settings")
     benchmark_sha256: str = Field(description="of the release")
     pairs: int = Field(description="number of pairs published")
     recordings: tuple[str, ...] = Field(description="ids of those published")

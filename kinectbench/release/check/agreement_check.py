@@ -17,7 +17,7 @@ from kinectbench.release.contents import (
     Contents,
     strict_json,
 )
-from kinectbench.release.publish.attribution import Origin, common_license
+from kinectbench.release.publish.attribution import common_license
 from kinectbench.release.publish.card import counts_table
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
@@ -93,11 +93,11 @@ def _json_problems(contents: Contents, name: str) -> Iterator[str]:
 
 def _license(metadata: ReleaseInfo) -> str:
     """The licence of all recordings; one that does not say, as in earlier releases, has the benchmark's."""
-    origins = {
-        name: Origin(metadata.license if info.license == UNSPECIFIED else info.license, info.source)
+    said = {
+        name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
     }
-    return common_license(origins, metadata.license)
+    return common_license(said, metadata.license)
 
 
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:

@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.release.contents import release_files
-from kinectbench.release.publish.attribution import Origin, reasons_against_distribution
+from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.settings.models import BenchmarkSettings
 
 # Compressed already.
@@ -39,12 +39,14 @@ def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> N
     Raises:
         ReleaseError: licence or source of a recording is not stated.
     """
-    origins = {
-        recording.id: Origin(settings.license_of(recording), settings.source_of(recording))
+    wanted = {
+        recording.id: recording.model_copy(
+            update={"license": settings.license_of(recording), "source": settings.source_of(recording)}
+        )
         for recording in settings.recordings
         if not ids or recording.id in ids
     }
-    _refuse(reasons_against_distribution(origins))
+    _refuse(reasons_against_distribution(wanted))
 
 
 def _refuse(reasons: Sequence[str]) -> None:

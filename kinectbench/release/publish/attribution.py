@@ -1,14 +1,13 @@
 """Licence and source of every recording, how to cite them, and what changed from version to version."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import yaml
 
-from kinectbench.settings.models import ChangeSettings, CitationSettings
+from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo
+from kinectbench.settings.models import ChangeSettings, CitationSettings, RecordingSettings
 
-UNSPECIFIED = "unspecified"
 # SPDX identifier -> what Hugging Face calls it.
 HUGGING_FACE = {
     "Apache-2.0": "apache-2.0",
@@ -27,30 +26,19 @@ HUGGING_FACE = {
 }
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Where the data of a recording is from.
-
-    Attributes:
-        license: SPDX identifier or other words; "unspecified" if nobody said.
-        source: who recorded it, or where it is from; "unspecified" if nobody said.
-    """
-
-    license: str
-    source: str
-
-
-def reasons_against_distribution(origins: Mapping[str, Origin]) -> tuple[str, ...]:
+def reasons_against_distribution(
+    recordings: Mapping[str, RecordingInfo | RecordingSettings],
+) -> tuple[str, ...]:
     """Why the data must not be given away, one line each; empty if it may.
 
     Args:
-        origins: by recording.
+        recordings: by id, each with its licence and source.
     """
     reasons = []
     for key, word in (("license", "licence"), ("source", "source")):
-        silent = [name for name, origin in sorted(origins.items()) if getattr(origin, key) == UNSPECIFIED]
+        silent = [name for name, said in sorted(recordings.items()) if getattr(said, key) == UNSPECIFIED]
         if silent:
-            which = "every recording" if len(silent) == len(origins) else ", ".join(silent)
+            which = "every recording" if len(silent) == len(recordings) else ", ".join(silent)
             reasons.append(
                 f"no {word} is stated: set `{key}` in benchmark.yaml ({which}); until then the release is "
                 "not for distribution"
@@ -58,9 +46,9 @@ def reasons_against_distribution(origins: Mapping[str, Origin]) -> tuple[str, ..
     return tuple(reasons)
 
 
-def common_license(origins: Mapping[str, Origin], otherwise: str) -> str:
+def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
     """The licence of all recordings if they have the same one, else `otherwise`."""
-    licenses = {origin.license for origin in origins.values()}
+    licenses = {info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
 
@@ -69,22 +57,22 @@ def license_url(license: str) -> str | None:
     return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
 
 
-def license_text(name: str, license: str, origins: Mapping[str, Origin]) -> str:
+def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:
     """LICENSE: the licence, and of each recording its licence and source.
 
     Args:
         name: of the benchmark.
         license: of the benchmark.
-        origins: by recording.
+        recordings: what benchmark.json says of them, by id.
     """
     head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
     lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
     if url := license_url(license):
         lines.append(f"Its text: {url}")
     lines += ["", "Each recording, and all that was made from it, is under its own licence:", ""]
-    for recording, origin in sorted(origins.items()):
-        lines += [recording, f"  licence: {origin.license}", f"  source: {' '.join(origin.source.split())}"]
-    reasons = reasons_against_distribution(origins)
+    for recording, info in sorted(recordings.items()):
+        lines += [recording, f"  licence: {info.license}", f"  source: {' '.join(info.source.split())}"]
+    reasons = reasons_against_distribution(recordings)
     if reasons:
         lines += ["", "NOT FOR DISTRIBUTION", *(f"- {reason}" for reason in reasons)]
     return "\n".join(lines) + "\n"

@@ -119,11 +119,12 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
     if content["license"] == "other":
         content |= {"license_name": re.sub(r"[^a-z0-9.-]+", "-", license.lower()).strip("-")}
         content |= {"license_link": LICENSE}
+    categories = sorted({target.category for target in targets})
     present = [split for split in SPLITS if any(target.split == split for target in targets)]
     content |= {
         "pretty_name": info.name,
         "task_categories": ["image-to-3d"],
-        "tags": ["3d", "shape-completion", "rgb-d", "voxels", "benchmark", *sorted(_categories(targets))],
+        "tags": ["3d", "shape-completion", "rgb-d", "voxels", "benchmark", *categories],
         "size_categories": [next(name for limit, name in SIZES if len(targets) < limit)],
         "configs": [
             {
@@ -134,10 +135,6 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
         ],
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=10**9)
-
-
-def _categories(targets: Sequence[Target]) -> set[str]:
-    return {target.category for target in targets}
 
 
 def _notice(info: ReleaseInfo) -> str:

@@ -2,17 +2,16 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
-from kinectbench.core.artefacts.benchmark import AskedOptions, PublishStamp, ReleaseInfo
+from kinectbench.core.artefacts.benchmark import PublishOptions, PublishStamp, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.versions import VERSIONS
 from kinectbench.release.contents import read_text
-from kinectbench.release.publish.publish import PRIVATE, PublishOptions, PublishSummary, publish
+from kinectbench.release.publish.publish import NO_OPTIONS, PRIVATE, PublishSummary, publish
 from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -51,13 +50,14 @@ def publish_if_stale(
         for folder in (out, out.with_name(out.name + PRIVATE)):
             sweep(folder)
         stamp = _stamp(build)
-        asked = options or (PublishOptions(**vars(stamp.options)) if stamp else PublishOptions())
+        asked = options or (stamp.options if stamp else NO_OPTIONS)
         wanted = _fingerprint(settings, build, recordings, asked)
         summary = None if force else _published(stamp, out, wanted)
         if summary is None:
             summary = publish(settings, build, out, recordings, asked)
             with replaced_file(build / PublishStamp.FILE) as temporary:
-                temporary.write_text(_stamped(wanted, asked, summary).text())
+                facts = {key: fact for key, fact in vars(summary).items() if key not in ("folder", "private")}
+                temporary.write_text(PublishStamp(fingerprint=wanted, options=asked, **facts).text())
     return summary
 
 
@@ -78,7 +78,7 @@ def _fingerprint(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str], options: PublishOptions
 ) -> str:
     manifests = [read_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
-    content = [VERSIONS["publish"], settings.model_dump(mode="json"), manifests, asdict(options)]
+    content = [VERSIONS["publish"], settings.model_dump(mode="json"), manifests, options.json_value()]
     return sha256_text(canonical_json(content))
 
 
@@ -88,12 +88,6 @@ def _stamp(build: Path) -> PublishStamp | None:
         return PublishStamp.read_if_there(build)
     except ReleaseError:
         return None
-
-
-def _stamped(fingerprint: str, options: PublishOptions, summary: PublishSummary) -> PublishStamp:
-    """The stamp of what was just published."""
-    facts = {key: value for key, value in vars(summary).items() if key not in ("folder", "private")}
-    return PublishStamp(fingerprint=fingerprint, options=AskedOptions(**vars(options)), **facts)
 
 
 def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSummary | None:
@@ -107,7 +101,5 @@ def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSum
             there = there and ReleaseInfo.read(private).benchmark_sha256 == stamp.private_sha256
     except ReleaseError:
         return None
-    facts = {
-        key: getattr(stamp, key) for key in PublishStamp.model_fields if key not in ("fingerprint", "options")
-    }
+    facts = {key: fact for key, fact in stamp if key not in ("fingerprint", "options")}
     return PublishSummary(folder=out, private=private, **facts) if there else None

@@ -8,7 +8,11 @@ from string import Template
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.release.publish.attribution import citation_line
+from kinectbench.release.publish.attribution import (
+    citation_line,
+    common_license,
+    reasons_against_distribution,
+)
 from kinectbench.release.publish.card import counts_table
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -33,8 +37,6 @@ def datasheet(
     settings: BenchmarkSettings,
     targets: Sequence[Target],
     infos: Mapping[str, RecordingInfo],
-    license: str,
-    reasons: Sequence[str],
     color: str,
     warnings: Sequence[str],
     held_back: Sequence[str] = (),
@@ -45,8 +47,6 @@ def datasheet(
         settings: the benchmark's; `publish.datasheet` has the answers.
         targets: every pair.
         infos: by recording; held-back ones have no quality.
-        license: of the release.
-        reasons: why it may not be given away.
         color: "left out", "published" or "none".
         warnings: of the release.
         held_back: splits of which only the inputs are there.
@@ -74,8 +74,10 @@ def datasheet(
         figures=_figures(infos),
         quality_warnings=_listed(_quality_warnings(infos)),
         warnings=_listed(warnings),
-        license=license,
-        distribution=" ".join(f"**Not for distribution**: {reason}." for reason in reasons),
+        license=common_license(infos, settings.license),
+        distribution=" ".join(
+            f"**Not for distribution**: {reason}." for reason in reasons_against_distribution(infos)
+        ),
         citation=citation_line(settings.publish.citation, settings.name),
     )
 

@@ -1,11 +1,12 @@
 """index.html of a release: every object with pictures, quality and warnings, in one file without scripts."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from kinectbench._version import __version__
 from kinectbench.core import images
@@ -27,25 +28,6 @@ UNKNOWN = (228, 214, 170)
 # Towards the light: right, down and towards the viewer.
 LIGHT = (-0.45, -0.6, 0.66)
 BLUR_CELLS = 2
-
-
-@dataclass(frozen=True)
-class Shown:
-    """One view: pictures as `data:` addresses with their captions."""
-
-    view: str
-    pictures: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
-class Part:
-    """One recording on the page."""
-
-    name: str
-    info: RecordingInfo
-    held_back: bool
-    figures: tuple[tuple[str, str], ...]
-    views: tuple[Shown, ...]
 
 
 def write_preview(
@@ -76,16 +58,23 @@ def write_preview(
     (folder / PREVIEW).write_text(render_page("release/publish/preview.html", shown), encoding="utf-8")
 
 
-def _part(folder: Path, name: str, info: RecordingInfo, targets: Sequence[Target], held_back: bool) -> Part:
+def _part(
+    folder: Path, name: str, info: RecordingInfo, targets: Sequence[Target], held_back: bool
+) -> dict[str, Any]:
+    """One recording as the page shows it."""
     here = [target for target in targets if target.recording == name]
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, VIEWS).round()})
-    figures = tuple(quality_words(info.quality).items())
-    shown = tuple(_shown(folder, here[index], held_back) for index in chosen)
-    return Part(name, info, held_back, figures, shown)
+    return {
+        "name": name,
+        "info": info,
+        "held_back": held_back,
+        "figures": quality_words(info.quality).items(),
+        "views": [(here[index].view, _pictures(folder, here[index], held_back)) for index in chosen],
+    }
 
 
-def _shown(folder: Path, target: Target, held_back: bool) -> Shown:
-    """Depth with the mask, what was seen, and the truth where it is published."""
+def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
+    """Captions and `data:` addresses: depth with the mask, what was seen, the truth where it is published."""
     pair_input = read_input(folder / target.file)
     # The input as it is, each of its cells as 4 x 4 pixels.
     partial = unpack(pair_input.partial)
@@ -102,7 +91,7 @@ def _shown(folder: Path, target: Target, held_back: bool) -> Shown:
             ("full, from the right", _png(seen_from_the_right(full, CLAY))),
             ("slice", _png(upright_slice(unpack(pair.partial_256), full, known))),
         ]
-    return Shown(target.view, tuple(pictures))
+    return pictures
 
 
 def _depth(views: Path, view: str) -> str:
@@ -143,8 +132,8 @@ def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
     picture[~known[middle]] = UNKNOWN
     picture[full[middle]] = CLAY
     # A layer of single cells would hardly show.
-    near = np.asarray(partial[max(0, middle - 1) : middle + 2].any(axis=0))
-    picture[_grown(near)] = BLUE
+    near = partial[max(0, middle - 1) : middle + 2].any(axis=0)
+    picture[ndimage.binary_dilation(near)] = BLUE
     return picture
 
 
@@ -172,28 +161,7 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 
 def _blurred(depth: Float64, covered: Bools) -> Float64:
     """Mean depth over the covered cells around each cell, so that the relief has no steps."""
-    total, count = np.where(covered, depth, 0.0), covered.astype(np.float64)
-    for axis in (0, 1):
-        total, count = _summed(total, axis), _summed(count, axis)
+    around = np.ones((2 * BLUR_CELLS + 1,) * 2)
+    total = ndimage.convolve(np.where(covered, depth, 0.0), around, mode="constant")
+    count = ndimage.convolve(covered.astype(np.float64), around, mode="constant")
     return np.where(covered, total / np.maximum(count, 1), 0.0)
-
-
-def _summed(values: Float64, axis: int) -> Float64:
-    """Sum over a cell and its neighbours along an axis."""
-    width = [(BLUR_CELLS, BLUR_CELLS) if a == axis else (0, 0) for a in (0, 1)]
-    padded = np.pad(values, width)
-    size = values.shape[axis]
-    result = np.zeros_like(values)
-    for shift in range(2 * BLUR_CELLS + 1):
-        result += padded[shift : shift + size] if axis == 0 else padded[:, shift : shift + size]
-    return result
-
-
-def _grown(mask: Bools) -> Bools:
-    """A mask and its four neighbours."""
-    grown = mask.copy()
-    grown[1:] |= mask[:-1]
-    grown[:-1] |= mask[1:]
-    grown[:, 1:] |= mask[:, :-1]
-    grown[:, :-1] |= mask[:, 1:]
-    return grown

@@ -1,8 +1,8 @@
 """What a release must not tell of people and devices: found, removed and listed in privacy.json."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
 from kinectbench.core.artefacts.provenance import ColorPublished, Privacy, Removed
@@ -48,30 +48,15 @@ APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
 ALONE = (0x01, *range(0xD0, 0xD9))
 
 
-@dataclass
-class Found:
-    """Collects what was removed.
-
-    Attributes:
-        rows: in the order they were found.
-    """
-
-    rows: list[Removed] = field(default_factory=list)
-
-    def add(self, file: str, what: str) -> None:
-        """Note that something was removed from a file of the release."""
-        self.rows.append(Removed(file=file, what=what))
-
-
-def scrubbed(value: Any, file: str, found: Found) -> Any:
+def scrubbed(value: Any, file: str, found: list[Removed]) -> Any:
     """A JSON value without what tells of people and devices; what is removed is noted."""
-    result, removed = _scrubbed(value, "")
-    for what in dict.fromkeys(removed):
-        found.add(file, what)
+    removed: list[str] = []
+    result = _scrubbed(value, "", removed)
+    found += _rows(file, removed)
     return result
 
 
-def scrubbed_file(stored: StoredFile, file: str, found: Found) -> StoredFile:
+def scrubbed_file(stored: StoredFile, file: str, found: list[Removed]) -> StoredFile:
     """A stored file without what tells of people and devices; what is removed is noted.
 
     Raises:
@@ -80,7 +65,7 @@ def scrubbed_file(stored: StoredFile, file: str, found: Found) -> StoredFile:
     return stored.parse(pretty_json(scrubbed(stored.json_value(), file, found)), file)
 
 
-def scrubbed_jpeg(data: bytes, file: str, found: Found) -> bytes:
+def scrubbed_jpeg(data: bytes, file: str, found: list[Removed]) -> bytes:
     """A JPEG file without metadata; what is removed is noted.
 
     Raises:
@@ -90,12 +75,11 @@ def scrubbed_jpeg(data: bytes, file: str, found: Found) -> bytes:
         clean, removed = without_metadata(data)
     except ValueError as error:
         raise ReleaseError(f"{file}: {error}; build this recording's views again") from error
-    for what in dict.fromkeys(removed):
-        found.add(file, what)
+    found += _rows(file, removed)
     return clean
 
 
-def privacy(color: ColorPublished, found: Found) -> Privacy:
+def privacy(color: ColorPublished, found: list[Removed]) -> Privacy:
     """What privacy.json says.
 
     Args:
@@ -107,43 +91,43 @@ def privacy(color: ColorPublished, found: Found) -> Privacy:
         color=color,
         looked_in=LOOKED_IN,
         looked_for=LOOKED_FOR,
-        removed=tuple(found.rows),
+        removed=tuple(found),
         kept=KEPT,
     )
 
 
 def removed_lines(rows: list[Removed]) -> Iterator[str]:
     """One line for each kind of thing that was removed, with the number of files."""
-    files: dict[str, int] = {}
-    for row in rows:
-        files[row.what] = files.get(row.what, 0) + 1
-    for what, count in files.items():
+    for what, count in Counter(row.what for row in rows).items():
         yield f"removed from {count} file{'s' if count > 1 else ''}: {what}"
 
 
-def _scrubbed(value: Any, key: str) -> tuple[Any, list[str]]:
-    removed: list[str] = []
+def _rows(file: str, removed: list[str]) -> list[Removed]:
+    """What was removed from a file of the release, each kind of thing once."""
+    return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
+
+
+def _scrubbed(value: Any, key: str, removed: list[str]) -> Any:
+    """The value of a key without what tells of people; what goes is added to `removed`."""
     if isinstance(value, Mapping):
         result = {}
         for name, child in value.items():
             if KEYS.search(str(name)):
                 removed.append(f"the key '{name}'")
-                continue
-            result[name], inner = _scrubbed(child, str(name))
-            removed += inner
-        return result, removed
+            else:
+                result[name] = _scrubbed(child, str(name), removed)
+        return result
     if isinstance(value, list):
-        children = [_scrubbed(child, key) for child in value]
-        return [child for child, _ in children], [line for _, inner in children for line in inner]
+        return [_scrubbed(child, key, removed) for child in value]
     if not isinstance(value, str):
-        return value, removed
+        return value
     text = PATHS.sub(lambda match: re.split(r"[/\\]", match[0].rstrip("/\\"))[-1], value)
     if text != value:
         removed.append(f"a path in '{key}'")
     clean = EMAIL.sub("(address removed)", text)
     if clean != text:
         removed.append(f"an e-mail address in '{key}'")
-    return clean, removed
+    return clean
 
 
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:

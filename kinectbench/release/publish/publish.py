@@ -7,41 +7,28 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
-from kinectbench.core.artefacts.provenance import THRESHOLDS_JSON, ColorPublished, Lineage, ThresholdsFile
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, RecordingInfo
+from kinectbench.core.artefacts.provenance import (
+    THRESHOLDS_JSON,
+    ColorPublished,
+    Lineage,
+    Removed,
+    ThresholdsFile,
+)
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_folder
-from kinectbench.core.types import Split
 from kinectbench.release.contents import CHANGELOG, DATASHEET
-from kinectbench.release.publish.attribution import (
-    Origin,
-    changelog_text,
-    common_license,
-    reasons_against_distribution,
-)
+from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.held_back import hold_back_warnings
 from kinectbench.release.publish.preview import write_preview
-from kinectbench.release.publish.privacy import Found, privacy, removed_lines, scrubbed, scrubbed_file
+from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
 from kinectbench.settings.models import BenchmarkSettings
 
 PRIVATE = "-private"
-
-
-@dataclass(frozen=True)
-class PublishOptions:
-    """What is asked for beyond the settings.
-
-    Attributes:
-        hold_back: splits of which the public part has inputs only.
-        thresholds: content of a threshold file that is part of the release, or None.
-    """
-
-    hold_back: tuple[Split, ...] = ()
-    thresholds: str | None = None
 
 
 @dataclass(frozen=True)
@@ -76,7 +63,7 @@ class PublishSummary:
         return self.private or self.folder
 
 
-NO_OPTIONS = PublishOptions()
+NO_OPTIONS = PublishOptions(hold_back=(), thresholds=None)
 
 
 def publish(
@@ -104,7 +91,7 @@ def publish(
     for folder in (out, private) if options.hold_back else (out,):
         _refuse_other(folder)
     _refuse_empty_split(settings, recordings, options.hold_back)
-    complete = replace(options, hold_back=())
+    complete = options.model_copy(update={"hold_back": ()})
     if not options.hold_back:
         with replaced_folder(out) as folder:
             return replace(_write(settings, build, folder, recordings, complete), folder=out)
@@ -142,7 +129,7 @@ def _write(
     options: PublishOptions,
 ) -> PublishSummary:
     """Fill one folder."""
-    found, made = Found(), dict[str, Published]()
+    found, made = list[Removed](), dict[str, Published]()
     warnings = [*_warnings(settings), *hold_back_warnings(settings.pairs.framing, options.hold_back)]
     for name in recordings:
         recording = settings.recording(name)
@@ -155,8 +142,7 @@ def _write(
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
     infos = {name: published.info for name, published in made.items()}
-    reasons = reasons_against_distribution(_origins(infos))
-    warnings = [*reasons, *warnings, *_doubted(infos)]
+    warnings = [*reasons_against_distribution(infos), *warnings, *_doubted(infos)]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     _write_texts(settings, folder, made, targets, warnings, options, found)
     public = _public_settings(settings, options.hold_back, found)
@@ -179,7 +165,7 @@ def _write(
         len(targets),
         tuple(made),
         tuple(warnings),
-        removed=tuple(removed_lines(found.rows)),
+        removed=tuple(removed_lines(found)),
         unanswered=tuple(unanswered(settings)),
     )
 
@@ -191,21 +177,11 @@ def _write_texts(
     targets: Sequence[Target],
     warnings: Sequence[str],
     options: PublishOptions,
-    found: Found,
+    found: list[Removed],
 ) -> None:
     """Write datasheet, changelog, lineage and thresholds."""
     infos = {name: published.info for name, published in made.items()}
-    origins = _origins(infos)
-    sheet = datasheet(
-        settings,
-        targets,
-        infos,
-        common_license(origins, settings.license),
-        reasons_against_distribution(origins),
-        _color(settings, made),
-        warnings,
-        options.hold_back,
-    )
+    sheet = datasheet(settings, targets, infos, _color(settings, made), warnings, options.hold_back)
     (folder / DATASHEET).write_text(sheet)
     (folder / CHANGELOG).write_text(changelog_text(settings.publish.changelog, settings.name))
     Lineage(
@@ -239,10 +215,6 @@ def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:
     return lines
 
 
-def _origins(infos: Mapping[str, RecordingInfo]) -> dict[str, Origin]:
-    return {name: Origin(info.license, info.source) for name, info in infos.items()}
-
-
 def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:
     """What became of colour."""
     if not any(published.has_color for published in made.values()):
@@ -250,7 +222,9 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
     return "published" if settings.publish.color else "left out"
 
 
-def _public_settings(settings: BenchmarkSettings, hold_back: Sequence[str], found: Found) -> dict[str, Any]:
+def _public_settings(
+    settings: BenchmarkSettings, hold_back: Sequence[str], found: list[Removed]
+) -> dict[str, Any]:
     """The settings without the paths of the machine they were used on, and the boxes of what is held back."""
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish"})
     for recording in public["recordings"]:

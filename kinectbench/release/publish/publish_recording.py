@@ -8,7 +8,7 @@ from pathlib import Path
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.manifest import Manifest, Sources
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
-from kinectbench.core.artefacts.provenance import LineageRecording, LineageStage, LineageView
+from kinectbench.core.artefacts.provenance import LineageRecording, LineageStage, LineageView, Removed
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
@@ -16,20 +16,12 @@ from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
+from kinectbench.engine.stages import STAGES
 from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
-from kinectbench.release.publish.privacy import Found, scrubbed_file, scrubbed_jpeg
+from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 BYTES_OF_OBJECT = ("mesh.ply", "volume.npz")
-# Stage -> its folder, in their order.
-STAGES = {
-    "ingest": "sequence",
-    "track": "trajectory",
-    "fuse": "reconstruction",
-    "segment": "object",
-    "sample-views": "views",
-    "pairs": "pairs",
-}
 
 
 @dataclass(frozen=True)
@@ -66,7 +58,7 @@ class Published:
     has_color: bool
 
 
-def publish_recording(built: Built, folder: Path, found: Found) -> Published | None:
+def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Published | None:
     """Copy what is published of one recording into a release; None if it has no pair.
 
     Args:
@@ -83,18 +75,11 @@ def publish_recording(built: Built, folder: Path, found: Found) -> Published | N
     targets = tuple(_publish_pair(built, view, folder) for view in names)
     _publish_object(built, folder, found)
     has_color = _publish_views(built, names, folder, found)
-    lineage = recording_lineage(
-        built.settings, built.recording, built.folder, None if built.hidden else names
-    )
-    return Published(targets, _info(built, len(names), found), lineage, has_color)
+    return Published(targets, _info(built, len(names), found), _lineage(built, names), has_color)
 
 
-def check_pair(settings: BenchmarkSettings, path: Path) -> Pair:
-    """Read a built pair; one benchmark has one framing and one partial rule.
-
-    Raises:
-        ReleaseError: it is damaged, or has others.
-    """
+def _read_pair(settings: BenchmarkSettings, path: Path) -> Pair:
+    """A built pair; one benchmark has one framing and one partial rule."""
     try:
         pair = read_pair(path)
     except PairError as error:
@@ -110,7 +95,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> Target:
     """Copy a pair, or write its input alone."""
     recording = built.recording
     source = built.folder / "pairs" / f"{view}.npz"
-    pair = check_pair(built.settings, source)
+    pair = _read_pair(built.settings, source)
     file = f"pairs/{recording.id}/{view}.npz"
     if built.hidden:
         floor = FloorFile.read(built.folder / "object")
@@ -118,7 +103,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> Target:
         data = pair_bytes(without_truth(pair, floor.T_floor_world))
         (folder / file).write_bytes(data)
     else:
-        copy_built(source, folder / file)
+        _copy_built(source, folder / file)
     return Target(
         recording=recording.id,
         object=recording.object_name,
@@ -130,26 +115,26 @@ def _publish_pair(built: Built, view: str, folder: Path) -> Target:
     )
 
 
-def _publish_object(built: Built, folder: Path, found: Found) -> None:
+def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
     """Copy the object's files; of a held-back one the floor only."""
     source, name = built.folder / "object", f"objects/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     for file in BYTES_OF_OBJECT if not built.hidden else ():
-        copy_built(source / file, folder / name / file)
+        _copy_built(source / file, folder / name / file)
     floor = FloorFile.read(source)
     _write(own_floor(floor) if built.hidden else floor, folder, name, found)
     if not built.hidden:
         _write(QualityFile.read(source), folder, name, found)
 
 
-def _publish_views(built: Built, names: Sequence[str], folder: Path, found: Found) -> bool:
+def _publish_views(built: Built, names: Sequence[str], folder: Path, found: list[Removed]) -> bool:
     """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any."""
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     has_color = False
     for view in names:
         for suffix in (".depth.png", ".mask.png"):
-            copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
+            _copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
         image = f"{view}.color.jpg"
         has_color |= (source / image).is_file()
         if built.settings.publish.color and (source / image).is_file():
@@ -168,7 +153,7 @@ def _with_cameras(views: ViewsFile, sequence: Path, names: Sequence[str]) -> Vie
     return views.model_copy(update={"views": rows})
 
 
-def _info(built: Built, pairs: int, found: Found) -> RecordingInfo:
+def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
     """What benchmark.json says of a recording."""
     recording, folder = built.recording, built.folder
     quality = QualityFile() if built.hidden else QualityFile.read(folder / "object")
@@ -185,41 +170,28 @@ def _info(built: Built, pairs: int, found: Found) -> RecordingInfo:
     )
 
 
-def _write(stored: Stored, folder: Path, name: str, found: Found) -> None:
+def _write(stored: Stored, folder: Path, name: str, found: list[Removed]) -> None:
     """Write a file without what tells of people into a folder of the release."""
     scrubbed_file(stored, f"{name}/{stored.FILE}", found).write(folder / name)
 
 
-def recording_lineage(
-    settings: BenchmarkSettings, recording: RecordingSettings, build: Path, views: Sequence[str] | None
-) -> LineageRecording:
-    """Where the pairs of one recording come from.
-
-    Args:
-        settings: the benchmark's.
-        recording: one of them.
-        build: `build/<recording>/`.
-        views: those with a pair; None: neither they nor a given box may be told.
-
-    Raises:
-        ReleaseError, StorageError: a file of the build is missing or damaged.
-    """
+def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
+    """Where the pairs of a recording come from; of a held-back one without its views and a given box."""
     # A recording that is one file has no name below itself.
     files = {
-        name or Path(recording.path).name: digest
-        for name, digest in sorted(Sources.read(build).sha256.items())
+        name or Path(built.recording.path).name: digest
+        for name, digest in sorted(Sources.read(built.folder).sha256.items())
     }
     content = LineageRecording(
-        source=settings.source_of(recording),
-        license=settings.license_of(recording),
+        source=built.settings.source_of(built.recording),
+        license=built.settings.license_of(built.recording),
         files=files,
-        stages={stage: _stage(build / folder, views is None) for stage, folder in STAGES.items()},
+        stages={stage.name: _stage(built.folder / stage.folder, built.hidden) for stage in STAGES},
     )
-    if views is None:
+    if built.hidden:
         return content
-    rows = {row.view: row for row in ViewsFile.read(build / "views").views}
-    frames = tuple(_frame(rows[view]) for view in views if view in rows)
-    return content.model_copy(update={"views": frames})
+    rows = {row.view: row for row in ViewsFile.read(built.folder / "views").views}
+    return content.model_copy(update={"views": tuple(_frame(rows[name]) for name in names if name in rows)})
 
 
 def _frame(row: ViewRow) -> LineageView:
@@ -240,7 +212,7 @@ def _stage(folder: Path, hidden: bool) -> LineageStage:
     )
 
 
-def copy_built(source: Path, target: Path) -> None:
+def _copy_built(source: Path, target: Path) -> None:
     """Copy one built file's bytes.
 
     Raises:

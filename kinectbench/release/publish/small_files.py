@@ -40,7 +40,6 @@ from kinectbench.release.contents import (
     release_files,
 )
 from kinectbench.release.publish.attribution import (
-    Origin,
     citation_text,
     common_license,
     license_text,
@@ -96,12 +95,11 @@ def write_small_files(
         warnings: one line each, for the card.
     """
     infos = {name: _with_origin(info, head) for name, info in infos.items()}
-    origins = {name: Origin(info.license, info.source) for name, info in infos.items()}
-    info = _info(head, infos, origins)
-    license = common_license(origins, head.license)
+    info = _info(head, infos)
+    license = common_license(infos, head.license)
     _write_targets(folder, targets)
     (folder / READING).write_text(reading(targets, head.held_back))
-    (folder / LICENSE).write_text(license_text(head.name, license, origins))
+    (folder / LICENSE).write_text(license_text(head.name, license, infos))
     (folder / CITATION).write_text(citation_text(head.citation, head.name, license))
     write_schemas(folder)
     about = f"A benchmark for single-depth-view shape completion from {head.texts.source}."
@@ -126,9 +124,9 @@ def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
     return info.model_copy(update=update)
 
 
-def _info(head: Head, infos: Mapping[str, RecordingInfo], origins: Mapping[str, Origin]) -> ReleaseInfo:
+def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
     """benchmark.json but for the identity; keys of what a release does not have are left out."""
-    reasons = reasons_against_distribution(origins)
+    reasons = reasons_against_distribution(infos)
     info = ReleaseInfo(
         name=head.name,
         license=head.license,
