@@ -26,6 +26,9 @@ BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to ev
 
 IN_UNIT_RANGE: dict[str, JsonValue] = {"minimum": 0, "maximum": 1}
 SHARE: dict[str, JsonValue] = {**IN_UNIT_RANGE, "better": "higher"}
+UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
+OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
+Sha256 = Annotated[str, Field(json_schema_extra={"pattern": "^[0-9a-f]{64}$"})]
 
 
 # Rows and averages are dataclasses: of a hundred thousand rows, models would take twice the memory.
@@ -100,21 +103,13 @@ SHARES = frozenset(
 class Context:
     """What the metrics of a pair, or their averages, are to be read beside."""
 
-    base_rate_ce: float | None = Field(
-        default=None,
-        description="cross-entropy of the category's base-rate constant, nats a voxel",
-        json_schema_extra={"minimum": 0},
+    base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = Field(
+        None, description="cross-entropy of the category's base-rate constant, nats a voxel"
     )
-    coverage_voxels: float | None = Field(
-        default=None,
-        description="share of the 256^3 voxels that the protocol counts",
-        json_schema_extra=IN_UNIT_RANGE,
+    coverage_voxels: OptionalUnitRange = Field(
+        None, description="share of the 256^3 voxels that the protocol counts"
     )
-    coverage_shape: float | None = Field(
-        default=None,
-        description="share of the shape's voxels that it counts",
-        json_schema_extra=IN_UNIT_RANGE,
-    )
+    coverage_shape: OptionalUnitRange = Field(None, description="share of the shape's voxels that it counts")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -128,9 +123,7 @@ class Pair:
     protocol: str = Field(
         description="which voxels are counted", json_schema_extra={"enum": ["paper", "known", "occluded"]}
     )
-    threshold: float = Field(
-        description="a voxel is predicted occupied if y > threshold", json_schema_extra=IN_UNIT_RANGE
-    )
+    threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -142,10 +135,8 @@ class Resolution:
         description="side of the prediction as it was submitted; 0 if it is missing and scored as empty",
         json_schema_extra={"minimum": 0, "maximum": 512},
     )
-    ceiling_iou: float = Field(
-        default=1.0,
-        description="IoU of the truth itself, reduced to that side and brought back",
-        json_schema_extra=IN_UNIT_RANGE,
+    ceiling_iou: UnitRange = Field(
+        1.0, description="IoU of the truth itself, reduced to that side and brought back"
     )
 
 
@@ -163,9 +154,7 @@ class ScoreRow(SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
 class Averages(Context, SurfaceMetrics, VoxelMetrics):
     """Means of the rows' figures; one that is not known of every row is None."""
 
-    ceiling_iou: float | None = Field(
-        default=None, description="mean of the rows' ceilings", json_schema_extra=IN_UNIT_RANGE
-    )
+    ceiling_iou: OptionalUnitRange = Field(None, description="mean of the rows' ceilings")
 
     def __getitem__(self, key: str) -> Any:
         """A figure by its key in the file, such as "iou"."""
@@ -179,7 +168,6 @@ Intervals = Annotated[
     dict[str, Interval | None], Field(description="metric -> ends of the 95 % interval over objects, or null")
 ]
 Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
-TruthIou = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
 ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
 REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not known"
 
@@ -188,25 +176,23 @@ REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not kno
 class CategoryAverages(Averages):
     """The averages of one category under one protocol, over objects; under `paper` over pairs."""
 
-    pairs: Count = Field(default=None, description="how many pairs they stand on")
-    objects: Count = Field(default=None, description="how many objects they stand on")
-    base_rate_source: str | None = Field(
-        default=None, description="the split that the base rate was taken from"
-    )
+    pairs: Count = Field(None, description="how many pairs they stand on")
+    objects: Count = Field(None, description="how many objects they stand on")
+    base_rate_source: str | None = Field(None, description="the split that the base rate was taken from")
     intervals: Intervals = Field(default_factory=dict)
-    truth_estimated_iou: TruthIou = Field(default=None, description=ESTIMATED)
-    truth_repeatability_iou: TruthIou = Field(default=None, description=REPEATABILITY)
+    truth_estimated_iou: OptionalUnitRange = Field(None, description=ESTIMATED)
+    truth_repeatability_iou: OptionalUnitRange = Field(None, description=REPEATABILITY)
 
 
 @dataclass(frozen=True, config=FINITE)
 class OverallAverages(Averages):
     """Means over the categories under one protocol."""
 
-    truth_estimated_iou: TruthIou = Field(default=None, description=ESTIMATED)
-    truth_repeatability_iou: TruthIou = Field(default=None, description=REPEATABILITY)
-    pairs: Count = Field(default=None, description="sum over the categories")
-    objects: Count = Field(default=None, description="sum over the categories")
-    categories: Count = Field(default=None, description="how many categories there are")
+    truth_estimated_iou: OptionalUnitRange = Field(None, description=ESTIMATED)
+    truth_repeatability_iou: OptionalUnitRange = Field(None, description=REPEATABILITY)
+    pairs: Count = Field(None, description="sum over the categories")
+    objects: Count = Field(None, description="sum over the categories")
+    categories: Count = Field(None, description="how many categories there are")
     intervals: Intervals = Field(default_factory=dict)
 
 
@@ -239,7 +225,7 @@ class ScoreSettings(Part):
 class BaseRate(Part):
     """The base rate of one category."""
 
-    value: float = Field(description="mean share of occupied voxels", json_schema_extra=IN_UNIT_RANGE)
+    value: UnitRange = Field(description="mean share of occupied voxels")
     source: str = Field(
         description="the split whose truth it was taken from",
         json_schema_extra={"enum": ["validation", "train", "test (oracle)"]},
@@ -260,7 +246,7 @@ class ExtremePair(Part):
     recording: str = Field(description="id of the recording")
     view: str = Field(description="zero-padded index")
     category: str = Field(description='such as "chair"')
-    iou: float = Field(description="of this pair", json_schema_extra=IN_UNIT_RANGE)
+    iou: UnitRange = Field(description="of this pair")
 
 
 class Extremes(Part):
@@ -273,9 +259,7 @@ class Extremes(Part):
 class Hashes(Part):
     """What a pair was scored from."""
 
-    truth: str = Field(
-        description="SHA-256 of the pair file", json_schema_extra={"pattern": "^[0-9a-f]{64}$"}
-    )
+    truth: Sha256 = Field(description="SHA-256 of the pair file")
     prediction: str | None = Field(
         description="blake3:<hex> of the prediction's file (in older tables its SHA-256), or null",
         json_schema_extra={"pattern": "^(blake3:)?[0-9a-f]{64}$"},
@@ -309,11 +293,7 @@ class ScoreTable(Stored):
     ADVICE: ClassVar[str] = "score the predictions again"
 
     method: str = Field(description="its name")
-    benchmark_sha256: str = Field(
-        "",
-        description="SHA-256 of the release it was scored against",
-        json_schema_extra={"pattern": "^[0-9a-f]{64}$"},
-    )
+    benchmark_sha256: Sha256 = Field("", description="SHA-256 of the release it was scored against")
     package_version: str = Field("", description="of kinectbench")
     settings: ScoreSettings = Field(ScoreSettings(), description="every choice that the numbers depend on")
     complete: bool = Field(
@@ -345,8 +325,7 @@ class ScoreTable(Stored):
     notes: Lines = Field((), description="what to know of the numbers, one line each")
     extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
     iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
-        None,
-        description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete",
+        None, description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"
     )
     hashes: dict[str, Hashes] = Field({}, description="pair -> hashes of its truth and of its prediction")
     baseline: bool = Field(
