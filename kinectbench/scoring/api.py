@@ -145,7 +145,6 @@ class Scorer:
         self._results: dict[Target, PairResult] = {}
         self._thresholds: Thresholds | None = None
         test = pairs_to_score(release, thresholds_file)
-        self._categories = sorted({target.category for target in test})
         if thresholds_file is not None:
             self._thresholds = thresholds_for(thresholds_file, test)
 
@@ -188,9 +187,6 @@ class Scorer:
     def _fixed(self) -> Thresholds:
         """The thresholds, found on the validation pairs so far where that was not done yet."""
         if self._thresholds is None:
-            self._thresholds = searched_thresholds(
-                self._categories,
-                {target: result.tally for target, result in self._results.items()},
-                has_validation=any(target.split == "validation" for target in self._targets.values()),
-            )
+            tallies = {target: result.tally for target, result in self._results.items()}
+            self._thresholds = searched_thresholds(self._release.targets, tallies)
         return self._thresholds

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.scores import BaseRate
+from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Tally
 from kinectbench.scoring.truth import read_grids
@@ -14,8 +15,6 @@ from kinectbench.scoring.workers import run_tasks
 
 # Truth that a method may have learnt from comes first; test truth makes an oracle.
 SOURCES = {"validation": "validation", "train": "train", "test": "test (oracle)"}
-
-_ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1).astype(np.int64)
 
 
 def base_rates(
@@ -35,15 +34,15 @@ def base_rates(
     """
     chosen = {}
     for category in release.categories:
-        of_split = {
-            split: [target for target in release.open_split(split) if target.category == category]
-            for split in SOURCES
-        }
         for split in SOURCES:
-            if of_split[split]:
-                chosen[category] = (split, of_split[split])
+            targets = [target for target in release.open_split(split) if target.category == category]
+            if targets:
+                chosen[category] = (split, targets)
                 break
-    shares = {target: _occupied_of(tally) for target, tally in (counted or {}).items()}
+    shares = {
+        target: float(tally.voxels[1::2].sum()) / float(tally.voxels.sum())
+        for target, tally in (counted or {}).items()
+    }
     unread = [t for _, targets in chosen.values() for t in targets if t not in shares]
     tasks = [(release.pair_path(t), t.sha256) for t in unread]
     shares |= dict(zip(unread, run_tasks(_occupied_share, tasks, jobs), strict=True))
@@ -55,15 +54,10 @@ def base_rates(
     }
 
 
-def _occupied_of(tally: Tally) -> float:
-    """The same share, of a pair that was counted."""
-    return float(tally.voxels[1::2].sum()) / float(tally.voxels.sum())
-
-
 def _occupied_share(task: tuple[Path, str]) -> float:
     """Share of a pair's voxels that is occupied."""
     (full,) = read_grids(*task, ("full",))
-    return float(_ONES[full].sum()) / (8 * full.size)
+    return packed_count(full) / (8 * full.size)
 
 
 PUBLISHED_IN = (

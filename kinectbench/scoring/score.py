@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_splits
 from kinectbench.core.errors import ReleaseError, SettingsError
@@ -17,7 +18,7 @@ from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, Job, Journal, PairResult, count_job
 from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line, split_methods
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for, thresholds_text
+from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.workers import run_tasks
 
 Missing = Literal["error", "empty"]
@@ -72,9 +73,7 @@ def score(
 
     validation = run.count({t: file for t, file in files.items() if t.split == "validation"}, None)
     tallies = {t: result.tally for t, result in validation.items() if isinstance(result, PairResult)}
-    thresholds = fixed or searched_thresholds(
-        sorted({target.category for target in test}), tallies, bool(release.split("validation"))
-    )
+    thresholds = fixed or searched_thresholds(release.targets, tallies)
     outcomes = validation | run.count({t: file for t, file in files.items() if t.split == "test"}, thresholds)
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
@@ -258,6 +257,11 @@ def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
             f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
         )
     objects = {t.object for t in release.split("validation") if t.name in table.hashes}
-    origin = {"method": table.method, "benchmark_sha256": release.benchmark_sha256}
+    frozen = ThresholdsFile(
+        thresholds=table.thresholds,
+        objects=tuple(sorted(objects)),
+        method=table.method,
+        benchmark_sha256=release.benchmark_sha256,
+    )
     with replaced_file(path) as temporary:
-        temporary.write_text(thresholds_text(table.thresholds, sorted(objects), origin))
+        temporary.write_text(frozen.text())

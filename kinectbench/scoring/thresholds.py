@@ -43,20 +43,18 @@ def best_threshold(tallies: Sequence[Tally]) -> float:
     return THRESHOLDS[int(np.argmax(mean_iou))]
 
 
-def searched_thresholds(
-    categories: Sequence[str], tallies: Mapping[Target, Tally], has_validation: bool
-) -> Thresholds:
+def searched_thresholds(targets: Sequence[Target], tallies: Mapping[Target, Tally]) -> Thresholds:
     """Search each category's threshold on its validation pairs.
 
     Args:
-        categories: the categories to be scored.
+        targets: of the release; the categories of its test split are scored.
         tallies: of the validation targets that were predicted.
-        has_validation: whether the release has a validation split at all.
     """
+    categories = sorted({target.category for target in targets if target.split == "test"})
     if not tallies:
         why = (
             "no prediction for the validation split was supplied"
-            if has_validation
+            if any(target.split == "validation" for target in targets)
             else "the benchmark has no validation split and no threshold file was given"
         )
         return Thresholds(dict.fromkeys(categories, FIXED), "fixed", (f"threshold fixed at {FIXED}: {why}",))
@@ -100,19 +98,6 @@ def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
     """`read_thresholds` for the pairs of a test split; the same errors."""
     categories = sorted({target.category for target in test})
     return read_thresholds(path, categories, frozenset(target.object for target in test))
-
-
-def thresholds_text(
-    thresholds: Mapping[str, float], objects: Sequence[str], origin: Mapping[str, str]
-) -> str:
-    """A threshold file as text, the same for the same thresholds.
-
-    Args:
-        thresholds: by category.
-        objects: they were found on; a benchmark that tests on one of them will refuse the file.
-        origin: what to remember of them, such as the method's name; not read back.
-    """
-    return ThresholdsFile(thresholds=dict(thresholds), objects=tuple(sorted(objects)), **origin).text()
 
 
 def _step(value: float, where: str) -> float:

@@ -2,22 +2,19 @@
 
 import hashlib
 import io
-import zipfile
-import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.voxels.pair_file import PACKED_SHAPES, Packed
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import NUMBERS, Packed, fault_in
 
 GRIDS = ("full", "known", "seen")
-LENGTHS = ("voxel_size_m", "surface_sigma_m")
-Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -53,10 +50,8 @@ def read_truth(path: Path, sha256: str) -> Truth:
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    content = _published(path, sha256)
-    full, known, seen = _arrays(path, content, GRIDS, _grid)
-    voxel_size_m, surface_sigma_m = _arrays(path, content, LENGTHS, _length)
-    return Truth(full, known, seen, voxel_size_m, surface_sigma_m)
+    full, known, seen, voxel_size_m, surface_sigma_m = read_grids(path, sha256, (*GRIDS, *NUMBERS))
+    return Truth(full, known, seen, float(voxel_size_m), float(surface_sigma_m))
 
 
 def read_voxel_size(path: Path, sha256: str) -> float:
@@ -65,20 +60,15 @@ def read_voxel_size(path: Path, sha256: str) -> float:
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    return _arrays(path, _published(path, sha256), LENGTHS[:1], _length)[0]
+    return float(read_grids(path, sha256, ("voxel_size_m",))[0])
 
 
-def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[Packed]:
-    """Read some packed grids of a published pair file, in the order of `names`.
+def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[Any]]:
+    """Read some packed grids or lengths of a published pair file, in the order of `names`, and no others.
 
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    return _arrays(path, _published(path, sha256), names, _grid)
-
-
-def _published(path: Path, sha256: str) -> bytes:
-    """The bytes of a pair file."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -87,27 +77,11 @@ def _published(path: Path, sha256: str) -> bytes:
         ) from error
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ReleaseError(f"{path}: not the file that was published (SHA-256 differs); download it again")
-    return content
-
-
-def _arrays(
-    path: Path, content: bytes, names: Sequence[str], convert: Callable[[str, NDArray[Any]], Value]
-) -> list[Value]:
-    """Some arrays of a pair file, each converted by `convert(name, array)`, which may raise ValueError."""
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            return [convert(name, archive[name]) for name in names]
-    except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+            values = {name: np.asarray(archive[name], order="C") for name in names}
+        if fault := fault_in(values, names):
+            raise ValueError(fault)
+    except UNREADABLE as error:
         raise ReleaseError(f"{path}: not a pair file ({error}); was it published whole?") from error
-
-
-def _grid(name: str, array: NDArray[Any]) -> Packed:
-    if array.dtype != np.uint8 or array.shape != PACKED_SHAPES[name]:
-        raise ValueError(f"'{name}' is {array.dtype}{array.shape}, not uint8{PACKED_SHAPES[name]}")
-    return np.ascontiguousarray(array)
-
-
-def _length(name: str, array: NDArray[Any]) -> float:
-    if array.shape != () or array.dtype.kind != "f" or not 0 <= array < np.inf:
-        raise ValueError(f"'{name}' is not a length in metres")
-    return float(array)
+    return list(values.values())

@@ -28,8 +28,8 @@ MIDDLE = tally_of([10] * 17, [20] * 7 + [15] * 4 + [40] * 6, 10)
 LATE = tally_of([1] * 12 + [99] * 5, [1] * 12 + [99] * 5, 100)
 
 
-def target(recording: str, category: str) -> Target:
-    return Target(recording, recording, "000", category, "validation", "", "")
+def target(recording: str, category: str, split: str = "validation") -> Target:
+    return Target(recording, recording, "000", category, split, "", "")
 
 
 def test_best_is_the_highest_mean_pair_iou_and_ties_go_down() -> None:
@@ -46,7 +46,8 @@ def test_mean_over_pairs_not_over_voxels() -> None:
 
 def test_search_by_category() -> None:
     tallies = {target("a", "chair"): MIDDLE, target("b", "table"): LATE}
-    found = searched_thresholds(["chair", "lamp", "table"], tallies, has_validation=True)
+    tested = [target("c", category, "test") for category in ("table", "lamp", "chair")]
+    found = searched_thresholds([*tested, *tallies], tallies)
     assert found.of == {"chair": 0.45, "lamp": 0.5, "table": 0.7}
     assert found.source == "validation"
     assert found.warnings == ("threshold of lamp fixed at 0.5: no validation prediction of it",)
@@ -56,7 +57,8 @@ def test_search_by_category() -> None:
     ("has", "why"), [(True, "no prediction for the"), (False, "has no validation split")]
 )
 def test_fixed(has: bool, why: str) -> None:
-    found = searched_thresholds(["chair"], {}, has_validation=has)
+    validation = [target("b", "chair")] if has else []
+    found = searched_thresholds([target("a", "chair", "test"), *validation], {})
     assert (found.of, found.source) == ({"chair": 0.5}, "fixed")
     assert len(found.warnings) == 1 and why in found.warnings[0]
 

@@ -104,12 +104,14 @@ class Context:
     """What the metrics of a pair, or their averages, are to be read beside."""
 
     base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = Field(
-        None, description="cross-entropy of the category's base-rate constant, nats a voxel"
+        default=None, description="cross-entropy of the category's base-rate constant, nats a voxel"
     )
     coverage_voxels: OptionalUnitRange = Field(
-        None, description="share of the 256^3 voxels that the protocol counts"
+        default=None, description="share of the 256^3 voxels that the protocol counts"
     )
-    coverage_shape: OptionalUnitRange = Field(None, description="share of the shape's voxels that it counts")
+    coverage_shape: OptionalUnitRange = Field(
+        default=None, description="share of the shape's voxels that it counts"
+    )
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -136,7 +138,7 @@ class Resolution:
         json_schema_extra={"minimum": 0, "maximum": 512},
     )
     ceiling_iou: UnitRange = Field(
-        1.0, description="IoU of the truth itself, reduced to that side and brought back"
+        default=1.0, description="IoU of the truth itself, reduced to that side and brought back"
     )
 
 
@@ -154,7 +156,7 @@ class ScoreRow(SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
 class Averages(Context, SurfaceMetrics, VoxelMetrics):
     """Means of the rows' figures; one that is not known of every row is None."""
 
-    ceiling_iou: OptionalUnitRange = Field(None, description="mean of the rows' ceilings")
+    ceiling_iou: OptionalUnitRange = Field(default=None, description="mean of the rows' ceilings")
 
     def __getitem__(self, key: str) -> Any:
         """A figure by its key in the file, such as "iou"."""
@@ -176,23 +178,25 @@ REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not kno
 class CategoryAverages(Averages):
     """The averages of one category under one protocol, over objects; under `paper` over pairs."""
 
-    pairs: Count = Field(None, description="how many pairs they stand on")
-    objects: Count = Field(None, description="how many objects they stand on")
-    base_rate_source: str | None = Field(None, description="the split that the base rate was taken from")
+    pairs: Count = Field(default=None, description="how many pairs they stand on")
+    objects: Count = Field(default=None, description="how many objects they stand on")
+    base_rate_source: str | None = Field(
+        default=None, description="the split that the base rate was taken from"
+    )
     intervals: Intervals = Field(default_factory=dict)
-    truth_estimated_iou: OptionalUnitRange = Field(None, description=ESTIMATED)
-    truth_repeatability_iou: OptionalUnitRange = Field(None, description=REPEATABILITY)
+    truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
+    truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
 
 
 @dataclass(frozen=True, config=FINITE)
 class OverallAverages(Averages):
     """Means over the categories under one protocol."""
 
-    truth_estimated_iou: OptionalUnitRange = Field(None, description=ESTIMATED)
-    truth_repeatability_iou: OptionalUnitRange = Field(None, description=REPEATABILITY)
-    pairs: Count = Field(None, description="sum over the categories")
-    objects: Count = Field(None, description="sum over the categories")
-    categories: Count = Field(None, description="how many categories there are")
+    truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
+    truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
+    pairs: Count = Field(default=None, description="sum over the categories")
+    objects: Count = Field(default=None, description="sum over the categories")
+    categories: Count = Field(default=None, description="how many categories there are")
     intervals: Intervals = Field(default_factory=dict)
 
 

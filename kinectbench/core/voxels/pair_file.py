@@ -185,19 +185,18 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
     if missing:
         what = "a pair file" if kind is Pair else "a pair's input"
         raise PairError(f"{where}: not {what}: the keys {', '.join(missing)} are missing")
-    fault = _fault(values, names)
-    if fault:
+    version = values.get("format_version", np.asarray(0))
+    if version.shape != () or version.item() != FORMAT_VERSION:
+        raise PairError(f"{where}: written in another format version; this package reads {FORMAT_VERSION}")
+    if fault := fault_in(values, names):
         raise PairError(f"{where}: {fault}")
     scalars = (*NUMBERS, *TEXTS)
     checked: dict[str, Any] = {n: values[n].item() if n in scalars else values[n] for n in names}
     return kind(**checked)
 
 
-def _fault(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
+def fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
     """What is wrong with some values of a pair file, all of them there, or None."""
-    version = values.get("format_version", np.asarray(0))
-    if version.shape != () or version.item() != FORMAT_VERSION:
-        return f"written in another format version; this package reads {FORMAT_VERSION}"
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"

@@ -13,7 +13,7 @@ from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.versions import VERSIONS
-from kinectbench.release.release import Release, Target
+from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.pair_result import Counting, PairResult, ceilings, count
@@ -88,15 +88,11 @@ def _made(
     tasks = baseline_tasks(release, names, jobs)
     counted = run_tasks(partial(_count, counting), tasks, jobs, progress)
     rates = base_rates(release, jobs)
-    categories = sorted({target.category for target in release.split("test")})
     tables = []
     for name in names:
-        results: dict[Target, PairResult] = {
-            task.target: of[name] for task, of in zip(tasks, counted, strict=True)
-        }
+        results = {task.target: of[name] for task, of in zip(tasks, counted, strict=True)}
         tallies = {t: result.tally for t, result in results.items() if t.split == "validation"}
-        has_validation = bool(release.split("validation"))
-        thresholds = searched_thresholds(categories, tallies, has_validation=has_validation)
+        thresholds = searched_thresholds(release.targets, tallies)
         table = make_table(release, name, results, thresholds, rates, {}, _settings(counting))
         tables.append(table.model_copy(update={"baseline": True}))
     return tables
