@@ -93,7 +93,7 @@ def evaluate(
     status = exit_status(rows)
     if status and not (found.build / "sequence").is_dir():
         return status
-    target = out or found.root / "evaluation" / found.name
+    target = out or found.build.parent.parent / "evaluation" / found.build.name
     with console.bar("evaluate") as progress:
         result = evaluate_recording(found.build, found.truth, target, align=align, progress=progress)
     if common.as_json:

@@ -1,5 +1,6 @@
 """What was built of one recording, and how it lies to the truth: which frame is which, world to world."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,15 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.images import read_gray
 from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
-from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.voxels.pair_file import Pair
+from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
+from kinectbench.core.voxels.pair_file import Pair, read_pair
+from kinectbench.engine.stages import STAGES
 from kinectbench.lab.simulate.truth import Truth
-from kinectbench.stages.sample_views.views import View
-from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.ingest.sequence_folder import read_sequence
+from kinectbench.stages.sample_views.views import View, read_views
+from kinectbench.stages.segment.object_model import ObjectModel, read_object
 
 NS_PER_S = 10**9
 
@@ -52,66 +56,46 @@ def read_build(folder: Path) -> Build:
     Raises:
         StorageError: nothing was built there, or an artefact is damaged.
     """
-    from kinectbench.core.trajectory.trajectory import read_trajectory
-    from kinectbench.core.voxels.pair_file import read_pair
-    from kinectbench.stages.ingest.sequence_folder import read_sequence
-    from kinectbench.stages.sample_views.views import read_views
-    from kinectbench.stages.segment.object_model import read_object
-
     current = _current_folders(folder)
-
-    def built(stage: str) -> bool:
-        return stage in current
+    if "sequence" not in current:
+        raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
+    stamps_ns = read_sequence(folder / "sequence").stamps_ns
+    names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
         """Where the view has depth, (height, width) bool."""
-        from kinectbench.core.images import read_gray
-
         path = folder / "views" / f"{view.name}.depth.png"
         try:
             return read_gray(path) > 0
         except OSError as error:
             raise StorageError(f"{path}: cannot be read ({error.strerror}); build the views again") from error
 
-    if not built("sequence"):
-        raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
-    stamps_ns = read_sequence(folder / "sequence").stamps_ns
-    names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
     return Build(
         stamps_ns=stamps_ns,
-        trajectory=read_trajectory(folder / "trajectory", stamps_ns) if built("trajectory") else None,
-        model=read_object(folder / "object") if built("object") else None,
-        views=tuple(read_views(folder / "views")) if built("views") else None,
+        trajectory=read_trajectory(folder / "trajectory", stamps_ns) if "trajectory" in current else None,
+        model=read_object(folder / "object") if "object" in current else None,
+        views=tuple(read_views(folder / "views")) if "views" in current else None,
         valid_depth=valid_depth,
-        pair_names=names if built("pairs") else None,
+        pair_names=names if "pairs" in current else None,
         pair=lambda name: read_pair(folder / "pairs" / f"{name}.npz"),
     )
 
 
 def _current_folders(build: Path) -> set[str]:
     """Folders of the stages whose manifests name the inputs that lie there now (if they have manifests)."""
-    from kinectbench.engine.stages import STAGES
-
     fingerprints: dict[str, str | None] = {}
     current = set()
     for stage in STAGES:
-        folder = build / stage.folder
-        manifest = _manifest(folder)
-        inputs = manifest.inputs if manifest else {}
-        if folder.is_dir() and all(
-            stage_input in fingerprints and inputs.get(stage_input) == fingerprints[stage_input]
-            for stage_input in (stage.inputs if manifest else ())
+        folder, manifest = build / stage.folder, None
+        with contextlib.suppress(StorageError):
+            manifest = Manifest.read_if_there(folder)
+        if folder.is_dir() and (
+            manifest is None
+            or all(manifest.inputs.get(name) == fingerprints.get(name, "") for name in stage.inputs)
         ):
             current.add(stage.folder)
             fingerprints[stage.name] = manifest.fingerprint if manifest else None
     return current
-
-
-def _manifest(folder: Path) -> Manifest | None:
-    try:
-        return Manifest.read_if_there(folder)
-    except StorageError:
-        return None
 
 
 @dataclass(frozen=True)
@@ -161,15 +145,13 @@ def register(build: Build, truth: Truth, align: bool = True) -> Registration:
     shown = matched & has_pose(truth.T_world_camera)[true_frame]
     if not shown.any():
         raise RecordingError(f"{truth.folder}: every frame shows another scene; there is nothing to compare")
-    T_truth_built = np.eye(4)
-    usable = shown.copy()
-    if build.trajectory is not None:
-        usable &= has_pose(build.trajectory.T_world_camera)
-    aligned = align and build.trajectory is not None and bool(usable.any())
-    if aligned and build.trajectory is not None:
-        T_truth_built = align_worlds(
-            build.trajectory.T_world_camera[usable], truth.T_world_camera[true_frame[usable]]
-        )
+    T_truth_built, aligned = np.eye(4), False
+    if align and build.trajectory is not None:
+        usable = shown & has_pose(build.trajectory.T_world_camera)
+        aligned = bool(usable.any())
+        if aligned:
+            true_cameras = truth.T_world_camera[true_frame[usable]]
+            T_truth_built = align_worlds(build.trajectory.T_world_camera[usable], true_cameras)
     return Registration(true_frame, shown, T_truth_built, aligned)
 
 

@@ -22,7 +22,6 @@ from kinectbench.lab.evaluate.surface import surface_errors
 from kinectbench.lab.evaluate.table import sections
 from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
 from kinectbench.settings.file import load_benchmark, parse_benchmark
-from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import suggestion
 
 CAPTIONS = {
@@ -42,15 +41,11 @@ class Found:
     """A recording to be evaluated.
 
     Attributes:
-        name: of the recording.
-        root: the folder that holds `build/`.
-        build: `build/<name>/`.
+        build: `build/<recording>/`.
         truth: the folder of its truth.
         job: brings the build up to date; None if only a build folder is known.
     """
 
-    name: str
-    root: Path
     build: Path
     truth: Path
     job: Job | None
@@ -80,31 +75,26 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
 
 def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> Found:
     settings = load_benchmark(config, overrides) if config.is_file() else None
-    known = [] if settings is None else [each.id for each in settings.recordings]
+    jobs = [Job(settings, each, config.parent) for each in settings.recordings] if settings else []
+    known = {job.recording.id: job for job in jobs}
     path = Path(recording)
-    if settings is not None and recording in known:
-        job = Job(settings, settings.recording(recording), config.parent)
-        return Found(recording, job.root, job.build, truth or truth_folder(job.source), job)
+    if recording in known:
+        job = known[recording]
+        return Found(job.build, truth or truth_folder(job.source), job)
     if (path / "sequence").is_dir():
-        return Found(
-            path.name, path.parent.parent, path, truth or _truth_of_build(path, settings, config), None
-        )
+        return Found(path, truth or _truth_of_build(path, jobs), None)
     if path.exists():
         job = _job_of(path, overrides)
-        return Found(job.recording.id, job.root, job.build, truth or truth_folder(path), job)
-    hint = (
-        suggestion(recording, known) if known else "give a simulated recording's path, or an id and --config"
-    )
-    raise SettingsError(f"no recording '{recording}'; {hint}")
+        return Found(job.build, truth or truth_folder(path), job)
+    hint = "give a simulated recording's path, or an id and --config"
+    raise SettingsError(f"no recording '{recording}'; {suggestion(recording, [*known]) if known else hint}")
 
 
-def _truth_of_build(build: Path, settings: BenchmarkSettings | None, config: Path) -> Path:
+def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
     """The truth beside the recording that a build folder was made of, by the benchmark."""
-    if settings is not None:
-        jobs = [Job(settings, recording, config.parent) for recording in settings.recordings]
-        for job in jobs:
-            if job.build.resolve() == build.resolve():
-                return truth_folder(job.source)
+    for job in jobs:
+        if job.build.resolve() == build.resolve():
+            return truth_folder(job.source)
     raise SettingsError(
         f"{build}: its truth is not known; name the folder: kinectbench evaluate {build} TRUTH"
     )
@@ -112,13 +102,10 @@ def _truth_of_build(build: Path, settings: BenchmarkSettings | None, config: Pat
 
 def _job_of(path: Path, overrides: Sequence[str]) -> Job:
     """A recording by itself, with default settings."""
-    name = (
-        re.sub(r"[^A-Za-z0-9._-]", "_", path.resolve().name.removesuffix(".bag")).lstrip("._-") or "recording"
-    )
-    text = json.dumps(
-        {"name": name[:80], "recordings": [{"id": name[:80], "path": str(path), "category": "object"}]}
-    )
-    settings = parse_benchmark(text, "settings", overrides)
+    plain = re.sub(r"[^A-Za-z0-9._-]", "_", path.resolve().name.removesuffix(".bag"))
+    name = (plain.lstrip("._-") or "recording")[:80]
+    recording = {"id": name, "path": str(path), "category": "object"}
+    settings = parse_benchmark(json.dumps({"name": name, "recordings": [recording]}), "settings", overrides)
     return Job(settings, settings.recordings[0], Path())
 
 
@@ -130,17 +117,14 @@ def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) 
         evaluation: all figures.
         pictures: PNG files by the keys of `CAPTIONS`, as far as there are any.
     """
-    shown = [(key, png_uri(pictures[key]), CAPTIONS[key]) for key in CAPTIONS if key in pictures]
-    return render_page(
-        "lab/evaluate/page.html",
-        {
-            "name": name,
-            "evaluation": evaluation,
-            "sections": sections(evaluation),
-            "pictures": shown,
-            "version": __version__,
-        },
-    )
+    shown = {
+        "name": name,
+        "evaluation": evaluation,
+        "sections": sections(evaluation),
+        "pictures": [(png_uri(pictures[key]), CAPTIONS[key]) for key in CAPTIONS if key in pictures],
+        "version": __version__,
+    }
+    return render_page("lab/evaluate/page.html", shown)
 
 
 def evaluate_recording(

@@ -26,7 +26,7 @@ def root(tmp_path: Path) -> Path:
 def test_by_id_by_build_folder_and_by_path(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = root / "benchmark.yaml"
     by_id = find_built("chair", None, config, [])
-    assert (by_id.name, by_id.build) == ("chair", root / "build/chair")
+    assert by_id.build == root / "build/chair"
     assert by_id.truth == root / "recordings/chair.truth"
     assert by_id.job is not None
     folder = find_built(str(root / "build/chair"), None, config, [])
@@ -34,7 +34,7 @@ def test_by_id_by_build_folder_and_by_path(root: Path, monkeypatch: pytest.Monke
     assert folder.job is None
     monkeypatch.chdir(root)
     path = find_built("recordings/other", None, Path("none.yaml"), ["views.count=7"])
-    assert (path.name, path.build) == ("other", Path("build/other"))
+    assert path.build == Path("build/other")
     assert path.truth == Path("recordings/other.truth")
     assert path.job is not None
     assert path.job.settings.views.count == 7
