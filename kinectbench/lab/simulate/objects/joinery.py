@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, surface, union
+from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, standing, surface, union
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -134,11 +134,10 @@ def assemble(name: str, parts: Parts, origin: str) -> Subject:
     whole = union([part.shape for part in glued])
     # Where round parts fit into one another, a crack may be shut in: it is filled.
     mesh = surface(union([body for body in whole.decompose() if body.volume() > 0]))
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    shift = standing(mesh)
 
     def placed(mesh: TriangleMesh) -> TriangleMesh:
-        return TriangleMesh(mesh.vertices - shift, mesh.faces)
+        return TriangleMesh(mesh.vertices + shift, mesh.faces)
 
     pieces = [
         Piece(part.name, placed(surface(part.shape)), part.look.color_rgb, part.look.albedo) for part in glued

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid
 from kinectbench.core.geometry.mesh import join, raycaster
+from kinectbench.core.types import Float64, Int64
 from kinectbench.lab.simulate.objects.mesh_repair import closed_bodies, merged, open_edges, united
-from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, surface
+from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, solid, standing, surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -51,7 +52,7 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
     T = np.eye(4)
     if up == "y":
         T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    place = _standing(whole.transformed(T)) @ T
+    place = rigid(np.eye(3), standing(whole.transformed(T))) @ T
     parts = [(mesh.transformed(place), color) for mesh, color in parts]
     whole = merged(whole.transformed(place))
     if (exact := _closed_by_filling(whole)) is not None:
@@ -60,15 +61,9 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
         return Subject(path.name, tuple(pieces if as_drawn else _painted(mesh, parts)), mesh, origin)
     mesh, origin = _closed_by_voxels(path, whole)
     # The solid is a little larger than what was drawn.
-    place = _standing(mesh)
+    place = rigid(np.eye(3), standing(mesh))
     pieces = [replace(piece, mesh=piece.mesh.transformed(place)) for piece in _painted(mesh, parts)]
     return Subject(path.name, tuple(pieces), mesh.transformed(place), origin)
-
-
-def _standing(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """The shift (4, 4) that centres a mesh at x = y = 0 by its bounding box and puts it on z = 0."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    return rigid(np.eye(3), -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
 
 
 def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | None:
@@ -78,12 +73,12 @@ def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | 
     """
     if not (found := closed_bodies(whole)):
         return None
-    solid = united(found)
+    mesh = surface(united(found))
     holes, edges = sum(body.holes for body in found), open_edges(whole)
     what = "one body" if len(found) == 1 else f"exact union of {len(found)} bodies"
     if not holes:
-        return surface(solid), f"closed in its file: {what}", not any(body.reversed for body in found)
-    return surface(solid), f"closed by filling {holes} holes ({edges} open edges): {what}", False
+        return mesh, f"closed in its file: {what}", not any(body.reversed for body in found)
+    return mesh, f"closed by filling {holes} holes ({edges} open edges): {what}", False
 
 
 def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, str]:
@@ -101,7 +96,8 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
     occupied = ndimage.binary_fill_holes(np.unpackbits(packed, axis=2).astype(bool))
     near = ndimage.binary_dilation(occupied, iterations=2) & ~ndimage.binary_erosion(occupied, iterations=2)
     cells = np.argwhere(near)
-    distance = _distances_m(whole, cells * voxel_m + grid.T_world_grid[:3, 3] + voxel_m / 2) / voxel_m
+    distance_m, _ = _nearest(whole, cells * voxel_m + grid.T_world_grid[:3, 3] + voxel_m / 2)
+    distance = distance_m / voxel_m
     field = np.where(occupied, -1.0, 1.0).astype(np.float32)
     inside = occupied[near] & (distance >= SKIN_CELLS)
     skin = np.clip(np.where(inside, -distance, distance - SKIN_CELLS), -1, 1)
@@ -109,38 +105,22 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
     field[near] = np.where(np.abs(skin) < 1e-3, 1e-3, skin)
     found = isosurface(field)
     vertices = (found.vertices + 0.5) * voxel_m + grid.T_world_grid[:3, 3]
-    mesh = _simplified(path, TriangleMesh(vertices, found.faces), voxel_m)
-    return mesh, (
+    shape = solid(vertices, found.faces)
+    if shape is None:
+        raise RecordingError(f"{path}: no closed solid can be made of it; repair the mesh")
+    # Fewer faces, none moved by more than a twentieth of a voxel.
+    return surface(shape.simplify(voxel_m / 20)), (
         f"closed by voxelising at {voxel_m * 1000:.1f} mm: {open_edges(whole)} open edges; "
         f"its surface lies {SKIN_CELLS * voxel_m * 1000:.1f} mm outside"
     )
 
 
-def _distances_m(mesh: TriangleMesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances (n,) of points (n, 3) to the surface of a mesh, metres."""
-    distance, _ = _nearest(mesh, points)
-    return distance
-
-
-def _nearest(
-    mesh: TriangleMesh, points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _nearest(mesh: TriangleMesh, points: Float64) -> tuple[Float64, Int64]:
     """Distance (n,) in metres and index (n,) of the face that is nearest to each point (n, 3)."""
     scene, tensor = raycaster(mesh)
     hits = scene.compute_closest_points(tensor(points.astype(np.float32)))
     nearest = hits["points"].numpy().astype(np.float64)
     return np.linalg.norm(nearest - points, axis=1), hits["primitive_ids"].numpy().astype(np.int64)
-
-
-def _simplified(path: Path, mesh: TriangleMesh, voxel_m: float) -> TriangleMesh:
-    """Fewer faces, none moved by more than a twentieth of a voxel."""
-    from manifold3d import Error, Manifold, Mesh64
-
-    faces = np.ascontiguousarray(mesh.faces.astype(np.uint64))
-    shape = Manifold(Mesh64(np.ascontiguousarray(mesh.vertices), faces))
-    if shape.status() != Error.NoError or shape.is_empty():
-        raise RecordingError(f"{path}: no closed solid can be made of it; repair the mesh")
-    return surface(shape.simplify(voxel_m / 20))
 
 
 def _painted(mesh: TriangleMesh, parts: list[tuple[TriangleMesh, Vector3]]) -> list[Piece]:

@@ -291,9 +291,23 @@ def union(shapes: Sequence["Manifold"]) -> "Manifold":
     return Manifold.batch_boolean(list(shapes), OpType.Add)
 
 
+def solid(vertices: Points, faces: NDArray[np.integer]) -> "Manifold | None":
+    """The shape whose surface is a mesh, with a negative volume if it is inside out; None if it is open."""
+    from manifold3d import Error, Manifold, Mesh64
+
+    shape = Manifold(Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.uint64)))
+    return None if shape.status() != Error.NoError or shape.is_empty() else shape
+
+
 def surface(shape: "Manifold") -> TriangleMesh:
     """The surface of a shape as triangles."""
     mesh = shape.to_mesh64()
     # The library's own arrays cannot be written to.
     vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64, order="C")
     return TriangleMesh(vertices, np.array(mesh.tri_verts, dtype=np.int32, order="C"))
+
+
+def standing(mesh: TriangleMesh) -> Points:
+    """The shift (3,) that centres a mesh at x = y = 0 by its bounding box and puts it on z = 0."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
