@@ -88,7 +88,8 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
     """Camera to world in optical axes."""
     if camera is None or "cameraPoseARFrame" not in camera:
         return None
-    return np.asarray(_matrix(camera, "cameraPoseARFrame", 4) @ OPENGL_FROM_OPTICAL)
+    with np.errstate(invalid="ignore"):  # of what is not finite
+        return np.asarray(_matrix(camera, "cameraPoseARFrame", 4) @ OPENGL_FROM_OPTICAL)
 
 
 def _stamps_ns(path: Path, cameras: list[dict[str, Any] | None]) -> tuple[list[int], list[str]]:
