@@ -56,7 +56,7 @@ class StoredFrame(RecordedFrame):
 
 def stored_frames(source: Recording) -> Iterator[StoredFrame]:
     assert source.given_trajectory is not None
-    for index, raw in enumerate(source.frames()):
+    for index, raw in enumerate(map(source.frame, range(len(source)))):
         assert isinstance(raw, RawFrame) and raw.color is not None
         stamp_ns = START_NS + index * STEP_NS
         bgr = cv2.imdecode(np.frombuffer(raw.color[1], np.uint8), cv2.IMREAD_COLOR)
@@ -90,7 +90,7 @@ def compared(sequence: Sequence, source: Recording, name: str) -> dict[str, obje
     """What came back, against the source."""
     scale = sequence.depth_scale / source.depth_scale
     color_bytes = color_pixels = depth = 0
-    for index, raw in enumerate(source.frames()):
+    for index, raw in enumerate(map(source.frame, range(len(source)))):
         assert isinstance(raw, RawFrame) and raw.color is not None
         depth += np.array_equal(sequence.frames.depth_native(index), raw.depth * np.uint16(round(scale)))
         color = sequence.frames.color_encoded(index)

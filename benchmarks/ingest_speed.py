@@ -23,7 +23,7 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import write_sequence
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
-from ingest_writers import BagWriter
+from ingest_writers import BagWriter, every_frame
 
 SETTINGS = CameraSettings(fx=525.0, fy=525.0, cx=319.5, cy=239.5)
 START_NS, STEP_NS = 1_400_000_000 * 10**9, 33_333_333
@@ -32,7 +32,7 @@ ROUNDS = 3
 
 
 def raw_frames(source: Recording) -> list[RawFrame]:
-    return [frame for frame in source.frames() if isinstance(frame, RawFrame) and frame.color]
+    return [frame for frame in every_frame(source) if isinstance(frame, RawFrame) and frame.color]
 
 
 def write_bag(path: Path, frames: list[RawFrame], count: int, compression: str | None) -> None:

@@ -1,7 +1,7 @@
 """Writers of small recordings in every format that is read."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,12 +12,24 @@ from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+
 WIDTH, HEIGHT = 64, 48
 FX, FY, CX, CY = 60.0, 61.0, 31.5, 23.5
 START_NS = 1_305_031_107_000_000_000
 STEP_NS = 33_333_333
 STORE = get_typestore(Stores.ROS1_NOETIC)
 CAMERA = {"width": WIDTH, "height": HEIGHT, "fx": FX, "fy": FY, "cx": CX, "cy": CY}
+
+
+def every_frame(recording: Recording) -> Iterator[RawFrame | DamagedImageError]:
+    """The frames in stamp order, one at a time; in place of one that is damaged, why."""
+    for index in range(len(recording)):
+        try:
+            yield recording.frame(index)
+        except DamagedImageError as error:
+            yield error
 
 
 def depth_image(index: int, scale: float = 5000.0) -> NDArray[np.uint16]:

@@ -1,7 +1,7 @@
 """What every reader of recordings offers: frames one after another, a camera, maybe a trajectory."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,13 +38,6 @@ class RawFrame:
     depth: NDArray[np.uint16]
     color: tuple[str, bytes] | None
     mask: Bools | None = None
-
-
-@dataclass(frozen=True)
-class DamagedFrame:
-    """A frame that is listed but cannot be read; `why` names the file and the damage."""
-
-    why: str
 
 
 @dataclass(frozen=True)
@@ -160,14 +153,6 @@ class Recording(ABC):
         Raises:
             DamagedImageError: its depth is damaged.
         """
-
-    def frames(self) -> Iterator[RawFrame | DamagedFrame]:
-        """Read the frames in stamp order, one at a time."""
-        for index in range(len(self)):
-            try:
-                yield self.frame(index)
-            except DamagedImageError as error:
-                yield DamagedFrame(str(error))
 
 
 @dataclass(frozen=True)

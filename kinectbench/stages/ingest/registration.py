@@ -1,6 +1,7 @@
 """Bringing colour onto the pixels of depth, by where the colour camera sees each point; lens distortion."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numba
 import numpy as np
@@ -14,6 +15,8 @@ from kinectbench.stages.ingest.recording import ColorCalibration
 HIDDEN_SHARE = 0.02
 # A depth pixel covers about this many pixels of the z-buffer in each direction, so that it has no holes.
 SPLAT_PX = 1
+
+Pixel = TypeVar("Pixel", np.uint8, np.uint16)
 
 
 class Undistortion:
@@ -33,17 +36,12 @@ class Undistortion:
         size = (camera.width, camera.height)
         self._maps = cv2.initUndistortRectifyMap(K, D, np.eye(3), K, size, cv2.CV_32FC1)
 
-    def depth(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Undistort depth (height, width): each pixel takes the nearest one's depth, or 0 outside."""
+    def __call__(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
+        """Undistort depth (height, width), which takes the nearest pixel's, or colour linearly; 0 outside."""
         import cv2
 
-        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), np.uint16)
-
-    def color(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Undistort colour (height, width, 3) with linear interpolation; black outside."""
-        import cv2
-
-        return np.asarray(cv2.remap(color, *self._maps, cv2.INTER_LINEAR), np.uint8)
+        interpolation = cv2.INTER_NEAREST if image.ndim == 2 else cv2.INTER_LINEAR
+        return np.asarray(cv2.remap(image, *self._maps, interpolation), image.dtype)
 
 
 class ColorRegistration:
@@ -81,7 +79,7 @@ class ColorRegistration:
 
         if not depth_m.any():
             return np.zeros((*depth_m.shape, 3), np.uint8)
-        image = bgr if self._pinhole is None else self._pinhole.color(bgr)
+        image = bgr if self._pinhole is None else self._pinhole(bgr)
         u, v, z = self._project(_filled(depth_m))
         zbuffer = np.full(self._buffer_shape, np.inf, np.float32)
         _splat(u, v, z, depth_m > 0, np.float32(self._shrink), zbuffer)

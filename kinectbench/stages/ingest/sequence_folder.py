@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from kinectbench.stages.ingest.images import (
     encode_png,
 )
 from kinectbench.stages.ingest.plausibility import FrameChecks, trajectory_problem
-from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
+from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.registration import ColorRegistration
 
 TRAJECTORY = "given_trajectory.txt"
@@ -89,12 +89,13 @@ def write_sequence(
         warnings.append(f"{problem}; it is ignored")
     if watch:
         warnings += watch.warnings()
+    calibrated = recording.color_calibration is not None
     head = CameraFile(
         format_version=CameraFile.FORMAT_VERSION,
         **asdict(recording.camera),
         depth_scale=recording.depth_scale,
-        color_registered=recording.color_registered or recording.color_calibration is not None,
-        registered_by=_registered_by(recording),
+        color_registered=recording.color_registered or calibrated,
+        registered_by="recording" if recording.color_registered else "calibration" if calibrated else None,
         source_format=recording.format,
         frames=len(rows),
         warnings=tuple(warnings),
@@ -188,13 +189,6 @@ class FolderFrames:
             raise StorageError(f"{self.folder / name}: cannot be read ({reason}); {AGAIN}") from error
 
 
-def _registered_by(recording: Recording) -> Literal["recording", "calibration"] | None:
-    """What puts the colour of a recording onto its depth."""
-    if recording.color_registered:
-        return "recording"
-    return "calibration" if recording.color_calibration is not None else None
-
-
 def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
     """A frame whose colour is brought onto its depth."""
     if frame.color is None:
@@ -222,17 +216,16 @@ def _write_frames(
         onto_depth = ColorRegistration(recording.camera, recording.color_calibration)
         register = partial(_registered, onto_depth, recording.depth_scale)
     rows: list[FrameRow] = []
-    for done, frame in enumerate(recording.frames(), start=1):
+    for index in range(len(recording)):
         try:
-            if isinstance(frame, DamagedFrame):
-                raise DamagedImageError(frame.why)
+            frame = recording.frame(index)
             rows.append(_write_checked(frame, len(rows), folder, checks, register))
             if watch:
-                watch.see(done - 1, frame)
+                watch.see(index, frame)
         except DamagedImageError as error:
             checks.leave_out(str(error))
         if progress:
-            progress(done, len(recording))
+            progress(index + 1, len(recording))
     return rows
 
 

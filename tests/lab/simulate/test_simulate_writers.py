@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from ingest_writers import every_frame
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
@@ -16,8 +17,9 @@ from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xy
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig, cut, stamp_as_read
 from kinectbench.lab.simulate.writers.image_folders import seconds
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import FORMATS, open_recording
-from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
+from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import write_sequence
 
 READER = {
@@ -85,8 +87,8 @@ def write(
 
 
 def read(recording: Recording) -> list[RawFrame]:
-    frames = list(recording.frames())
-    assert not [f for f in frames if isinstance(f, DamagedFrame)]
+    frames = list(every_frame(recording))
+    assert not [f for f in frames if isinstance(f, DamagedImageError)]
     return [f for f in frames if isinstance(f, RawFrame)]
 
 
@@ -312,7 +314,7 @@ def test_a_cut_folder_has_a_damaged_last_depth_image(tmp_path: Path, name: str, 
     before, sizes = digests(out), {f: f.stat().st_size for f in out.rglob("*") if f.is_file()}
     cut(out, share)
     recording = open_recording(out)
-    found = list(recording.frames())
+    found = list(every_frame(recording))
     assert len(found) == 21
     for raw, one in zip(found[: 20 if share else 21], made, strict=False):
         assert isinstance(raw, RawFrame)
@@ -322,11 +324,11 @@ def test_a_cut_folder_has_a_damaged_last_depth_image(tmp_path: Path, name: str, 
     if share:
         file = out / changed[0]
         assert file.stat().st_size == round(sizes[file] * (1 - share))
-        assert isinstance(found[-1], DamagedFrame)
-        assert found[-1].why.startswith(f"{file}: ")
-        assert "\n" not in found[-1].why
+        assert isinstance(found[-1], DamagedImageError)
+        assert str(found[-1]).startswith(f"{file}: ")
+        assert "\n" not in str(found[-1])
         # One of 21 frames may be left out.
-        assert write_sequence(recording, tmp_path / "s") == [f"frame left out: {found[-1].why}"]
+        assert write_sequence(recording, tmp_path / "s") == [f"frame left out: {found[-1]}"]
 
 
 @pytest.mark.parametrize("name", FOLDERS)

@@ -11,6 +11,7 @@ from ingest_writers import (
     STEP_NS,
     color_image,
     depth_image,
+    every_frame,
     jpeg,
     png,
     translation,
@@ -36,7 +37,7 @@ SMALL = Camera(**CAMERA)  # type: ignore[arg-type]
 
 
 def raw_frames(recording: Recording) -> list[RawFrame]:
-    frames = list(recording.frames())
+    frames = list(every_frame(recording))
     assert all(isinstance(frame, RawFrame) for frame in frames)
     return [frame for frame in frames if isinstance(frame, RawFrame)]
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ingest_writers import CAMERA, write_folder, write_seven_scenes, write_tum
+from ingest_writers import CAMERA, every_frame, write_folder, write_seven_scenes, write_tum
 from test_ingest_phones_bop import bop, scanner_app, stray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import format_of, open_recording
-from kinectbench.stages.ingest.recording import DamagedFrame
 
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "tum": write_tum,
@@ -63,8 +63,8 @@ def test_fuzzed_folders_neither_crash_nor_allocate(
     tracemalloc.start()
     try:
         recording = open_recording(folder, CameraSettings(**CAMERA) if name == "7scenes" else None)
-        for frame in recording.frames():
-            assert isinstance(frame, DamagedFrame) or frame.depth.dtype == np.uint16
+        for frame in every_frame(recording):
+            assert isinstance(frame, DamagedImageError) or frame.depth.dtype == np.uint16
     except RecordingError as error:
         assert "\n" not in str(error)
     finally:
@@ -81,7 +81,7 @@ def test_an_image_that_says_it_is_huge_is_damaged(tmp_path: Path, side: int) -> 
     data[16:24] = side.to_bytes(4, "big") * 2
     (folder / "depth/1.png").write_bytes(data)
     tracemalloc.start()
-    frames = list(open_recording(folder).frames())
+    frames = list(every_frame(open_recording(folder)))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert isinstance(frames[1], DamagedFrame) and peak < 8 << 20
+    assert isinstance(frames[1], DamagedImageError) and peak < 8 << 20

@@ -11,7 +11,20 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ingest_writers import CAMERA, CX, CY, FX, FY, HEIGHT, WIDTH, color_image, depth_image, jpeg, png
+from ingest_writers import (
+    CAMERA,
+    CX,
+    CY,
+    FX,
+    FY,
+    HEIGHT,
+    WIDTH,
+    color_image,
+    depth_image,
+    every_frame,
+    jpeg,
+    png,
+)
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -156,7 +169,7 @@ def test_fuzzed_headers_neither_crash_nor_allocate(
     path.write_bytes(content)
     tracemalloc.start()
     try:
-        list(open_recording(path, SETTINGS).frames())
+        list(every_frame(open_recording(path, SETTINGS)))
     except RecordingError as error:
         assert "\n" not in str(error)
     finally:

@@ -15,6 +15,7 @@ from ingest_writers import (
     BagWriter,
     color_image,
     depth_image,
+    every_frame,
     jpeg,
     png,
     quaternion,
@@ -25,8 +26,9 @@ from ingest_writers import (
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import format_of, open_recording
-from kinectbench.stages.ingest.recording import DamagedFrame, RawFrame, Recording
+from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 NATIVE = CameraSettings(depth_scale=5000.0)
@@ -34,8 +36,8 @@ DEPTH, INFO, COLOR = "/camera/depth/image_raw", "/camera/depth/camera_info", "/c
 
 
 def raw_frames(recording: Recording) -> list[RawFrame]:
-    frames = list(recording.frames())
-    assert not [frame for frame in frames if isinstance(frame, DamagedFrame)]
+    frames = list(every_frame(recording))
+    assert not [frame for frame in frames if isinstance(frame, DamagedImageError)]
     return [frame for frame in frames if isinstance(frame, RawFrame)]
 
 
@@ -263,12 +265,12 @@ def test_damaged_messages_become_damaged_frames(tmp_path: Path) -> None:
         bag.raw(DEPTH, "sensor_msgs/msg/Image", START_NS + 7, header + bytes(7))
         short = (HEIGHT, WIDTH, "16UC1", 0, WIDTH * 2, np.zeros(WIDTH * 2 * HEIGHT - 1, np.uint8))
         bag.write(DEPTH, "sensor_msgs/msg/Image", START_NS + 9, "camera", short)
-    frames = list(open_recording(tmp_path / "r.bag").frames())
-    assert [isinstance(frame, DamagedFrame) for frame in frames] == [False] * 3 + [True] * 2
-    assert isinstance(frames[3], DamagedFrame)
-    assert f"{DEPTH}, message 3: cannot be decoded" in frames[3].why
-    assert isinstance(frames[4], DamagedFrame)
-    assert "6143 bytes are too few for 64x48 pixels" in frames[4].why
+    frames = list(every_frame(open_recording(tmp_path / "r.bag")))
+    assert [isinstance(frame, DamagedImageError) for frame in frames] == [False] * 3 + [True] * 2
+    assert isinstance(frames[3], DamagedImageError)
+    assert f"{DEPTH}, message 3: cannot be decoded" in str(frames[3])
+    assert isinstance(frames[4], DamagedImageError)
+    assert "6143 bytes are too few for 64x48 pixels" in str(frames[4])
 
 
 def distorted_bag(path: Path, topic: str, model: str = "plumb_bob") -> Path:

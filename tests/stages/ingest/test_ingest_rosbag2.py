@@ -8,7 +8,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from ingest_writers import CAMERA, FX, HEIGHT, START_NS, STEP_NS, WIDTH, color_image, depth_image, jpeg
+from ingest_writers import (
+    CAMERA,
+    FX,
+    HEIGHT,
+    START_NS,
+    STEP_NS,
+    WIDTH,
+    color_image,
+    depth_image,
+    every_frame,
+    jpeg,
+)
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from numpy.typing import NDArray
@@ -173,7 +184,7 @@ def test_cut_off_at_every_tenth(tmp_path: Path, storage: str, tenth: int) -> Non
     file.write_bytes(data[: len(data) * tenth // 10])
     try:
         recording = open_recording(file)
-        usable = [frame for frame in recording.frames() if isinstance(frame, RawFrame)]
+        usable = [frame for frame in every_frame(recording) if isinstance(frame, RawFrame)]
     except RecordingError as error:
         assert "\n" not in str(error)
         assert "cut off" in str(error) or "copy it again" in str(error) or "no topic" in str(error)
@@ -196,7 +207,7 @@ def test_a_torn_page_of_a_cut_off_database_gives_no_half_frame(tmp_path: Path, t
     data = file.read_bytes()
     for page in range(30, 44):
         file.write_bytes(data[: page * 4096 + torn_bytes])
-        frames = list(open_recording(file).frames())
+        frames = list(every_frame(open_recording(file)))
         assert len(frames) >= page / (len(data) / 4096) * 20 - 3
         for i, frame in enumerate(frames):
             assert isinstance(frame, RawFrame)

@@ -15,7 +15,7 @@ from kinectbench.core.geometry import closest_rotation, rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
-from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic, camera_info
+from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
 
 FLOAT, KEY_VALUE, TRANSFORM = "std_msgs/Float32", "diagnostic_msgs/KeyValue", "geometry_msgs/Transform"
@@ -87,7 +87,7 @@ class RealsenseRecording(Rosbag1Recording):
                 for message in bag.whole(topic):
                     number = topic.name.rsplit("/", 1)[1]
                     name = f"/camera/{message.stream_type}/camera_info/{number}"
-                    found.append((name, camera_info(message.camera_info)))
+                    found.append((name, message.camera_info))
         return found
 
 

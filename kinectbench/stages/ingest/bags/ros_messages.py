@@ -52,23 +52,22 @@ class MessagePlace:
     file: int = 0
 
 
-@dataclass(frozen=True)
-class BagTopic:
-    """One topic: its type such as "sensor_msgs/Image", and its messages in the order of their stamps.
+class BagTopic(NamedTuple):
+    """One topic, or a connection of it: what the bag says of a series of messages.
 
     Attributes:
         name: such as "/camera/depth/image_raw".
-        type: in ROS 1's spelling, also for ROS 2.
+        type: such as "sensor_msgs/Image"; in ROS 1's spelling, also for ROS 2.
         encoding: how they are serialised.
         definition: the text that the bag gives of its type, where that is not a standard one.
-        messages: where they lie, by stamp.
+        messages: where they lie, by stamp; of a connection they are not known yet.
     """
 
     name: str
     type: str
-    encoding: Encoding
-    definition: str
-    messages: tuple[MessagePlace, ...]
+    encoding: Encoding = "ros1"
+    definition: str = ""
+    messages: tuple[MessagePlace, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -175,15 +174,6 @@ def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
     return tuple(sorted(places, key=lambda place: place.stamp_ns))
 
 
-class Connection(NamedTuple):
-    """What a bag says of a series of messages; `BagTopic` has the meaning of each."""
-
-    name: str
-    type: str
-    encoding: Encoding = "ros1"
-    definition: str = ""
-
-
 class FoundMessages:
     """The messages of the wanted types that a walk through a bag's file meets.
 
@@ -194,7 +184,7 @@ class FoundMessages:
 
     def __init__(self, types: frozenset[str]) -> None:
         """Start before the first record."""
-        self.connections: dict[int, Connection] = {}
+        self.connections: dict[int, BagTopic] = {}
         self._types = types
         self.places: dict[int, list[MessagePlace]] = {}
 
@@ -224,18 +214,18 @@ class FoundMessages:
         start = file.read(size if whole else min(PEEK_BYTES, size))
         if start.startswith(ZSTD_MAGIC):
             start = unpacked_message(start + file.read(size - len(start)))[:PEEK_BYTES]
-        sort = known or Connection("", "")
+        sort = known or BagTopic("", "")
         stamp_ns = header_stamp_ns(start, sort.type, sort.encoding) or recorded_ns
         self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
 
     def topics(self) -> tuple[BagTopic, ...]:
         """The topics that have messages, sorted; connections that share a name and a type are joined."""
-        joined: dict[Connection, list[MessagePlace]] = {}
+        joined: dict[BagTopic, list[MessagePlace]] = {}
         for number, places in self.places.items():
             connection = self.connections.get(number)
             if connection is not None and connection.type in self._types:
                 joined.setdefault(connection, []).extend(places)
-        return tuple(BagTopic(*key, by_stamp(joined[key])) for key in sorted(joined))
+        return tuple(key._replace(messages=by_stamp(joined[key])) for key in sorted(joined))
 
 
 class BagReader:

@@ -25,7 +25,6 @@ from kinectbench.stages.ingest.bags.ros_topics import (
     WANTED,
     CameraInfo,
     ImageTopic,
-    camera_info,
     choose_camera_info,
     choose_color,
     choose_depth,
@@ -100,7 +99,7 @@ class RosRecording(Recording):
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
         """Every CameraInfo with its topic's name."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
-        return [(name, camera_info(message)) for name, message in infos if message is not None]
+        return [(name, message) for name, message in infos if message is not None]
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -164,7 +163,7 @@ class RosRecording(Recording):
         color = self._color(pair.color)
         # Frames of another size are left as they are: the checks refuse them.
         if self.undistortion is not None and depth.shape == self._shape:
-            depth = self.undistortion.depth(depth)
+            depth = self.undistortion(depth)
         return RawFrame(name, pair.stamp_ns, depth, color)
 
     def _color(self, index: int | None) -> tuple[str, bytes] | None:
@@ -176,7 +175,7 @@ class RosRecording(Recording):
         if self.undistortion is None or not self.color_registered:
             return color
         bgr = decode_color_bgr(color[1], name)
-        return (".png", encode_png(self.undistortion.color(bgr))) if bgr.shape[:2] == self._shape else color
+        return (".png", encode_png(self.undistortion(bgr))) if bgr.shape[:2] == self._shape else color
 
     @property
     def _shape(self) -> tuple[int, int]:

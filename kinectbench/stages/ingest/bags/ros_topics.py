@@ -27,6 +27,8 @@ INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)")
 BROWN_MODELS = frozenset({"plumb_bob", "rational_polynomial", "Brown Conrady", "brown_conrady"})
 NO_MODELS = frozenset({"", "None", "none"})
 BROWN_LENGTHS = frozenset({4, 5, 8})
+# A message of sensor_msgs/CameraInfo.
+CameraInfo = Any
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,6 @@ class ImageTopic:
     def name(self) -> str:
         """The topic's name."""
         return self.topic.name
-
-    @property
-    def compressed(self) -> bool:
-        """Whether its messages are CompressedImage."""
-        return self.topic.type == COMPRESSED_IMAGE
 
 
 def image_topics(bag: RosBag, encoding_of: Callable[[Any], str | None]) -> list[ImageTopic]:
@@ -93,7 +90,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
             "depth" in t.name.lower(),
             is_named_registered(t),
             t.encoding != FLOAT_DEPTH,
-            not t.compressed,
+            t.topic.type != COMPRESSED_IMAGE,
             len(t.topic.messages),
         ),
     )
@@ -128,7 +125,7 @@ def choose_color(
             any(word in t.name.lower() for word in ("rgb", "color", "colour")),
             _first_folder(t) == _first_folder(depth),
             t.encoding != "mono8",
-            not t.compressed,
+            t.topic.type != COMPRESSED_IMAGE,
             len(t.topic.messages),
         ),
     )
@@ -162,35 +159,10 @@ def _choice(bag: RosBag, what: str, best: ImageTopic, found: list[ImageTopic]) -
     return [f"{bag.path}: {what} is read from {best.name}, not from {others}"]
 
 
-@dataclass(frozen=True)
-class CameraInfo:
-    """What a CameraInfo message says; the fields of sensor_msgs/CameraInfo under ROS 1's names."""
-
-    width: int
-    height: int
-    distortion_model: str
-    D: tuple[float, ...]
-    K: tuple[float, ...]
-    P: tuple[float, ...]
-    frame_id: str
-
-
-def camera_info(message: Any) -> CameraInfo:
-    """The values of a message of ROS 1 (K, D, P) or ROS 2 (k, d, p)."""
-
-    def numbers(name: str) -> tuple[float, ...]:
-        values = getattr(message, name, None)
-        return tuple(float(v) for v in (getattr(message, name.lower()) if values is None else values))
-
-    return CameraInfo(
-        width=int(message.width),
-        height=int(message.height),
-        distortion_model=message.distortion_model,
-        D=numbers("D"),
-        K=numbers("K"),
-        P=numbers("P"),
-        frame_id=message.header.frame_id,
-    )
+def values_of(info: CameraInfo, name: str) -> tuple[float, ...]:
+    """The numbers that a CameraInfo holds as K, D or P, which ROS 2 spells k, d and p."""
+    values = getattr(info, name, None)
+    return tuple(float(v) for v in (getattr(info, name.lower()) if values is None else values))
 
 
 def choose_camera_info(
@@ -208,10 +180,10 @@ def choose_camera_info(
     """
     ranked = []
     for name, info in infos:
-        if not info.K[0] > 0:  # 0: the driver has no calibration
+        if not values_of(info, "K")[0] > 0:  # 0: the driver has no calibration
             continue
         shared = _shared_folders(name, image.name)
-        same_frame = bool(image.frame_id) and info.frame_id == image.frame_id
+        same_frame = bool(image.frame_id) and info.header.frame_id == image.frame_id
         if same_frame or any(word in folder.lower() for folder in shared for word in kind):
             rank = ((info.width, info.height) == size_px, same_frame, len(shared))
             ranked.append((*rank, info))
@@ -222,9 +194,9 @@ def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
     """K of the images; of rectified images the left 3x3 of P, as sensor_msgs/CameraInfo defines them."""
     if info is None:
         return Intrinsics()
-    k = info.K
-    if _is_rectified(image) and info.P[0] > 0:
-        k = (*info.P[0:3], *info.P[4:7], *info.P[8:11])
+    k, p = values_of(info, "K"), values_of(info, "P")
+    if _is_rectified(image) and p[0] > 0:
+        k = (*p[0:3], *p[4:7], *p[8:11])
     return Intrinsics(width=info.width, height=info.height, fx=k[0], fy=k[4], cx=k[2], cy=k[5])
 
 
@@ -234,14 +206,18 @@ def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tup
     Raises:
         RecordingError: they are distorted by a model that is not Brown's.
     """
-    if info is None or _is_rectified(image) or not any(info.D) or info.distortion_model in NO_MODELS:
+    if info is None or _is_rectified(image) or info.distortion_model in NO_MODELS:
         return ()
-    if info.distortion_model not in BROWN_MODELS or len(info.D) not in BROWN_LENGTHS:
+    coefficients = values_of(info, "D")
+    if not any(coefficients):
+        return ()
+    if info.distortion_model not in BROWN_MODELS or len(coefficients) not in BROWN_LENGTHS:
         raise RecordingError(
-            f"{path}: {image.name} has the distortion model '{info.distortion_model}' with {len(info.D)} "
-            "values; only plumb_bob and rational_polynomial can be removed: record rectified images"
+            f"{path}: {image.name} has the distortion model '{info.distortion_model}' with "
+            f"{len(coefficients)} values; only plumb_bob and rational_polynomial can be removed: record "
+            "rectified images"
         )
-    return info.D
+    return coefficients
 
 
 def _is_rectified(image: ImageTopic) -> bool:

@@ -15,7 +15,7 @@ from typing import BinaryIO, ClassVar
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.bags.ros_messages import (
     BagReader,
-    Connection,
+    BagTopic,
     DamagedRecordError,
     FoundMessages,
     RosBag,
@@ -153,7 +153,7 @@ class _Walk:
         values = (fields.get(b"topic", b""), more.get(b"type", b""), more.get(b"message_definition", b""))
         topic, type_, definition = (value.decode(errors="replace") for value in values)
         own = definition if type_ in self._own_types else ""
-        self.found.connections[_number(fields, b"conn", "<I")] = Connection(topic, type_, "ros1", own)
+        self.found.connections[_number(fields, b"conn", "<I")] = BagTopic(topic, type_, "ros1", own)
 
 
 def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], int, int]]:

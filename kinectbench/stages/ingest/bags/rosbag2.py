@@ -76,35 +76,27 @@ def _walk_file(file: Path, types: frozenset[str]) -> RosBag:
     return replace(bag, read=lambda place: unpacked_message(bag.read(place)))
 
 
-class _Unpacked:
-    """A file that is compressed as a whole, unpacked into a temporary folder that goes with this value."""
-
-    def __init__(self, file: Path) -> None:
-        import zstandard
-
-        folder = tempfile.mkdtemp(prefix="kinectbench-")
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self.file = Path(folder) / file.name.removesuffix(".zstd")
-        self.trouble = ""
-        with file.open("rb") as packed, self.file.open("wb") as unpacked:
-            try:
-                zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
-            except zstandard.ZstdError as error:
-                self.trouble = f"{file}: is damaged or cut off ({error})"
-
-
 def _walk_packed(file: Path, types: frozenset[str]) -> RosBag:
     """Walk through a file that is compressed as a whole."""
-    unpacked = _Unpacked(file)
-    if not _is_bag_file(unpacked.file):
-        trouble = unpacked.trouble or f"{file}: is cut off or holds no ROS 2 bag"
-        return RosBag(file, (), lambda place: b"", trouble)
-    bag = _walk_file(unpacked.file, types)
+    import zstandard
 
-    def read(place: MessagePlace, _kept: _Unpacked = unpacked) -> bytes:
+    def read(place: MessagePlace) -> bytes:
         return bag.read(place)
 
-    return replace(bag, read=read, trouble=bag.trouble.replace(str(unpacked.file), str(file)))
+    # It is unpacked into a temporary folder that goes with `read`.
+    folder = tempfile.mkdtemp(prefix="kinectbench-")
+    weakref.finalize(read, shutil.rmtree, folder, ignore_errors=True)
+    unpacked, trouble = Path(folder) / file.name.removesuffix(".zstd"), ""
+    with file.open("rb") as source, unpacked.open("wb") as target:
+        try:
+            zstandard.ZstdDecompressor().copy_stream(source, target)
+        except zstandard.ZstdError as error:
+            trouble = f"{file}: is damaged or cut off ({error})"
+    if not _is_bag_file(unpacked):
+        trouble = trouble or f"{file}: is cut off or holds no ROS 2 bag"
+        return RosBag(file, (), lambda place: b"", trouble)
+    bag = _walk_file(unpacked, types)
+    return replace(bag, read=read, trouble=bag.trouble.replace(str(unpacked), str(file)))
 
 
 def _joined(path: Path, bags: list[RosBag]) -> RosBag:
@@ -117,7 +109,7 @@ def _joined(path: Path, bags: list[RosBag]) -> RosBag:
             moved = tuple(replace(place, file=number) for place in topic.messages)
             key = (topic.name, topic.type)
             before = topics[key].messages if key in topics else ()
-            topics[key] = replace(topic, messages=by_stamp((*before, *moved)))
+            topics[key] = topic._replace(messages=by_stamp((*before, *moved)))
     return RosBag(
         path,
         tuple(topics[key] for key in sorted(topics)),

@@ -12,7 +12,7 @@ from typing import BinaryIO, NamedTuple
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.bags.ros_messages import (
     BagReader,
-    Connection,
+    BagTopic,
     DamagedRecordError,
     Encoding,
     FoundMessages,
@@ -121,7 +121,7 @@ class _Walk:
         if encoding not in ENCODINGS:
             self.unknown.add(encoding)
             type_ = ""
-        self.found.connections[number] = Connection(topic, type_, ENCODINGS.get(encoding, "cdr"))
+        self.found.connections[number] = BagTopic(topic, type_, ENCODINGS.get(encoding, "cdr"))
 
     def _take_message(self, file: BinaryIO, body: int, size: int, chunk: int) -> None:
         if size < MESSAGE_HEAD.size:

@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.bags.ros_messages import (
-    Connection,
+    BagTopic,
     FoundMessages,
     MessagePlace,
     RosBag,
@@ -35,7 +35,7 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
             rows = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
             for topic, name, type_, encoding in rows:
                 if encoding == "cdr":
-                    found.connections[topic] = Connection(str(name), short_type(str(type_)), "cdr")
+                    found.connections[topic] = BagTopic(str(name), short_type(str(type_)), "cdr")
             try:
                 _take_messages(database, found, all_of_them=cut_off > 0)
             except sqlite3.DatabaseError as error:

@@ -32,7 +32,7 @@ class PhoneRecording(FileRecording):
         file = self.confidence[index] if self.confidence else None
         if file is None or self.min_confidence == 0:
             return depth
-        confidence = _decode_grey(read_image_file(file), str(file))
+        confidence = decode_color_bgr(read_image_file(file), str(file))[..., 0]
         if confidence.shape != depth.shape:
             raise DamagedImageError(f"{file}: its size is not that of the depth image")
         return np.where(confidence >= self.min_confidence, depth, np.uint16(0))
@@ -67,7 +67,3 @@ def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> 
         cx=(float(K[0, 2]) + 0.5) * x - 0.5,
         cy=(float(K[1, 2]) + 0.5) * y - 0.5,
     )
-
-
-def _decode_grey(data: bytes, name: str) -> NDArray[np.uint8]:
-    return np.asarray(decode_color_bgr(data, name)[..., 0], np.uint8)

@@ -151,25 +151,17 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
     if len(rest) < MATRICES.size + FACTS.size:
         raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
     matrices = np.array(MATRICES.unpack_from(rest), np.float64).reshape(4, 4, 4)
-    facts = FACTS.unpack_from(rest, MATRICES.size)
-    color, depth, color_px, depth_px = facts[0], facts[1], facts[2:4], facts[4:6]
+    color, depth, *sides, shift, frames = FACTS.unpack_from(rest, MATRICES.size)
+    color_px, depth_px = (sides[0], sides[1]), (sides[2], sides[3])
     if not all(0 < side <= LARGEST_SIDE_PX for side in depth_px):
         raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
     if depth not in (RAW, ZLIB):
         raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")
-    if not (np.isfinite(facts[6]) and facts[6] > 0):
-        raise RecordingError(f"{path}: its depth shift is {facts[6]:g}, not above 0: the file is damaged")
+    if not (np.isfinite(shift) and shift > 0):
+        raise RecordingError(f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged")
+    of_color, place_of_color, of_depth, place_of_depth = matrices
     return SensHead(
-        color_intrinsic=matrices[0],
-        color_extrinsic=matrices[1],
-        depth_intrinsic=matrices[2],
-        depth_extrinsic=matrices[3],
-        color_compression=color,
-        depth_compression=depth,
-        color_px=color_px,
-        depth_px=depth_px,
-        depth_shift=float(facts[6]),
-        frames=facts[7],
+        of_color, place_of_color, of_depth, place_of_depth, color, depth, color_px, depth_px, shift, frames
     )
 
 
