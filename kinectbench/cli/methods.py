@@ -72,12 +72,11 @@ def compare(
 ) -> None:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console
-    from kinectbench.core.artefacts.scores import ScoreTable
     from kinectbench.scoring.compare import compare as compare_tables
-    from kinectbench.scoring.compare import find_scores
+    from kinectbench.scoring.compare import find_scores, read_named
     from kinectbench.scoring.terminal import comparison_tables
 
-    tables = [ScoreTable.read_file(path) for path in find_scores(scores)]
+    tables = [read_named(path) for path in find_scores(scores)]
     found = compare_tables(tables, metric, protocol)
     if common.as_json:
         typer.echo(json.dumps(asdict(found)))

@@ -12,7 +12,7 @@ from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, gallery_cells, read_pair_truth
 from kinectbench.report.page import Beside, Ranks, write_report
-from kinectbench.scoring.compare import ALL, compare, find_scores
+from kinectbench.scoring.compare import ALL, compare, find_scores, read_named
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
@@ -60,12 +60,12 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
         benchmark_sha256: of the truth; None if only the files know it, who must then agree.
 
     Raises:
-        SettingsError: one is missing, or was scored against another truth.
-        StorageError: a file is damaged.
+        SettingsError: one is missing, damaged, or was scored against another truth.
+        StorageError: the gallery beside one is damaged.
     """
     files = []
     for path in {path.resolve(): path for path in find_scores(paths)}.values():
-        file = _read(path)
+        file = ScoreFile(path, read_named(path), read_gallery(path))
         found = file.table.benchmark_sha256
         benchmark_sha256 = benchmark_sha256 or found
         if found != benchmark_sha256:
@@ -157,7 +157,7 @@ def page_of_benchmark(
         Its path, and a warning for each score file that was left out.
 
     Raises:
-        SettingsError: a score file that was named is missing or of another truth.
+        SettingsError: a score file that was named is missing, damaged or of another truth.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.scores import AVERAGED, METRICS, SCORES_JSON, SHARES, ScoreTable
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.uncertainty import MAX_EXACT, holm, sign_flip_ps, smallest_p
@@ -121,6 +121,18 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
         else:
             found.append(path)
     return found
+
+
+def read_named(path: Path) -> ScoreTable:
+    """A score table that a person named.
+
+    Raises:
+        SettingsError: it is missing or damaged.
+    """
+    try:
+        return ScoreTable.read_file(path)
+    except StorageError as error:
+        raise SettingsError(str(error)) from error
 
 
 def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import pytest
 from report_fake_build import parsed_tables, score
 
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.report import charts, tables
 from kinectbench.report.run import files_in, files_named, rank
 from kinectbench.scoring.compare import method_names
@@ -180,7 +180,7 @@ def test_named_files_are_of_one_truth(tmp_path: Path) -> None:
 def test_damaged_files_are_one_line(tmp_path: Path, content: bytes) -> None:
     path = put(tmp_path, "net")
     path.write_bytes(content)
-    with pytest.raises(KinectBenchError, match=re.escape(str(path))) as caught:
+    with pytest.raises(SettingsError, match=re.escape(str(path))) as caught:
         files_named([path], "ab" * 32)
     assert "\n" not in str(caught.value)
 
