@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import TriangleMesh, invert_rigid
 from kinectbench.core.images import read_gray
-from kinectbench.core.pictures import CLAY, PAPER, Viewpoint
+from kinectbench.core.pictures import CLAY, PAPER, Viewpoint, viewpoints_around
 from kinectbench.core.types import Rgb
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.lab.evaluate.build import read_build, register
-from kinectbench.lab.evaluate.charts import SIZE_PX, render_errors, viewpoints
+from kinectbench.lab.evaluate.charts import LOOKS_DEG, SIZE_PX, render_errors
 from kinectbench.lab.evaluate.solid import canonical_cube, compare_on
 from kinectbench.lab.evaluate.surface import Surface
 from kinectbench.lab.simulate.truth import is_truth, read_truth
@@ -50,13 +50,13 @@ def row(name: str, build_folder: Path, truth_folder: Path) -> list[Rgb]:
     pictures = [_fit(color_rgb), _fit(shaded), _fit(np.repeat(front[..., None], 3, axis=2))]
     if not is_truth(truth_folder):
         mesh = built.model.shape.mesh.transformed(built.model.floor.T_floor_world)
-        return [*pictures, _plain(mesh, viewpoints(mesh.vertices)[0])]
+        return [*pictures, _plain(mesh, viewpoints_around(mesh.vertices, LOOKS_DEG)[0])]
     truth = read_truth(truth_folder)
     registration = register(built, truth)
     T_object_world = invert_rigid(truth.T_world_object)
     ours = built.model.shape.mesh.transformed(T_object_world @ registration.T_truth_built)
     true = truth.mesh_world.transformed(T_object_world)
-    look = viewpoints(true.vertices)[0]
+    look = viewpoints_around(true.vertices, LOOKS_DEG)[0]
     signed = render_errors(ours, Surface(true), look, True, _diverging)
     solids = compare_on(canonical_cube(truth), built.model, truth, registration)
     wrong = solids.true ^ solids.built

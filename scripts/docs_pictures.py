@@ -147,12 +147,8 @@ def around(
     elevation_deg: float,
 ) -> Rgb:
     """A mesh from several sides; each picture just holds the fitted points."""
-    up, elevation = np.array([0.0, 0.0, 1.0]), np.deg2rad(elevation_deg)
-    tiles = []
-    for azimuth in np.deg2rad(azimuths_deg):
-        across = np.cos(elevation) * np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
-        looked = pictures.look_along(across - np.sin(elevation) * up, up)
-        tiles.append(pictures.render(mesh_floor, pictures.fit_viewpoint(fitted_m, looked), 380))
+    looks = pictures.viewpoints_around(fitted_m, [(azimuth, elevation_deg) for azimuth in azimuths_deg])
+    tiles = [pictures.render(mesh_floor, look, 380) for look in looks]
     return sheet(tiles, len(tiles))
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import isosurface, raycaster
+from kinectbench.core.images import shrunk
 from kinectbench.core.types import Float32, Float64, Rgb
 
 Color = tuple[int, int, int]
@@ -57,6 +58,25 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
     return Viewpoint(R_frame_view, R_frame_view @ ((low + high) / 2), half_m, float(size[2]) + half_m)
 
 
+def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]]) -> list[Viewpoint]:
+    """Viewpoints that just hold the points (n, 3), z up, each from an azimuth and an elevation in degrees."""
+    found = []
+    for azimuth, elevation in np.radians(looks_deg):
+        level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        forward = np.cos(elevation) * level - np.sin(elevation) * up
+        found.append(fit_viewpoint(points_m, look_along(forward, up)))
+    return found
+
+
+def ray_starts(viewpoint: Viewpoint, size_px: int) -> Float64:
+    """Where the rays through the pixels' centres start: (size_px, size_px, 3), the mesh's frame."""
+    right, down, forward = viewpoint.R_frame_view.T
+    offset_m = ((np.arange(size_px) + 0.5) / size_px * 2 - 1) * viewpoint.half_m
+    start = viewpoint.center_m - viewpoint.depth_m * forward
+    return np.asarray(start + offset_m[None, :, None] * right + offset_m[:, None, None] * down)
+
+
 def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float64, Float64]:
     """Cast one ray through each pixel's centre.
 
@@ -74,12 +94,9 @@ def cast_pieces(
 ) -> tuple[Float64, Float64, NDArray[np.intp]]:
     """What `cast` returns of several meshes, and which is hit: (size_px, size_px), their number for none."""
     scene, tensor = raycaster(*pieces)
-    right, down, forward = viewpoint.R_frame_view.T
-    offset_m = ((np.arange(size_px) + 0.5) / size_px * 2 - 1) * viewpoint.half_m
     rays = np.empty((size_px, size_px, 6), np.float32)
-    start = viewpoint.center_m - viewpoint.depth_m * forward
-    rays[..., :3] = start + offset_m[None, :, None] * right + offset_m[:, None, None] * down
-    rays[..., 3:] = forward
+    rays[..., :3] = ray_starts(viewpoint, size_px)
+    rays[..., 3:] = viewpoint.R_frame_view[:, 2]
     hit = scene.cast_rays(tensor(rays))
     normals_view = hit["primitive_normals"].numpy().astype(np.float64) @ viewpoint.R_frame_view
     normals_view *= np.where(normals_view[..., 2:] > 0, -1.0, 1.0)
@@ -90,17 +107,13 @@ def cast_pieces(
 
 def render(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int, color: Color = CLAY) -> Rgb:
     """Draw a mesh, shaded, on paper: (size_px, size_px, 3) uint8 RGB."""
-    import cv2
-
     distance_m, normals_view = cast(mesh, viewpoint, round(size_px * SUPERSAMPLING))
     lit = 0.52 + 0.6 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
     # What lies farther back is a little darker, so that a leg stands out from the leg behind it.
     far = np.clip((distance_m - viewpoint.depth_m) / (2 * viewpoint.depth_m) + 0.5, 0.0, 1.0)
     shade = (lit * (1.08 - 0.3 * far))[..., None]
     picture = np.where(np.isfinite(distance_m)[..., None], shade * np.array(color), np.array(PAPER))
-    picture_u8 = np.clip(picture, 0, 255).astype(np.uint8)
-    small = cv2.resize(picture_u8, (size_px, size_px), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.uint8)
+    return shrunk(np.clip(picture, 0, 255).astype(np.uint8), size_px)
 
 
 def silhouette(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:

@@ -70,6 +70,11 @@ def text_of(value: Any) -> str:
     return str(value)
 
 
+def per_cent(value: float | None) -> str:
+    """A share as text."""
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
 def _rows(values: Mapping[str, Any], prefix: str) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for key, value in values.items():

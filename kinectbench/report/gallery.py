@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import zlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,8 +130,10 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
 def _up_grid(floor: Path, pair: Path) -> Float64:
     """Where up is in the grid of a pair; what was up in the view, if the floor is not known."""
     try:
-        up = FloorFile.read_file(floor).T_floor_world[2, :3] @ _R_world_grid(pair)
-    except StorageError:  # it only turns a picture
+        with np.load(io.BytesIO(pair.read_bytes()), allow_pickle=False) as archive:
+            R_world_grid = np.asarray(archive["T_world_grid"], np.float64)[:3, :3]
+        up = FloorFile.read_file(floor).T_floor_world[2, :3] @ R_world_grid
+    except (StorageError, *UNREADABLE):  # it only turns a picture
         up = np.zeros(3)
     length = float(np.linalg.norm(up))
     return up / length if length > 0 and np.isfinite(length) else np.array([0.0, -1, 0])
@@ -140,15 +143,6 @@ def _sampled(packed: Packed) -> Packed:
     """(256, 256, 32) packed to (64, 64, 8) packed: the voxel beyond the middle of each cell."""
     middle = BLOCK // 2
     return pack(unpack(packed[middle::BLOCK, middle::BLOCK])[..., middle::BLOCK])
-
-
-def _R_world_grid(path: Path) -> Float64:
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            R: Float64 = np.asarray(archive["T_world_grid"], np.float64)[:3, :3]
-    except UNREADABLE as error:
-        raise StorageError(f"{path}: not a pair file ({error}); was it published whole?") from error
-    return R
 
 
 def gallery_json(
@@ -169,50 +163,43 @@ def gallery_json(
         The text, or None if there is nothing to show; and how many pairs were left out for its size.
     """
     shown_by = [
-        {} if gallery is None else {name: gallery.cells[name] for name in gallery.cells if name in truths}
+        {}
+        if gallery is None
+        else {name: _text(gallery.cells[name]) for name in gallery.cells if name in truths}
         for gallery in galleries
     ]
-    holders = {name: sum(name in of for of in shown_by) for of in shown_by for name in of}
-    room, chosen = MAX_BYTES, set()
-    parts: dict[str, Any] = {}
+    holders = Counter(name for of in shown_by for name in of)
+    room, shown = MAX_BYTES, {}
     for name in sorted(holders, key=lambda name: (-holders[name], name)):
-        packed = {
-            "truth": _truth(truths[name]),
-            "by": [_text(of[name]) if name in of else None for of in shown_by],
-        }
-        size = len(json.dumps(packed))
+        truth = _truth(truths[name])
+        size = len(json.dumps({"truth": truth, "by": [of.get(name) for of in shown_by]}))
         if size <= room:
             room -= size
-            chosen.add(name)
-            parts[name] = packed
-    if not chosen:
+            shown[name] = truth
+    if not shown:
         return None, len(holders)
-    names = sorted(chosen)
-    methods = [
-        {"name": table.method, "pairs": _scored(table, protocol, {n: parts[n]["by"][i] for n in names})}
-        for i, table in enumerate(tables)
-    ]
+    methods = []
+    for table, cells in zip(tables, shown_by, strict=True):
+        rows = {row.pair: row for row in table.pairs(protocol)}
+        pairs = {
+            name: {"iou": rows[name].iou, "threshold": rows[name].threshold, "cells": cells[name]}
+            for name in sorted(shown)
+            if name in cells and name in rows
+        }
+        if pairs:
+            methods.append({"name": table.method, "pairs": pairs})
     content = {
         "protocol": protocol,
-        "pairs": {name: parts[name]["truth"] for name in names},
-        "methods": [method for method in methods if method["pairs"]],
+        "pairs": {name: shown[name] for name in sorted(shown)},
+        "methods": methods,
     }
-    return _inert(json.dumps(content, separators=(",", ":"), allow_nan=False)), len(holders) - len(chosen)
+    return _inert(json.dumps(content, separators=(",", ":"), allow_nan=False)), len(holders) - len(shown)
 
 
 def _truth(truth: PairTruth) -> dict[str, Any]:
     grids = {name: _text(getattr(truth, name)) for name in ("partial", "full", "known")}
     up = [round(float(value), 5) for value in truth.up]
     return {"category": truth.category, "object": truth.object, "up": up, **grids}
-
-
-def _scored(table: ScoreTable, protocol: str, cells: Mapping[str, str | None]) -> dict[str, Any]:
-    rows = {row.pair: row for row in table.pairs(protocol)}
-    return {
-        name: {"iou": rows[name].iou, "threshold": rows[name].threshold, "cells": text}
-        for name, text in cells.items()
-        if text is not None and name in rows
-    }
 
 
 def _text(packed: Packed) -> str:

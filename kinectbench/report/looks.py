@@ -18,10 +18,8 @@ FRAMES_SHOWN = 6
 FRAME_PX = 320
 OBJECT_PX = 280
 TILE_PX = 120
-UP = np.array([0.0, 0.0, 1.0])
 # Three looks at the object, about the vertical, from a person's height: degrees.
-OBJECT_AZIMUTHS_DEG = (-50.0, 70.0, 190.0)
-OBJECT_ELEVATION_DEG = 24.0
+OBJECT_LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
 # A pair is seen from beside and above its camera, so that the partial's empty back shows.
 TILE_AZIMUTH_DEG = 32.0
 TILE_RAISED_DEG = 10.0
@@ -43,14 +41,8 @@ def outlines(mesh_floor: TriangleMesh) -> list[Float64]:
 
 def object_pictures(mesh_floor: TriangleMesh) -> tuple[str, ...]:
     """Draw the object from three sides, as `data:` addresses; the floor's z points up."""
-    elevation = np.deg2rad(OBJECT_ELEVATION_DEG)
-    drawn = []
-    for azimuth in np.deg2rad(OBJECT_AZIMUTHS_DEG):
-        across = np.cos(elevation) * np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
-        R_floor_view = pictures.look_along(across - np.sin(elevation) * UP, UP)
-        viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
-        drawn.append(images.data_uri(pictures.render(mesh_floor, viewpoint, OBJECT_PX)))
-    return tuple(drawn)
+    viewpoints = pictures.viewpoints_around(mesh_floor.vertices, OBJECT_LOOKS_DEG)
+    return tuple(images.data_uri(pictures.render(mesh_floor, each, OBJECT_PX)) for each in viewpoints)
 
 
 def pair_picture(

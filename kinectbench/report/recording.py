@@ -12,13 +12,12 @@ from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
-from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_ply
 from kinectbench.core.trajectory.trajectory import TRAJECTORY_TXT, read_poses
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.report import looks
-from kinectbench.report.figures import Figures, health_figures, quality_figures, text_of
+from kinectbench.report.figures import Figures, health_figures, per_cent, quality_figures, text_of
 from kinectbench.report.plan import draw_plan
 from kinectbench.settings.models import RecordingSettings
 
@@ -50,7 +49,7 @@ class RecordingPart:
         containment: median over the pairs, as text.
         residual: median over the pairs, as text.
         missing: what is not built yet.
-        failed: why the last build of it failed, one line, or "".
+        failed: at which stage its last build failed and why, one line, or "".
     """
 
     settings: RecordingSettings
@@ -80,12 +79,20 @@ def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
     floor = FloorFile.read_if_there(folder / "object")
     T_floor_world = None if floor is None else floor.T_floor_world
     quality = QualityFile.read_if_there(folder / "object")
-    mesh = _object_in_floor(folder / "object" / "mesh.ply", T_floor_world)
+    ply, mesh = folder / "object" / "mesh.ply", None
+    if T_floor_world is not None and ply.exists():
+        mesh = read_ply(ply).transformed(T_floor_world)
+    plan = None
+    if cameras_world is not None and T_floor_world is not None:
+        cameras_floor = T_floor_world @ cameras_world
+        left_out_floor = _left_out(cameras_floor, health)
+        plan = draw_plan(cameras_floor, left_out_floor, looks.outlines(mesh) if mesh else [])
     views = ViewsFile.read_if_there(folder / "views")
     frames = () if views is None else looks.frame_pictures(folder / "views", views)
     pairs = PairsFile.read_if_there(folder / "pairs")
     rows = () if pairs is None else pairs.pairs
     refused = (*(views.refused if views else ()), *(pairs.refused if pairs else ()))
+    failed = Failed.read_if_there(folder)
     missing = {
         "trajectory": cameras_world is None,
         "floor": T_floor_world is None,
@@ -97,40 +104,16 @@ def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
         settings=settings,
         health=None if health is None else health_figures(health),
         quality=None if quality is None else quality_figures(quality),
-        plan=_plan(cameras_world, T_floor_world, mesh, health),
+        plan=plan,
         object_pictures=looks.object_pictures(mesh) if mesh else (),
         frames=frames,
         tiles=tuple(_tile(folder / "pairs", row, T_floor_world) for row in rows),
         refused=tuple((row.view or "", text_of(row.frame), row.reason) for row in refused),
-        containment=_percent(_median(row.containment for row in rows)),
+        containment=per_cent(_median(row.containment for row in rows)),
         residual=_millimetres(_median(row.residual_m for row in rows)),
         missing=tuple(name for name, absent in missing.items() if absent),
-        failed=_failed(folder),
+        failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",
     )
-
-
-def _failed(folder: Path) -> str:
-    """Which stage failed and why, "" if none did."""
-    failed = Failed.read_if_there(folder)
-    return ": ".join(filter(None, (failed.stage, failed.error))) if failed else ""
-
-
-def _object_in_floor(path: Path, T_floor_world: Float64 | None) -> TriangleMesh | None:
-    if T_floor_world is None or not path.exists():
-        return None
-    return read_ply(path).transformed(T_floor_world)
-
-
-def _plan(
-    cameras_world: Float64 | None,
-    T_floor_world: Float64 | None,
-    mesh: TriangleMesh | None,
-    health: TrajectoryHealth | None,
-) -> Markup | None:
-    if cameras_world is None or T_floor_world is None:
-        return None
-    cameras_floor = T_floor_world @ cameras_world
-    return draw_plan(cameras_floor, _left_out(cameras_floor, health), looks.outlines(mesh) if mesh else [])
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
@@ -159,7 +142,7 @@ def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
         view=row.view,
         frame=text_of(row.frame),
         picture=images.data_uri(picture),
-        containment=_percent(row.containment),
+        containment=per_cent(row.containment),
         residual=_millimetres(row.residual_m),
     )
 
@@ -167,10 +150,6 @@ def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
 def _median(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
-
-
-def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:.1f} %"
 
 
 def _millimetres(value_m: float | None) -> str:

@@ -13,6 +13,7 @@ from kinectbench.core.artefacts.scores import (
     SurfaceMetrics,
     fields_of,
 )
+from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED
 
@@ -172,14 +173,6 @@ def _cell(value: float | None, best: float | None, interval: Sequence[float] | N
     return Cell(shown(value), repr(value), round(value, DECIMALS) == best, between)
 
 
-def _count(value: int | None) -> str:
-    return "–" if value is None else str(value)
-
-
-def _per_cent(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:.1f} %"
-
-
 def _base_rate(averages: Averages) -> str:
     """The cross-entropy of the base rate, and the split that the rate is from."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
@@ -201,12 +194,12 @@ DETAILS: Mapping[str, Callable[[Averages], str]] = {
     "CE": lambda of: shown(of.ce),
     "base-rate CE": _base_rate,
     **{field.title: _surface(name) for name, field in fields_of(SurfaceMetrics).items() if field.title},
-    "voxels counted": lambda of: _per_cent(of.coverage_voxels),
-    "shape counted": lambda of: _per_cent(of.coverage_shape),
+    "voxels counted": lambda of: per_cent(of.coverage_voxels),
+    "shape counted": lambda of: per_cent(of.coverage_shape),
     "truth's IoU, estimated": lambda of: shown(of.truth_estimated_iou),
     "repeatability": lambda of: shown(of.truth_repeatability_iou),
-    "pairs": lambda of: _count(of.pairs),
-    "objects": lambda of: _count(of.objects),
+    "pairs": lambda of: text_of(of.pairs),
+    "objects": lambda of: text_of(of.objects),
 }
 
 
