@@ -17,7 +17,7 @@ from kinectbench.engine.steps import read_tracked
 from kinectbench.lab.evaluate.build import Build, Registration, read_build, register
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate
 from kinectbench.lab.evaluate.solid import canonical_cube, compare_on, iou
-from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth, truth_occupancy
+from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse.reconstruction import observe
 from kinectbench.stages.sample_views.masks import inner_silhouette
@@ -96,7 +96,9 @@ def measure_row(task: Task) -> Row:
 
 def _true(model: ObjectModel, truth: Truth, registration: Registration) -> Bools:
     grid = model.shape.grid
-    return truth_occupancy(truth, replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid))
+    return mesh_occupancy(
+        truth.mesh_world, replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid)
+    )
 
 
 def _recipes(build: Path, model: ObjectModel, truth: Truth, registration: Registration) -> dict[str, float]:

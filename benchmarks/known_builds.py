@@ -29,7 +29,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.lab.evaluate.build import Build
 from kinectbench.lab.simulate.render import sample_surface
-from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, truth_occupancy
+from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, mesh_occupancy
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
@@ -216,7 +216,7 @@ def _model(truth: Truth, mesh: TriangleMesh, T: Float64, unknown_above_m: float 
     plane = truth.floor_plane_world @ invert_rigid(T)
     fine = Grid((112, 112, 192), VOXEL_M, rigid(np.eye(3), [-0.28, -0.28, -0.02]))
     coarse = Grid((120, 120, 120), COARSE_VOXEL_M, rigid(np.eye(3), [-1.2, -1.2, -0.8]))
-    solid = truth_occupancy(truth, replace(fine, T_world_grid=T_WORLD_OBJECT @ fine.T_world_grid))
+    solid = mesh_occupancy(truth.mesh_world, replace(fine, T_world_grid=T_WORLD_OBJECT @ fine.T_world_grid))
     labels = np.where(solid, np.uint8(Label.INTERIOR), np.uint8(Label.FREE))
     around = np.full(coarse.shape, Label.FREE, np.uint8)
     if unknown_above_m is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.engine.stages import Job
-from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder, truth_occupancy
+from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth, truth_folder
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.stages.sample_views.views import View, read_views
@@ -63,7 +63,7 @@ def against_truth(job: Job) -> list[PairAgainstTruth]:
 def _against_truth(job: Job, view: View, truth: Truth) -> PairAgainstTruth:
     pair = read_pair(job.build / "pairs" / f"{view.name}.npz")
     full, shell, known = unpack(pair.full), unpack(pair.shell), unpack(pair.known)
-    solid = truth_occupancy(truth, pair.grid)
+    solid = mesh_occupancy(truth.mesh_world, pair.grid)
     valid = _image(job.build / "views" / f"{view.name}.depth.png") > 0
     silhouette = truth.mask(view.frame)
     return PairAgainstTruth(

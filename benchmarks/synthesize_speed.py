@@ -74,9 +74,9 @@ def one_pair(checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, clock: Cl
     clock.time("shell", lambda: packed_shell(full))
     clock.time("seen", lambda: seen_cells(depth_m, camera, pose, grid, noisy=False))
     clock.time("containment", lambda: containment(grids[1], full))
-    made = make_pair(checked, eye, view, SETTINGS)
-    clock.time("encode", lambda: pair_bytes(made.pair))
-    return len(clock.time("whole pair", lambda: pair_bytes(make_pair(checked, eye, view, SETTINGS).pair)))
+    pair, _ = make_pair(checked, eye, view, SETTINGS)
+    clock.time("encode", lambda: pair_bytes(pair))
+    return len(clock.time("whole pair", lambda: pair_bytes(make_pair(checked, eye, view, SETTINGS)[0])))
 
 
 def speed(name: str, checked: CheckedMesh, views: int, bar: float | None) -> Iterator[Figure]:
@@ -106,7 +106,7 @@ def readback(category: str, pairs: int, folder: Path) -> Iterator[Figure]:
     eye = DepthCamera(checked.mesh, virtual_camera(SETTINGS.image_px))
     wrong = mirrored = 0
     for view in all_views(5)[:pairs]:
-        pair = make_pair(checked, eye, view, SETTINGS).pair
+        pair, _ = make_pair(checked, eye, view, SETTINGS)
         paths = [
             folder / recgan_path(kind, category, "train", f"{category}-0", view) for kind in ("25d", "3d")
         ]

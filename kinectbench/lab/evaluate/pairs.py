@@ -13,7 +13,7 @@ from kinectbench.core.voxels.pair_file import Pair, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.lab.evaluate.build import Build, Registration
 from kinectbench.lab.evaluate.solid import iou, known_iou, share
-from kinectbench.lab.simulate.truth import Truth, truth_occupancy
+from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: ND
         truth: the exact solid.
         T_world_camera: (4, 4), the true camera in the truth's world.
     """
-    true = truth_occupancy(truth, grid_in_truth(pair, T_world_camera))
+    true = mesh_occupancy(truth.mesh_world, grid_in_truth(pair, T_world_camera))
     full, known = unpack(pair.full), unpack(pair.known)
     # As verify does: before the partial rule thins the cells out.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))

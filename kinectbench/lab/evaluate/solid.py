@@ -12,7 +12,7 @@ from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.build import Registration
-from kinectbench.lab.simulate.truth import Truth, truth_occupancy
+from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -108,7 +108,7 @@ def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Regis
     """
     in_built = _in_built(grid, registration)
     return Solids(
-        true=truth_occupancy(truth, grid),
+        true=mesh_occupancy(truth.mesh_world, grid),
         built=_built_cells(model, in_built),
         known=unpack(known_in(*full_shape(model).known, in_built)),
     )

@@ -24,7 +24,7 @@ _ORBIT: dict[str, Any] = {"path": {"frames": 300, "rate_hz": 15.0}}
 
 
 def _orbit(**sections: dict[str, Any]) -> dict[str, Any]:
-    return {**_ORBIT, **sections, "path": {**_ORBIT["path"], **sections.get("path", {})}}
+    return merged(_ORBIT, sections)
 
 
 PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -68,23 +68,14 @@ def preset_spec(name: str, changes: dict[str, Any], overrides: Sequence[str] = (
         overrides: `section.key=value` or `key=value`, the value in YAML; they win over these.
 
     Raises:
-        SettingsError: there is no such preset, or one line for each wrong value.
-    """
-    values = merged(preset_values(name), changes)
-    return settings_from_options(SimulationSpec, values, overrides, "simulation")
-
-
-def preset_values(name: str) -> dict[str, Any]:
-    """What a preset says, as nested values.
-
-    Raises:
-        SettingsError: there is no such preset; the nearest name is suggested.
+        SettingsError: there is no such preset (the nearest name is suggested), or one line for each wrong
+            value.
     """
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(PRESETS)}"
         raise SettingsError(f"preset '{name}': unknown; {hint}")
-    return PRESETS[name][1]
+    return settings_from_options(SimulationSpec, merged(PRESETS[name][1], changes), overrides, "simulation")
 
 
 def _spec(name: str, frames: int, form: Format, world: WorldFrame) -> SimulationSpec:

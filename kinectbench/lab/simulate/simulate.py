@@ -250,7 +250,11 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
             writer(path, simulation.rig, recorder.frames())
             if spec.faults.cut_share > 0:
                 cut(path, spec.faults.cut_share)
-        write_truth(recorder.truth(), _description(spec))
+        values = spec.model_dump(mode="json")
+        if spec.mesh is not None:
+            # By its name and hash, not by its place on this machine.
+            values["mesh"] = {"name": Path(spec.mesh).name, "sha256": sha256_file(Path(spec.mesh))}
+        write_truth(recorder.truth(), values)
     return folder
 
 
@@ -318,22 +322,11 @@ def _check_place(spec: SimulationSpec, out: Path) -> None:
         raise SettingsError(f"{out}: a recording {said}; no other name may end so, and none in .truth")
     truth = truth_folder(out)
     for path in (out, truth):
-        if (path.exists() or path.is_symlink()) and not (_is_empty(path) or is_truth(truth)):
+        empty = path.is_dir() and not any(path.iterdir())
+        if (path.exists() or path.is_symlink()) and not (empty or is_truth(truth)):
             raise SettingsError(
                 f"{path}: exists and is no simulated recording; choose another name or remove it"
             )
     other = out.with_suffix("") if suffix == ".bag" else out.with_name(f"{out.name}.bag")
     if other.exists():
         raise SettingsError(f"{other}: is there already, and would share {truth}; choose another name")
-
-
-def _is_empty(path: Path) -> bool:
-    return path.is_dir() and not any(path.iterdir())
-
-
-def _description(spec: SimulationSpec) -> dict[str, object]:
-    """The spec as JSON values; a mesh file by its name and hash, not by its place on this machine."""
-    values = spec.model_dump(mode="json")
-    if spec.mesh is not None:
-        values["mesh"] = {"name": Path(spec.mesh).name, "sha256": sha256_file(Path(spec.mesh))}
-    return {"spec": values}

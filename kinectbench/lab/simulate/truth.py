@@ -105,11 +105,11 @@ def is_truth(folder: Path) -> bool:
         return False
 
 
-def write_truth(truth: Truth, description: dict[str, Any]) -> None:
+def write_truth(truth: Truth, spec: dict[str, Any]) -> None:
     """Write all but the images into the truth's folder, which exists.
 
-    truth.json (with `description` in it), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the
-    same as TUM text, without frames of another scene), floor.json, object.ply (world frame), surface.npz
+    truth.json (with the spec's JSON values in it), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt
+    (the same as TUM text, without frames of another scene), floor.json, object.ply (world frame), surface.npz
     (`points_world`, `normals_world`, `frames_seen`).
     """
     from kinectbench.core.geometry.mesh import write_ply
@@ -127,7 +127,7 @@ def write_truth(truth: Truth, description: dict[str, Any]) -> None:
         "T_world_object": truth.T_world_object.tolist(),
         "frames": len(truth.stamps_ns),
         "foreign_frames": np.flatnonzero(~known).tolist(),
-        **description,
+        "spec": spec,
     }
     folder = truth.folder
     (folder / "truth.json").write_text(pretty_json(record))
@@ -182,14 +182,6 @@ def read_truth(folder: Path) -> Truth:
         raise
     except (KinectBenchError, OSError, ValueError, KeyError, TypeError, IndexError, *UNREADABLE) as error:
         raise RecordingError(f"{path}: no readable truth ({error}); simulate the recording again") from error
-
-
-def truth_occupancy(truth: Truth, grid: Grid) -> NDArray[np.bool_]:
-    """Which cell centres of a grid lie inside the true object: bool (grid.shape).
-
-    The grid's last side must be a multiple of 8.
-    """
-    return mesh_occupancy(truth.mesh_world, grid)
 
 
 def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:

@@ -10,12 +10,13 @@ from kinectbench.core.artefacts.object import SynthesisedQualityFile
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.storage import pretty_json, sha256_file, sha256_text
-from kinectbench.core.voxels.pair_file import pair_bytes
+from kinectbench.core.types import Split
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.versions import VERSIONS
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
-from kinectbench.lab.synthesize.pair import MadePair, make_pair, recgan_bytes, recgan_path
+from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes, recgan_path
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
 
 FILES = "files"
@@ -30,13 +31,13 @@ class Task:
 
     Attributes:
         model: which.
-        split: "train", "validation" or "test".
+        split: the part of the benchmark that it belongs to.
         settings: of the run.
         work: folder of all artefacts.
     """
 
     model: Model
-    split: str
+    split: Split
     settings: SynthesisSettings
     work: Path
 
@@ -56,8 +57,7 @@ class Task:
         source = sha256_file(Path(self.model.path)) if self.model.path else sha256_text(str(self.model.seed))
         settings = self.settings.model_dump(mode="json", exclude=ELSEWHERE)
         own = {"split": self.split, "category": self.model.category, "model": self.model.name}
-        inputs = {"mesh": source}
-        return Artefact(self.folder, "synthesize", VERSIONS["synthesize"], settings | own, inputs)
+        return Artefact(self.folder, "synthesize", VERSIONS["synthesize"], settings | own, {"mesh": source})
 
     def made(self) -> dict[str, Any]:
         """What `make_model` wrote of itself."""
@@ -81,8 +81,7 @@ def make_model(task: Task) -> None:
     with artefact.write() as folder:
         groups = {}
         for name, steps in task.groups.items():
-            views = all_views(steps)
-            pairs = ((view, make_pair(checked, eye, view, settings)) for view in views)
+            pairs = ((view, *make_pair(checked, eye, view, settings)) for view in all_views(steps))
             write = _write_recgan if settings.layout == "recgan" else _write_release
             groups[name] = write(task, name, folder / FILES, checked, eye.camera, pairs)
         made = {"split": task.split, "quality": _quality(task.model, checked).json_value(), "groups": groups}
@@ -100,7 +99,7 @@ def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:
     )
 
 
-Pairs = Iterator[tuple[ViewAngles, MadePair]]
+Pairs = Iterator[tuple[ViewAngles, Pair, str | None]]
 
 
 def _write_release(
@@ -111,13 +110,13 @@ def _write_release(
     for name in ("pairs", "views", "objects"):
         (files / name / recording).mkdir(parents=True)
     rows, refused = [], []
-    for index, (view, made) in enumerate(pairs):
+    for index, (view, pair, reason) in enumerate(pairs):
         row = {"view": f"{index:03d}", "steps": view.steps, "angles_rad": view.angles_rad}
-        if made.refused:
-            refused.append(row | {"reason": made.refused})
+        if reason:
+            refused.append(row | {"reason": reason})
             continue
-        (files / "pairs" / recording / f"{index:03d}.npz").write_bytes(pair_bytes(made.pair))
-        rows.append(row | {"T_world_camera": made.pair.T_world_camera.tolist()})
+        (files / "pairs" / recording / f"{index:03d}.npz").write_bytes(pair_bytes(pair))
+        rows.append(row | {"T_world_camera": pair.T_world_camera.tolist()})
     content = {
         "format_version": 1,
         "order": "roll, pitch, yaw",
@@ -137,11 +136,11 @@ def _write_recgan(
 ) -> dict[str, Any]:
     """The authors' two files of each pair; returns the views and refusals."""
     model, names, refused = task.model, [], []
-    for view, made in pairs:
-        if made.refused:
-            refused.append(made.refused)
+    for view, pair, reason in pairs:
+        if reason:
+            refused.append(reason)
             continue
-        seen, full = recgan_bytes(made.pair)
+        seen, full = recgan_bytes(pair)
         for kind, content in (("25d", seen), ("3d", full)):
             path = files / recgan_path(kind, model.category, task.split, model.name, view)  # type: ignore[arg-type]
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import NAME
+from kinectbench.core.types import Split
 from kinectbench.release.exchange.layouts import SYNSETS
 from kinectbench.settings.models import Settings, check_name
 
@@ -52,7 +53,7 @@ class SynthesisSettings(Settings):
         return self.up or ("z" if self.models is None else "y")
 
     @property
-    def wanted(self) -> dict[str, int]:
+    def wanted(self) -> dict[Split, int]:
         """Split -> models per category, in the order in which they are dealt."""
         return {"train": self.train, "validation": self.validation, "test": self.test}
 
@@ -162,18 +163,18 @@ class Dealt:
     """The models of one category.
 
     Attributes:
-        split_of: model -> "train", "validation" or "test".
+        split_of: model -> its split.
         left_out: models that were tried and are bad.
         unused: good ones or untried ones that nobody asked for.
     """
 
-    split_of: dict[Model, str]
+    split_of: dict[Model, Split]
     left_out: tuple[LeftOut, ...]
     unused: int
 
 
 # Who gets a model while there are fewer than splits.
-PRIORITY = ("test", "train", "validation")
+PRIORITY: tuple[Split, ...] = ("test", "train", "validation")
 
 Check = Callable[[Sequence[Model]], Sequence[str | None]]
 
@@ -215,13 +216,13 @@ def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
     return [here[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(here))]
 
 
-def _split(good: Sequence[Model], settings: SynthesisSettings) -> dict[Model, str]:
+def _split(good: Sequence[Model], settings: SynthesisSettings) -> dict[Model, Split]:
     counts = shares(settings.wanted, len(good))
     splits = [split for split, count in counts.items() for _ in range(count)]
     return dict(zip(good, splits, strict=True))
 
 
-def shares(wanted: dict[str, int], available: int) -> dict[str, int]:
+def shares(wanted: dict[Split, int], available: int) -> dict[Split, int]:
     """Split -> number of models: what is wanted, or in proportion if there are too few, but one at least.
 
     With fewer models than splits, test comes before train before validation.

@@ -1,6 +1,5 @@
 """One synthetic pair: depth by a virtual camera, the whole shape as it stands, and the authors' files."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -20,17 +19,9 @@ from kinectbench.release.exchange.layouts import SPLIT_NAMES, synset_of
 VOXELIZERS = {"winding": voxelize_solid, "six-rays": voxelize_open}
 
 
-@dataclass(frozen=True)
-class MadePair:
-    """A pair, and why it must not be used, or None."""
-
-    pair: Pair
-    refused: str | None
-
-
 def make_pair(
     checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings
-) -> MadePair:
+) -> tuple[Pair, str | None]:
     """See a model from one side, and voxelise what is seen and all of it in one cube.
 
     The cube is the paper's: around the full shape's box in the view's axes. The world's frame is the
@@ -41,6 +32,9 @@ def make_pair(
         eye: the virtual camera before it.
         view: the orientation.
         settings: `up_axis` and `min_containment` count.
+
+    Returns:
+        The pair, and why it must not be used, or None.
     """
     mesh, camera = checked.mesh, eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
@@ -64,7 +58,7 @@ def make_pair(
         partial_rule="any",
         occupancy_rule=checked.rule,
     )
-    return MadePair(pair, _reason(pair, settings.min_containment))
+    return pair, _reason(pair, settings.min_containment)
 
 
 def _reason(pair: Pair, min_containment: float) -> str | None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError, ShapeError, StorageError
 from kinectbench.core.storage import pretty_json, replaced_folder, sha256_file
-from kinectbench.core.types import NamedProgress, Split
+from kinectbench.core.types import NamedProgress
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.lab.synthesize.make import FILES, Task, make_model
 from kinectbench.lab.synthesize.mesh_check import load_model
@@ -47,15 +47,9 @@ TEXTS = CardTexts(
 FEW = 40
 
 
-@dataclass(frozen=True)
-class Assembled:
-    """What lies in the folder: number of pairs, and the release's identity or ""."""
-
-    pairs: int
-    benchmark_sha256: str
-
-
-def assemble(tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: Sequence[str]) -> Assembled:
+def assemble(
+    tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: Sequence[str]
+) -> tuple[int, str]:
     """Put the artefacts of all tasks into `out`, in place of what was there, whole or not at all.
 
     Files are linked, not copied, where the disk can.
@@ -65,6 +59,9 @@ def assemble(tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: 
         settings: what the run was made with, without paths.
         out: the folder.
         lines: the report, for the card or synthesis.json.
+
+    Returns:
+        Number of pairs, and the release's identity or "".
 
     Raises:
         StorageError: the disk is full or read-only, or an artefact is gone.
@@ -83,8 +80,8 @@ def assemble(tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: 
             content = {"package_version": __version__, "settings": settings, "report": list(lines)}
             content["models"] = {task.model.name: row for task, row in zip(tasks, made, strict=True)}
             (folder / SYNTHESIS_JSON).write_text(pretty_json(content))
-            return Assembled(pairs, "")
-        return Assembled(pairs, _complete(tasks, made, settings, folder, lines))
+            return pairs, ""
+        return pairs, _complete(tasks, made, settings, folder, lines)
 
 
 def _complete(
@@ -114,23 +111,18 @@ def _complete(
                 for view, file in files.items()
             ]
             if files:
-                infos[recording] = _info(task, content, len(files), len(views["refused"]))
+                infos[recording] = RecordingInfo(
+                    object=task.model.name,
+                    category=task.model.category,
+                    split=task.split,
+                    pairs=len(files),
+                    refused=len(views["refused"]),
+                    quality=QualityFile.model_validate(content["quality"]),
+                )
     pair_settings = PairSettings(min_containment=settings["min_containment"]).model_dump(mode="json")
     public = {"pairs": pair_settings, "synthesis": settings}
     head = Head(settings["name"], settings["license"], "object", "any", public, TEXTS)
     return write_small_files(head, folder, tuple(sorted(targets)), infos, lines)
-
-
-def _info(task: Task, content: dict[str, Any], pairs: int, refused: int) -> RecordingInfo:
-    split = next(name for name in get_args(Split) if name == task.split)
-    return RecordingInfo(
-        object=task.model.name,
-        category=task.model.category,
-        split=split,
-        pairs=pairs,
-        refused=refused,
-        quality=QualityFile.model_validate(content["quality"]),
-    )
 
 
 def _link(source: Path, target: Path) -> None:
@@ -209,9 +201,9 @@ def synthesize(
         lines = tuple(_lines(settings, dealt, tasks, left_out))
         public = settings.model_dump(mode="json", exclude={"models"})
         public["source"] = "meshes" if settings.models else "families"
-        assembled = assemble(tasks, public, out, lines)
+        pairs, benchmark_sha256 = assemble(tasks, public, out, lines)
         shutil.rmtree(work, ignore_errors=True)
-    return Report(out, len(tasks), assembled.pairs, left_out, assembled.benchmark_sha256, lines)
+    return Report(out, len(tasks), pairs, left_out, benchmark_sha256, lines)
 
 
 def _check_target(out: Path) -> None:
@@ -295,15 +287,9 @@ def _lines(
             yield f"{category}: {len(models.split_of)} models for the {asked} asked for: dealt in proportion"
         if models.unused:
             yield f"{category}: {models.unused} more models were not needed"
-    yield from _model_lines(tasks, made)
-    yield from (f"left out: {bad.model}: {bad.reason}" for bad in left_out)
-
-
-def _model_lines(tasks: Sequence[Task], made: dict[Model, dict[str, object]]) -> Iterator[str]:
-    """What is to be said of single models: those filled by the authors' rule, and notes."""
     for task in tasks:
         quality = made[task.model]["quality"]
-        assert isinstance(quality, dict)
         if quality["method"] != "winding":
             yield f"{task.model.label}: not watertight: filled by the rule {quality['method']}"
         yield from (f"{task.model.label}: {note}" for note in quality["warnings"])
+    yield from (f"left out: {bad.model}: {bad.reason}" for bad in left_out)

@@ -18,7 +18,7 @@ from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_
 from kinectbench.lab.simulate import presets
 from kinectbench.lab.simulate.simulate import prepare, record, simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
-from kinectbench.lab.simulate.truth import read_truth, truth_folder, truth_occupancy
+from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS
 from kinectbench.settings.models import BenchmarkSettings, CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
@@ -120,12 +120,12 @@ def test_the_truth_is_whole(ideal):
     assert np.allclose(rows[:, 1:4], truth.T_world_camera[:, :3, 3])
 
 
-def test_truth_occupancy_is_the_meshs(ideal):
+def test_the_truths_occupancy_is_the_meshs(ideal):
     _, out = ideal
     truth = read_truth(truth_folder(out))
     T_world_grid = truth.T_world_object @ rigid(rotation_of([0.2, 0.1, 0.3, 0.9]), [-0.4, -0.5, 0.1])
     grid = Grid((40, 48, 56), 0.02, T_world_grid)
-    occupied = truth_occupancy(truth, grid)
+    occupied = mesh_occupancy(truth.mesh_world, grid)
     centres = transform_points(T_world_grid, (np.stack(np.indices(grid.shape), -1) + 0.5) * 0.02)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(

@@ -24,9 +24,9 @@ VIEW = ViewAngles((1, 2, 4), 6)
 
 def pair_of(shape: trimesh.Trimesh, view: ViewAngles = VIEW) -> Pair:
     checked = check_mesh(mesh_of(shape), 10**6)
-    made = make_pair(checked, DepthCamera(checked.mesh, CAMERA), view, SETTINGS)
-    assert made.refused is None
-    return made.pair
+    pair, refused = make_pair(checked, DepthCamera(checked.mesh, CAMERA), view, SETTINGS)
+    assert refused is None
+    return pair
 
 
 @pytest.fixture(scope="module")
@@ -137,5 +137,5 @@ def test_walls_thinner_than_a_cell_are_refused():
     sheet = mesh_of(trimesh.creation.box([1.0, 1.0, 1e-5]))
     checked = CheckedMesh(TriangleMesh(sheet.vertices, sheet.faces), "winding")
     eye = DepthCamera(checked.mesh, CAMERA)
-    reasons = {make_pair(checked, eye, view, SETTINGS).refused for view in all_views(2)}
+    reasons = {make_pair(checked, eye, view, SETTINGS)[1] for view in all_views(2)}
     assert reasons and all(reason for reason in reasons)

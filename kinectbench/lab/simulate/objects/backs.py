@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects.joinery import CLOTHS, SIDES, Draw, Look, Part, Parts
+from kinectbench.lab.simulate.objects import looks
+from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
+from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Vector3,
     bar,
@@ -108,8 +110,7 @@ def _cross(draw: Draw, back: Back) -> Parts:
     flat = replace(back, bow=0.0)
     for left, right in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         for z0, z1, deep in ((low, high, 0.016), (high, low, 0.018)):
-            shape = bar(flat.point(left, z0), flat.point(right, z1), deep, 0.03)
-            yield Part("cross", shape, back.look)
+            yield Part("cross", bar(flat.point(left, z0), flat.point(right, z1), deep, 0.03), back.look)
     for x in edges[1:-1].tolist():
         yield flat.upright("slat", x, back.seat - 0.01, back.top - 0.01, 0.03, 0.02)
 
@@ -127,7 +128,7 @@ def _panel(draw: Draw, back: Back) -> Parts:
 
 
 def _padded(draw: Draw, back: Back) -> Parts:
-    look = draw.pick(CLOTHS)
+    look = draw.pick(looks.CLOTHS)
     low, y = back.seat + draw.between(0.03, 0.1), back.y
     panel = back.rail(low, back.top - 0.01, 0.018, "panel")
     inner = back.half - back.thick / 2 - 0.004

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects.joinery import BLACK_STEEL, CORNERS, SIDES, Draw, Look, Part, Parts
+from kinectbench.lab.simulate.objects import looks
+from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
+from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Vector2,
     box,
@@ -109,8 +111,7 @@ def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m:
         return
     lift = draw.between(-0.04, 0.04)
     for at in (rear, y):
-        bar = box((-x, at - wide / 2, low + lift), (x, at + wide / 2, top + lift))
-        yield Part("stretcher", bar, look)
+        yield Part("stretcher", box((-x, at - wide / 2, low + lift), (x, at + wide / 2, top + lift)), look)
 
 
 def apron(half_m: Vector2, head_m: float, high_m: float, look: Look) -> Parts:
@@ -151,8 +152,7 @@ def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, l
         out = splay_m * (1 + 0.02 / z)
         feet = [(s * (x + out), way * (y + out), -0.02) for way in SIDES]
         path = [feet[0], (s * x, -y, z), (s * x, y, z), feet[1]]
-        legs = tube(rounded_path(path, 0.05), radius_m).trim_by_plane((0.0, 0.0, 1.0), 0.0)
-        yield Part("leg", legs, look)
+        yield Part("leg", tube(rounded_path(path, 0.05), radius_m).trim_by_plane((0.0, 0.0, 1.0), 0.0), look)
         yield Part("rail", rod((-x, s * y * 0.6, z), (x, s * y * 0.6, z), radius_m), look)
 
 
@@ -182,8 +182,7 @@ def hairpins(half_m: Vector2, head_m: float, look: Look) -> Parts:
     for sx, sy in CORNERS:
         x, y = sx * half_m[0], sy * half_m[1]
         heads = [(x - sx * 0.10, y, head_m), (x, y - sy * 0.10, head_m)]
-        bars = [leg((x, y, 0.0), head, size, size, is_round=True) for head in heads]
-        yield Part("leg", union(bars), look)
+        yield Part("leg", union([leg((x, y, 0.0), head, size, size, is_round=True) for head in heads]), look)
 
 
 def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look) -> Parts:
@@ -228,12 +227,11 @@ def star(
         # A foot as a board on edge, thinner at its tip.
         root = box((0.0, -0.024, lift), (0.03, 0.024, top + 0.02))
         tip = box((end - 0.02, -0.016, lift), (reach_m, 0.016, lift + 0.026))
-        arm = Manifold.batch_hull([root, tip]).rotate((0.0, 0.0, float(np.degrees(turn))))
-        yield Part("foot", arm, look)
+        yield Part("foot", Manifold.batch_hull([root, tip]).rotate((0.0, 0.0, float(np.degrees(turn)))), look)
         if wheels:
             side = 0.018
             ends = [(end * x - s * side * y, end * y + s * side * x, 0.028) for s in SIDES]
-            yield Part("castor", rod(ends[0], ends[1], 0.028), BLACK_STEEL)
+            yield Part("castor", rod(ends[0], ends[1], 0.028), looks.BLACK_STEEL)
 
 
 def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
@@ -244,8 +242,7 @@ def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
         size = (thick_m - 0.004 * (way > 0), thick_m * 1.4)
         yield Part("leg", leg((s * x, -way * y, 0.0), (s * x, way * y, head_m), size, size), look)
     middle = head_m / 2
-    bar = box((-x, -0.02, middle - 0.025), (x, 0.02, middle + 0.025))
-    yield Part("stretcher", bar, look)
+    yield Part("stretcher", box((-x, -0.02, middle - 0.025), (x, 0.02, middle + 0.025)), look)
 
 
 def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:

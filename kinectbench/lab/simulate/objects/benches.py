@@ -4,21 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import backs, bases
+from kinectbench.lab.simulate.objects import backs, bases, looks
 from kinectbench.lab.simulate.objects.backs import Back
-from kinectbench.lab.simulate.objects.joinery import (
-    CLOTHS,
-    IRONS,
-    LEATHERS,
-    METALS,
-    SIDES,
-    STONES,
-    WOODS,
-    Draw,
-    Look,
-    Part,
-    Parts,
-)
+from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
+from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Points,
     bent,
@@ -52,7 +41,7 @@ def bench(draw: Draw) -> Parts:
 
 def _park(draw: Draw, size: _Size) -> Parts:
     """A slatted seat and back on two or three cast frames, perhaps with armrests."""
-    iron, wood = draw.pick(IRONS), draw.pick(WOODS)
+    iron, wood = draw.pick(looks.IRONS), draw.pick(looks.WOODS)
     slat, lean, top = draw.between(0.02, 0.035), draw.between(0.1, 0.2), size.seat + draw.between(0.33, 0.45)
     thick, y = draw.between(0.028, 0.04), size.y
     rest = size.seat - slat - thick / 2 + 0.006
@@ -67,8 +56,7 @@ def _park(draw: Draw, size: _Size) -> Parts:
     count = 3 if size.x > 0.75 and draw.chance(0.7) else 2
     for x in np.linspace(-size.x + 0.12, size.x - 0.12, count).tolist():
         for path in paths:
-            strip = ribbon(path, (x - 0.022, x + 0.022), thick)
-            yield Part("frame", strip, iron)
+            yield Part("frame", ribbon(path, (x - 0.022, x + 0.022), thick), iron)
     ahead = thick / 2 + slat / 2 - 0.006
     yield from _slats(draw, size, slat, wood)
     yield from _back_slats(draw, size, slat, (slope, rest, top, ahead), wood)
@@ -113,8 +101,7 @@ def _base(draw: Draw, size: _Size, head: float, wood: Look) -> Parts:
     elif kind == "panels":
         yield from bases.panels((half[0], size.y - 0.015), head, draw.between(0.03, 0.06), wood)
         z = head * draw.between(0.3, 0.75)
-        beam = box((-half[0], -0.014, z - 0.05), (half[0], 0.014, z + 0.05))
-        yield Part("stretcher", beam, wood)
+        yield Part("stretcher", box((-half[0], -0.014, z - 0.05), (half[0], 0.014, z + 0.05)), wood)
     elif kind == "crossed":
         yield from bases.crossed_legs((half[0] - 0.05, size.y - 0.02), head, 0.045, wood)
     else:
@@ -123,7 +110,7 @@ def _base(draw: Draw, size: _Size, head: float, wood: Look) -> Parts:
 
 def _plank(draw: Draw, size: _Size) -> Parts:
     """A backless bench: one board, straight or bent to an arc, or two boards side by side."""
-    wood, thick = draw.pick(WOODS), draw.between(0.025, 0.05)
+    wood, thick = draw.pick(looks.WOODS), draw.between(0.025, 0.05)
     under, kind = size.seat - thick, draw.choose(["one", "one", "two", "rounded", "curved"])
     full = (2 * size.x, 2 * size.y)
     if kind == "two":
@@ -160,7 +147,7 @@ def _curved(draw: Draw, size: _Size, thick: float, wood: Look) -> Parts:
 
 def _settle(draw: Draw, size: _Size) -> Parts:
     """A wooden bench with a back between posts, and perhaps armrests."""
-    wood, thick, post = draw.pick(WOODS), draw.between(0.022, 0.035), draw.between(0.038, 0.05)
+    wood, thick, post = draw.pick(looks.WOODS), draw.between(0.022, 0.035), draw.between(0.038, 0.05)
     under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
     yield Part("seat", box((-size.x, -size.y, under), (size.x, size.y, size.seat)), wood)
     columns = [-x, 0.0, x] if size.x > 0.6 else [-x, x]
@@ -187,20 +174,18 @@ def _settle(draw: Draw, size: _Size) -> Parts:
 
 def _padded(draw: Draw, size: _Size) -> Parts:
     """A padded bench on wooden legs, sleds or loops, perhaps with raised ends."""
-    look, wood, y = draw.pick(CLOTHS + LEATHERS), draw.pick(WOODS), size.y + 0.02
+    look, wood, y = draw.pick(looks.COVERS), draw.pick(looks.WOODS), size.y + 0.02
     thick = draw.between(0.08, 0.14)
     under = size.seat - thick
     yield Part("seat", cushion((-size.x, -y, under), (size.x, y, size.seat), 0.03, 0.015), look)
-    half, head = (size.x - 0.06, y - 0.05), under + 0.025
+    half, inner, head = (size.x - 0.06, y - 0.05), (0.75 * size.x, y - 0.05), under + 0.025
     kind = draw.choose(["legs", "loops", "sled"])
     if kind == "legs":
         yield from bases.wooden_legs(draw, half, head, draw.between(0.035, 0.05), wood)
     elif kind == "loops":
-        yield from bases.square_loops(
-            (0.75 * size.x, half[1]), head, draw.between(0.022, 0.035), draw.pick(METALS)
-        )
+        yield from bases.square_loops(inner, head, draw.between(0.022, 0.035), draw.pick(looks.METALS))
     else:
-        yield from bases.sled((0.75 * size.x, half[1]), head, draw.between(0.01, 0.013), draw.pick(METALS))
+        yield from bases.sled(inner, head, draw.between(0.01, 0.013), draw.pick(looks.METALS))
     if draw.chance(0.3):
         rise = size.seat + draw.between(0.1, 0.2)
         for s in SIDES:
@@ -210,7 +195,7 @@ def _padded(draw: Draw, size: _Size) -> Parts:
 
 def _slatted(draw: Draw, size: _Size) -> Parts:
     """A backless slatted seat on steel loops."""
-    wood, steel, thick = draw.pick(WOODS), draw.pick(METALS), draw.between(0.022, 0.035)
+    wood, steel, thick = draw.pick(looks.WOODS), draw.pick(looks.METALS), draw.between(0.022, 0.035)
     yield from _slats(draw, size, thick, wood)
     x, bar = size.x * draw.between(0.7, 0.9), draw.between(0.03, 0.05)
     yield from bases.square_loops((x, size.y + 0.012), size.seat - thick + 0.006, bar, steel)
@@ -220,8 +205,8 @@ def _slatted(draw: Draw, size: _Size) -> Parts:
 
 def _stone(draw: Draw, size: _Size) -> Parts:
     """A thick slab on two or three blocks."""
-    stone, thick = draw.pick(STONES), draw.between(0.07, 0.12)
-    look = stone if draw.chance(0.5) else draw.pick(WOODS)
+    stone, thick = draw.pick(looks.STONES), draw.between(0.07, 0.12)
+    look = stone if draw.chance(0.5) else draw.pick(looks.WOODS)
     under, y = size.seat - thick, size.y + 0.02
     slab = plate(rectangle((2 * size.x, 2 * y), 0.03), under, size.seat, 0.01)
     yield Part("slab", slab, look)
@@ -233,7 +218,7 @@ def _stone(draw: Draw, size: _Size) -> Parts:
 
 def _box(draw: Draw, size: _Size) -> Parts:
     """A hall bench: an open shelf or a closed chest under the seat, a cushion, perhaps a back."""
-    wood, thick, y = draw.pick(WOODS), draw.between(0.02, 0.03), size.y + 0.01
+    wood, thick, y = draw.pick(looks.WOODS), draw.between(0.02, 0.03), size.y + 0.01
     under = size.seat - thick
     yield Part("seat", box((-size.x, -y, under), (size.x, y, size.seat)), wood)
     half = (size.x - 0.03, y - 0.012)
@@ -246,12 +231,12 @@ def _box(draw: Draw, size: _Size) -> Parts:
             yield Part("shelf", box((-half[0], -half[1], z), (half[0], half[1], z + 0.018)), wood)
     else:
         chest = box((-half[0], -half[1] + 0.004, 0.06), (half[0], half[1] - 0.004, under + 0.01))
-        yield Part("chest", chest, wood if draw.chance(0.5) else draw.pick(WOODS))
+        yield Part("chest", chest, wood if draw.chance(0.5) else draw.pick(looks.WOODS))
     if draw.chance(0.6):
         pad = cushion(
             (-size.x + 0.01, -y + 0.01, size.seat - 0.006), (size.x - 0.01, y, size.seat + 0.045), 0.02
         )
-        yield Part("cushion", pad, draw.pick(CLOTHS))
+        yield Part("cushion", pad, draw.pick(looks.CLOTHS))
     if draw.chance(0.35):
         back = box((-size.x, -y, size.seat - 0.01), (size.x, -y + 0.024, size.seat + draw.between(0.35, 0.5)))
         yield Part("back", back, wood)

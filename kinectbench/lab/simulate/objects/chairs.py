@@ -4,21 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import backs, bases
+from kinectbench.lab.simulate.objects import backs, bases, looks
 from kinectbench.lab.simulate.objects.backs import Back
-from kinectbench.lab.simulate.objects.joinery import (
-    CLOTHS,
-    CORNERS,
-    LEATHERS,
-    METALS,
-    PLASTICS,
-    SIDES,
-    WOODS,
-    Draw,
-    Look,
-    Part,
-    Parts,
-)
+from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
+from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Points,
     bent,
@@ -61,7 +50,7 @@ def chair(draw: Draw) -> Parts:
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
     """Front legs, rear legs that go on as posts of the back, a seat, perhaps aprons, stretchers and arms."""
-    wood, thick, post = draw.pick(WOODS), draw.between(0.018, 0.03), draw.between(0.028, 0.042)
+    wood, thick, post = draw.pick(looks.WOODS), draw.between(0.018, 0.03), draw.between(0.028, 0.042)
     under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
     rake, slope = draw.between(0.0, 0.06), draw.between(0.05, 0.26)
     foot = max(0.022, post * draw.between(0.7, 1.0))
@@ -89,7 +78,7 @@ def _seat_pad(draw: Draw, size: _Size, wood: Look) -> Parts:
     """A cushion on the seat, or none."""
     if draw.chance(0.55):
         return []
-    look, inset, thick = draw.pick(CLOTHS + LEATHERS), draw.between(0.012, 0.03), draw.between(0.025, 0.05)
+    look, inset, thick = draw.pick(looks.COVERS), draw.between(0.012, 0.03), draw.between(0.025, 0.05)
     low = (-size.x + inset, -size.y + 0.05, size.seat - 0.008)
     high = (size.x - inset, size.y - inset * 0.5, size.seat + thick)
     return [Part("cushion", cushion(low, high, 0.018, 0.015), look)]
@@ -115,8 +104,8 @@ def _post_arms(draw: Draw, size: _Size, back: Back) -> Parts:
 
 def _board(draw: Draw, size: _Size) -> Parts:
     """A modern wooden or plastic chair: a seat with round corners on legs, and a bent board as a back."""
-    wood = draw.pick(WOODS)
-    look = wood if draw.chance(0.5) else draw.pick(PLASTICS)
+    wood = draw.pick(looks.WOODS)
+    look = wood if draw.chance(0.5) else draw.pick(looks.PLASTICS)
     thick = draw.between(0.024, 0.04)
     under = size.seat - thick
     outline = rectangle((2 * size.x, 2 * size.y), draw.between(0.04, 0.15))
@@ -138,7 +127,7 @@ def _board(draw: Draw, size: _Size) -> Parts:
 
 def _windsor(draw: Draw, size: _Size) -> Parts:
     """A thick seat on splayed round legs, and a hoop with spindles."""
-    wood, thick = draw.pick(WOODS), draw.between(0.032, 0.045)
+    wood, thick = draw.pick(looks.WOODS), draw.between(0.032, 0.045)
     seat = plate(ellipse((2 * size.x, 2 * size.y)), size.seat - thick, size.seat, 0.012)
     yield Part("seat", seat, wood)
     x, y, splay, head = 0.55 * size.x, 0.55 * size.y, draw.between(0.05, 0.08), size.seat - thick / 2
@@ -160,7 +149,7 @@ def _windsor(draw: Draw, size: _Size) -> Parts:
 
 def _shell(draw: Draw, size: _Size) -> Parts:
     """A seat and back in one bent piece, on legs, a tube frame, a column or a star."""
-    look = draw.pick(PLASTICS + WOODS[:5] + CLOTHS[:5])
+    look = draw.pick(looks.PLASTICS + looks.WOODS[:5] + looks.CLOTHS[:5])
     thick, lean = draw.between(0.017, 0.022), draw.between(0.08, 0.17)
     under = size.seat - thick
     path = [
@@ -198,7 +187,7 @@ def _shell(draw: Draw, size: _Size) -> Parts:
 
 def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
     """What a shell stands on; a plate under the seat makes up for its dished underside."""
-    metal, wood, head = draw.pick(METALS), draw.pick(WOODS), under + 0.008
+    metal, wood, head = draw.pick(looks.METALS), draw.pick(looks.WOODS), under + 0.008
     kind = draw.choose(["wood", "tube", "sled", "star", "column"])
     if kind == "wood":
         yield Part("hub", box((-0.12, -0.12, under - 0.02), (0.12, 0.12, head)), wood)
@@ -221,7 +210,7 @@ def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
 
 def _upholstered(draw: Draw, size: _Size) -> Parts:
     """A padded seat and a padded back on wooden legs, perhaps with padded sides."""
-    look, wood = draw.pick(CLOTHS + LEATHERS), draw.pick(WOODS)
+    look, wood = draw.pick(looks.COVERS), draw.pick(looks.WOODS)
     x, y, thick = size.x + draw.between(0.0, 0.04), size.y + draw.between(0.0, 0.03), draw.between(0.07, 0.11)
     under, deep = size.seat - thick, draw.between(0.06, 0.09)
     slope = draw.between(0.08, 0.25)
@@ -242,7 +231,7 @@ def _upholstered(draw: Draw, size: _Size) -> Parts:
 
 def _tubular(draw: Draw, size: _Size) -> Parts:
     """A cantilever: one bent tube at each side carries a pad for the seat and one for the back."""
-    metal, look = draw.pick(METALS), draw.pick(LEATHERS + CLOTHS + WOODS[:3])
+    metal, look = draw.pick(looks.METALS), draw.pick(looks.LEATHERS + looks.CLOTHS + looks.WOODS[:3])
     radius, x, y = draw.between(0.0095, 0.0125), size.x, size.y
     lean, z = draw.between(0.05, 0.13), size.seat - 0.03
     for s in SIDES:
@@ -271,7 +260,7 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
 def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: float, look: Look) -> Parts:
     """Two bent tubes from the back to the front of the frame's sides."""
     z, front = size.seat + draw.between(0.17, 0.23), size.y - draw.between(0.05, 0.12)
-    wood = draw.pick(WOODS)
+    wood = draw.pick(looks.WOODS)
     for s in SIDES:
         rear = -size.y - slope * (z - frame_z - 0.06)
         path = [(s * size.x, rear, z), (s * size.x, front, z), (s * size.x, front, frame_z)]
@@ -284,7 +273,7 @@ def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: fl
 
 def _office(draw: Draw, size: _Size) -> Parts:
     """A padded seat on a star with castors, a back on a spine, perhaps armrests."""
-    look, metal = draw.pick(CLOTHS + LEATHERS), draw.pick(METALS)
+    look, metal = draw.pick(looks.COVERS), draw.pick(looks.METALS)
     thick, x, y = draw.between(0.06, 0.09), size.x, size.y
     under, slope = size.seat - thick, draw.between(0.08, 0.2)
     yield Part("seat", cushion((-x, -y, under), (x, y, size.seat), 0.03, 0.015), look)

@@ -6,20 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import bases
+from kinectbench.lab.simulate.objects import bases, looks
 from kinectbench.lab.simulate.objects.backs import Back
-from kinectbench.lab.simulate.objects.joinery import (
-    CLOTHS,
-    CORNERS,
-    LEATHERS,
-    METALS,
-    SIDES,
-    WOODS,
-    Draw,
-    Look,
-    Part,
-    Parts,
-)
+from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
+from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, cushion, leaned, leg, plate, rectangle, rod, union
 
 if TYPE_CHECKING:
@@ -90,12 +80,12 @@ def couch(draw: Draw) -> Parts:
 
 def _sofa(draw: Draw, size: _Size) -> Parts:
     """A body with a back, arms, cushions and feet."""
-    look, soft = draw.pick(CLOTHS + LEATHERS), draw.between(0.02, 0.045)
+    look, soft = draw.pick(looks.COVERS), draw.between(0.02, 0.045)
     inner = size.x - size.arm
     yield _body(size, look)
     yield _back(size, soft, look)
     yield from _arms(draw, size, soft, look)
-    cushions = look if draw.chance(0.75) else draw.pick(CLOTHS)
+    cushions = look if draw.chance(0.75) else draw.pick(looks.CLOTHS)
     yield from _seat_cushions(draw, size, inner, cushions)
     loose = draw.chance(0.65)
     if loose:
@@ -167,7 +157,7 @@ def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
     """One or two square pillows that lean in the corners of the seat, `ahead` metres before the back."""
-    look, edge = draw.pick(CLOTHS), draw.between(0.34, 0.42)
+    look, edge = draw.pick(looks.CLOTHS), draw.between(0.34, 0.42)
     y = -size.y + size.deep + ahead
     for s in SIDES[: draw.integer(1, 3)]:
         x = s * (inner - edge / 2 - 0.01)
@@ -181,7 +171,7 @@ def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
     """Short feet, tapered legs, steel runners or a plinth; nothing for a couch that lies on the floor."""
     if size.foot == 0:
         return
-    wood, metal, x, y = draw.pick(WOODS), draw.pick(METALS), half[0] - 0.07, half[1] - 0.08
+    wood, metal, x, y = draw.pick(looks.WOODS), draw.pick(looks.METALS), half[0] - 0.07, half[1] - 0.08
     kind = draw.choose(["block", "tapered", "round", "runner"] if size.foot > 0.07 else ["block", "plinth"])
     head = size.foot + 0.03
     if kind == "plinth":
@@ -194,13 +184,12 @@ def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
     splay = 0.03 if kind == "tapered" else 0.0
     for sx, sy in product((-1, 0, 1) if size.seats == 3 else SIDES, SIDES):
         at = (sx * (x + splay), sy * (y + splay), 0.0)
-        shape = leg(at, (sx * x, sy * y, head), foot, thick, is_round=kind == "round")
-        yield Part("foot", shape, wood)
+        yield Part("foot", leg(at, (sx * x, sy * y, head), foot, thick, is_round=kind == "round"), wood)
 
 
 def _corner(draw: Draw, size: _Size) -> Parts:
     """An L: a couch whose last seat goes on to the front as a chaise."""
-    look, soft, side = draw.pick(CLOTHS + LEATHERS), draw.between(0.02, 0.04), draw.choose(SIDES)
+    look, soft, side = draw.pick(looks.COVERS), draw.between(0.02, 0.04), draw.choose(SIDES)
     size = replace(size, seats=max(2, size.seats), arm=max(0.1, size.arm))
     size = replace(size, x=min(1.04, max(0.85, size.x)))
     inner, reach = size.x - size.arm, size.y + draw.between(0.4, 0.62)
@@ -224,7 +213,7 @@ def _corner(draw: Draw, size: _Size) -> Parts:
         return
     if draw.chance(0.5):
         yield from _pillows(draw, size, inner, 0.2)
-    wood, head = draw.pick(WOODS), size.foot + 0.03
+    wood, head = draw.pick(looks.WOODS), size.foot + 0.03
     corners = [(s * (size.x - 0.07), y) for s, y in product(SIDES, (-size.y + 0.08, size.y - 0.1))]
     corners += [(x, reach - 0.1) for x in (side * (start + 0.07), side * (size.x - 0.07))]
     for at in corners:
@@ -233,7 +222,7 @@ def _corner(draw: Draw, size: _Size) -> Parts:
 
 def _chesterfield(draw: Draw, size: _Size) -> Parts:
     """Arms and a back of one height with a roll on top, and turned feet."""
-    look, wood = draw.pick(LEATHERS + CLOTHS), draw.pick(WOODS)
+    look, wood = draw.pick(looks.LEATHERS + looks.CLOTHS), draw.pick(looks.WOODS)
     size = replace(size, foot=draw.between(0.07, 0.12), seats=max(2, size.seats))
     size = replace(size, x=max(0.72, min(1.05, size.x)), base=max(size.base, size.foot + 0.12))
     roll = draw.between(0.075, 0.1)
@@ -259,7 +248,7 @@ def _chesterfield(draw: Draw, size: _Size) -> Parts:
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
     """A frame of wood with open arms that carries loose cushions on slats."""
-    wood, look = draw.pick(WOODS), draw.pick(CLOTHS + LEATHERS)
+    wood, look = draw.pick(looks.WOODS), draw.pick(looks.COVERS)
     size = replace(
         size, arm=0.05, x=max(0.42, size.x - size.arm + 0.05), top=size.seat + draw.between(0.34, 0.44)
     )
@@ -299,7 +288,7 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 def _tub(draw: Draw, size: _Size) -> Parts:
     """A round wall around one or two seats, lower at the front."""
-    look, wide = draw.pick(CLOTHS + LEATHERS), draw.between(0.09, 0.13)
+    look, wide = draw.pick(looks.COVERS), draw.between(0.09, 0.13)
     x, y = draw.between(0.40, 0.46) + (0.26 if draw.chance(0.4) else 0.0), size.y
     radius = draw.between(0.55, 0.95) * min(x, y)
     outer = plate(rectangle((2 * x, 2 * y), radius), size.foot, size.top, 0.02)
@@ -311,7 +300,7 @@ def _tub(draw: Draw, size: _Size) -> Parts:
     seat = plate(hollow * 0.995, size.base - 0.012, size.seat, 0.04).translate((0.0, wide - 0.02, 0.0))
     front = plate(rectangle((2 * x + 1, 2 * y), 0.0), 0.0, 2.0)
     yield Part("wall", wall, look)
-    yield Part("cushion", seat ^ front, look if draw.chance(0.6) else draw.pick(CLOTHS))
+    yield Part("cushion", seat ^ front, look if draw.chance(0.6) else draw.pick(looks.CLOTHS))
     yield from _feet(draw, replace(size, seats=1), (0.8 * x + 0.02, 0.8 * y + 0.02))
 
 

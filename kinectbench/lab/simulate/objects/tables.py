@@ -5,19 +5,9 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import bases
-from kinectbench.lab.simulate.objects.joinery import (
-    CORNERS,
-    METALS,
-    PLASTICS,
-    SIDES,
-    STONES,
-    WOODS,
-    Draw,
-    Look,
-    Part,
-    Parts,
-)
+from kinectbench.lab.simulate.objects import bases, looks
+from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
+from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, ellipse, leg, plate, rectangle, rod
 
 
@@ -54,8 +44,8 @@ def _top(draw: Draw, size: _Size, look: Look, thick: float) -> Part:
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
     """Four or six wooden legs with aprons, and perhaps a shelf or a drawer."""
-    wood, thick, leg_m = draw.pick(WOODS), draw.between(0.018, 0.04), draw.between(0.04, 0.08)
-    top_look = wood if draw.chance(0.6) else draw.pick(WOODS + STONES)
+    wood, thick, leg_m = draw.pick(looks.WOODS), draw.between(0.018, 0.04), draw.between(0.04, 0.08)
+    top_look = wood if draw.chance(0.6) else draw.pick(looks.WOODS + looks.STONES)
     inset = leg_m / 2 + draw.between(0.01, 0.06)
     if size.top < 0.65:
         leg_m *= 0.8
@@ -81,12 +71,13 @@ def _drawer(draw: Draw, half: tuple[float, float], head: float, high: float, woo
     wide, middle, face = min(0.22, 0.6 * half[0]), head - high / 2, half[1] + 0.017
     front = box((-wide, half[1], head - high + 0.008), (wide, face, head - 0.014))
     knob = rod((0.0, face - 0.008, middle), (0.0, face + 0.02, middle), 0.012)
-    return [Part("drawer", front, wood), Part("knob", knob, draw.pick(METALS))]
+    return [Part("drawer", front, wood), Part("knob", knob, draw.pick(looks.METALS))]
 
 
 def _round(draw: Draw, size: _Size) -> Parts:
     """A round or oval top on a column, a star, three or four splayed legs, or two columns."""
-    look, base = draw.pick(WOODS + STONES + PLASTICS[:1]), draw.pick(WOODS + METALS)
+    look = draw.pick(looks.WOODS + looks.STONES + looks.PLASTICS[:1])
+    base = draw.pick(looks.WOODS + looks.METALS)
     oval = size.x if draw.chance(0.35) else min(size.x, size.y * draw.between(1.0, 1.35))
     y = oval if oval <= 1.35 * size.y else size.y
     thick = draw.between(0.017, 0.035)
@@ -118,10 +109,10 @@ def _round(draw: Draw, size: _Size) -> Parts:
 
 def _trestle(draw: Draw, size: _Size) -> Parts:
     """A long top on two trestles or on crossed legs."""
-    wood, thick = draw.pick(WOODS), draw.between(0.025, 0.045)
+    wood, thick = draw.pick(looks.WOODS), draw.between(0.025, 0.045)
     under = size.top - thick
     half = (size.x * draw.between(0.62, 0.8), size.y * draw.between(0.75, 0.9))
-    yield _top(draw, size, wood if draw.chance(0.6) else draw.pick(WOODS), thick)
+    yield _top(draw, size, wood if draw.chance(0.6) else draw.pick(looks.WOODS), thick)
     if draw.chance(0.35):
         yield from bases.crossed_legs(half, under + 0.01, 0.05, wood)
     else:
@@ -130,7 +121,7 @@ def _trestle(draw: Draw, size: _Size) -> Parts:
 
 def _steel(draw: Draw, size: _Size) -> Parts:
     """A thin top on hairpins, square loops, or a frame of thin tubes."""
-    metal, look = draw.pick(METALS), draw.pick(WOODS + STONES + PLASTICS[:2])
+    metal, look = draw.pick(looks.METALS), draw.pick(looks.WOODS + looks.STONES + looks.PLASTICS[:2])
     thick = draw.between(0.016, 0.03)
     under, half = size.top - thick, (size.x - 0.05, size.y - 0.05)
     yield Part("top", plate(rectangle((2 * size.x, 2 * size.y)), under, size.top), look)
@@ -155,13 +146,12 @@ def _steel(draw: Draw, size: _Size) -> Parts:
     if draw.chance(0.5):
         low = draw.between(0.1, 0.2)
         yield from bases.ring("rail", half, (low - thin, low + thin), thin, metal)
-        board = box((-half[0], -half[1], low - 0.002), (half[0], half[1], low + 0.016))
-        yield Part("shelf", board, look)
+        yield Part("shelf", box((-half[0], -half[1], low - 0.002), (half[0], half[1], low + 0.016)), look)
 
 
 def _panels(draw: Draw, size: _Size) -> Parts:
     """Two side panels under a top, with a panel or a shelf between them."""
-    look, thick = draw.pick(WOODS), draw.between(0.02, 0.05)
+    look, thick = draw.pick(looks.WOODS), draw.between(0.02, 0.05)
     under, inset = size.top - thick, 0.0 if draw.chance(0.5) else draw.between(0.04, 0.15)
     half = (size.x - inset - thick / 2, size.y - min(inset, 0.03))
     yield Part("top", box((-size.x, -size.y, under), (size.x, size.y, size.top)), look)
@@ -177,7 +167,7 @@ def _panels(draw: Draw, size: _Size) -> Parts:
 
 def _drop_leaf(draw: Draw, size: _Size) -> Parts:
     """A narrow top on legs whose two leaves hang down at its ends."""
-    wood, thick = draw.pick(WOODS), draw.between(0.018, 0.026)
+    wood, thick = draw.pick(looks.WOODS), draw.between(0.018, 0.026)
     x, under = min(size.x, 0.55), size.top - thick
     yield Part("top", box((-x, -size.y, under), (x, size.y, size.top)), wood)
     fall = size.top * draw.between(0.35, 0.6)
@@ -193,7 +183,7 @@ def _drop_leaf(draw: Draw, size: _Size) -> Parts:
 
 def _desk(draw: Draw, size: _Size) -> Parts:
     """A top on a chest of drawers at one side and on legs or a panel at the other."""
-    look, body, thick = draw.pick(WOODS), draw.pick(WOODS), draw.between(0.02, 0.035)
+    look, body, thick = draw.pick(looks.WOODS), draw.pick(looks.WOODS), draw.between(0.02, 0.035)
     side, under = draw.choose(SIDES), size.top - thick
     wide, foot = min(0.42, 0.7 * size.x), draw.between(0.0, 0.06)
     yield Part("top", box((-size.x, -size.y, under), (size.x, size.y, size.top)), look)
@@ -202,7 +192,7 @@ def _desk(draw: Draw, size: _Size) -> Parts:
     yield Part("chest", box((low, -size.y + 0.02, foot), (high, face - 0.015, under + 0.01)), body)
     count = draw.integer(2, 5)
     edges = np.linspace(foot + 0.01, under - 0.01, count + 1)
-    knobs = draw.pick(METALS)
+    knobs = draw.pick(looks.METALS)
     for a, b in pairwise(edges.tolist()):
         yield Part(
             "drawer", box((low + 0.008, face - 0.03, a + 0.004), (high - 0.008, face, b - 0.004)), body

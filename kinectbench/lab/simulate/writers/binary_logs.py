@@ -44,8 +44,7 @@ def write_sens(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """
     with path.open("wb") as file:
         file.write(struct.pack("<IQ", 4, len(SENS_NAME)) + SENS_NAME)
-        T_depth_color = np.linalg.inv(rig.T_color_depth)
-        for matrix in (_matrix(rig.color), T_depth_color, _matrix(rig.depth), np.eye(4)):
+        for matrix in (_matrix(rig.color), np.linalg.inv(rig.T_color_depth), _matrix(rig.depth), np.eye(4)):
             file.write(matrix.astype("<f4").tobytes())
         sizes = (rig.color.width, rig.color.height, rig.depth.width, rig.depth.height)
         file.write(struct.pack("<ii4If", SENS_JPEG, SENS_ZLIB, *sizes, DEPTH_SCALE))

@@ -60,13 +60,11 @@ def _messages(
 def _facts(maker: MessageMaker, types: Any, rig: Rig) -> Messages:
     """Version, depth unit, and intrinsics and extrinsics of both streams."""
     yield "/file_version", VERSION, STATIC_NS, types[VERSION](3)
-    units = types[FLOAT](1 / DEPTH_SCALE)
-    yield "/device_0/sensor_0/option/Depth Units/value", FLOAT, STATIC_NS, units
+    yield "/device_0/sensor_0/option/Depth Units/value", FLOAT, STATIC_NS, types[FLOAT](1 / DEPTH_SCALE)
     header = maker.header(0, 0, "")
     places = {"Depth": np.eye(4), "Color": rig.T_color_depth}
     for name, camera in (("Depth", rig.depth), ("Color", rig.color)):
-        topic = f"{SENSORS[name]}/info/camera_info"
-        yield topic, INFO, STATIC_NS, maker.camera_info(header, camera)
+        yield f"{SENSORS[name]}/info/camera_info", INFO, STATIC_NS, maker.camera_info(header, camera)
         yield f"{SENSORS[name]}/tf/0", TRANSFORM, STATIC_NS, maker.transform(places[name])
 
 
