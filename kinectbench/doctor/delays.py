@@ -18,7 +18,7 @@ from kinectbench.doctor.look import Look, SmallFrame
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
 # Less agreement is no agreement; a lag that is the best of its neighbours only by chance agrees less.
-LEAST_CORRELATION = 0.5
+LEAST_CORRELATION = 0.6
 LEAST_SAMPLES = 20
 SMALL_PX = (80, 60)
 
@@ -34,19 +34,6 @@ class Motion:
 
     times_ns: NDArray[np.int64]
     shift_px_s: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Delay:
-    """An estimated delay.
-
-    Attributes:
-        delay_ns: the second stream's stamps are late by this.
-        correlation: of both motions once it is taken off, at most 1.
-    """
-
-    delay_ns: int
-    correlation: float
 
 
 def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]) -> Motion:
@@ -74,8 +61,8 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
     return Motion(middle[usual], shifts_px[usual] / steps_s[usual, None])
 
 
-def estimate_delay(first: Motion, second: Motion) -> Delay | None:
-    """The delay of the second stream's stamps at which both motions agree best (own rule).
+def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
+    """The delay of the second stream's stamps at which both motions agree best, nanoseconds (own rule).
 
     Every lag up to half a second is tried on the samples of the first stream, the second interpolated, by the
     correlation of both components together; the best is refined by a parabola.
@@ -86,9 +73,9 @@ def estimate_delay(first: Motion, second: Motion) -> Delay | None:
     lags_ns = np.arange(-LONGEST_NS, LONGEST_NS + 1, STEP_NS)
     scores = np.array([_agreement(first, second, int(lag)) for lag in lags_ns])
     best = int(np.argmax(scores))
-    if not scores[best] >= LEAST_CORRELATION or best in (0, len(lags_ns) - 1):
+    if not scores[best] > LEAST_CORRELATION or best in (0, len(lags_ns) - 1):
         return None
-    return Delay(round(float(lags_ns[best]) + _beside(scores, best) * STEP_NS), float(scores[best]))
+    return round(float(lags_ns[best]) + _beside(scores, best) * STEP_NS)
 
 
 def _beside(values: NDArray[np.float64], best: int) -> float:
@@ -118,7 +105,6 @@ def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
 ASSUMED_HZ = 30
 # Less is told apart badly, and hardly matters: 60 ms, and of colour so many frames.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
-SURE_CORRELATION = 0.6
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
 # Poses that are moved in time must fit this much better before it is said.
 BETTER = 0.93
@@ -225,10 +211,10 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
     middle = len(depth.times_ns) // 2
     found: list[int] = []
     for part in (slice(None), slice(middle), slice(middle, None)):
-        delay = estimate_delay(Motion(depth.times_ns[part], depth.shift_px_s[part]), color)
-        if delay is None or delay.correlation <= SURE_CORRELATION:
+        delay_ns = estimate_delay_ns(Motion(depth.times_ns[part], depth.shift_px_s[part]), color)
+        if delay_ns is None:
             return None
-        found.append(delay.delay_ns)
+        found.append(delay_ns)
     apart_ns = max(LEAST_NS, float(np.median(np.diff(stamps_ns))))
     return found[0] if max(abs(half_ns - found[0]) for half_ns in found[1:]) <= apart_ns else None
 

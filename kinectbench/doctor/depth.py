@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera
 from kinectbench.doctor.finding import Finding, Severity
-from kinectbench.doctor.fit import image_normals, small_camera
+from kinectbench.doctor.fit import image_normals
 from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.stages.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
 
@@ -207,7 +207,7 @@ def camera_heights_m(look: Look) -> NDArray[np.float64]:
     """
     count = len(look.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
-    camera = small_camera(look)
+    camera = look.small_camera
     return np.array([_height_m(look.frames[i], camera) for i in indices])
 
 

@@ -78,7 +78,8 @@ class Reading:
         known = np.isfinite(poses[:, 0, 0])
         T = poses[known]
         if self.wxyz:
-            T[:, :3, :3] = rotation_from_quaternion_xyzw([_rolled(pose) for pose in T])
+            quaternions_wxyz = [quaternion_xyzw_from_rotation(rotation) for rotation in T[:, :3, :3]]
+            T[:, :3, :3] = rotation_from_quaternion_xyzw(np.roll(quaternions_wxyz, -1, axis=1))
         if self.inverse:
             T = invert_rigid(T)
         T[:, :3, 3] *= self.unit_m
@@ -109,12 +110,6 @@ def _of_unit(unit_m: float) -> Iterator[Reading]:
                 yield Reading(inverse, axes, wxyz, "upright", unit_m)
 
 
-def _rolled(pose: Float64) -> Float64:
-    """The quaternion x y z w of a pose whose w x y z were read as x y z w."""
-    w, x, y, z = quaternion_xyzw_from_rotation(pose[:3, :3])
-    return np.array([x, y, z, w])
-
-
 @dataclass(frozen=True)
 class Pair:
     """Two frames that should show the same surface.
@@ -133,15 +128,9 @@ class Pair:
     camera: Camera
 
 
-def small_camera(look: Look) -> Camera:
-    """The camera of the small depth images: pixel i is pixel n i of the whole image."""
-    c, n = look.recording.camera, look.depth_step_px
-    return Camera(-(-c.width // n), -(-c.height // n), c.fx / n, c.fy / n, c.cx / n, c.cy / n)
-
-
 def choose_pairs(look: Look, has_pose: NDArray[np.bool_]) -> tuple[Pair, ...]:
     """Pairs of frames that have poses, evenly over the recording, near and farther apart."""
-    camera, count = small_camera(look), len(look.frames)
+    camera, count = look.small_camera, len(look.frames)
     rays = camera.rays()[::POINT_STEP, ::POINT_STEP]
     pairs = []
     for first in np.unique(np.linspace(0, count - 1, min(ANCHORS, count)).astype(int)).tolist():
@@ -149,12 +138,9 @@ def choose_pairs(look: Look, has_pose: NDArray[np.bool_]) -> tuple[Pair, ...]:
             second = first + ahead if first + ahead < count else first - ahead
             if second < 0 or not (has_pose[first] and has_pose[second]):
                 continue
-            z = look.frames[first].depth_m[::POINT_STEP, ::POINT_STEP]
-            if z.shape != rays.shape[:2] or look.frames[second].depth_m.shape != (
-                camera.height,
-                camera.width,
-            ):
+            if any(look.frames[i].depth_m.shape != (camera.height, camera.width) for i in (first, second)):
                 continue
+            z = look.frames[first].depth_m[::POINT_STEP, ::POINT_STEP]
             points = (rays * z[..., None])[z > 0]
             if len(points):
                 pairs.append(Pair(first, second, points, look.frames[second].depth_m, camera))
@@ -211,12 +197,9 @@ def _fall(
     """Points of the first frame in the second's axes; rows and columns in its image; which are inside it."""
     T_second_first = invert_rigid(T_world_camera[pair.second]) @ T_world_camera[pair.first]
     points = transform_points(T_second_first, pair.points)
-    camera, z = pair.camera, np.maximum(points[:, 2], NEAREST_M)
-    u = camera.fx * points[:, 0] / z + camera.cx
-    v = camera.fy * points[:, 1] / z + camera.cy
-    inside = (
-        (points[:, 2] > NEAREST_M) & (u >= 0) & (v >= 0) & (u < camera.width - 1) & (v < camera.height - 1)
-    )
+    u, v = pair.camera.project(np.maximum(points, [-np.inf, -np.inf, NEAREST_M])).T
+    before = points[:, 2] > NEAREST_M
+    inside = before & (u >= 0) & (v >= 0) & (u < pair.camera.width - 1) & (v < pair.camera.height - 1)
     rows, columns = (np.rint(each[inside]).astype(np.int64) for each in (v, u))
     return points, rows, columns, inside
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres
-from kinectbench.stages.ingest.images import DamagedImageError, image_header
+from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # A recording with more frames is looked at in runs: a long one in its middle, short ones elsewhere.
@@ -80,6 +81,11 @@ class Look:
         return str(self.recording.path)
 
     @property
+    def small_camera(self) -> Camera:
+        """The camera of the small depth images: pixel i is pixel n i of the whole image."""
+        return self.recording.camera.every(self.depth_step_px)
+
+    @property
     def counts_frames(self) -> bool:
         """Whether the recording has no stamps of its own: they count frames in seconds."""
         return counts_frames(self.recording.stamps_ns)
@@ -121,12 +127,13 @@ class Gathering:
         if index not in self._wanted:
             return
         step = self._step
-        bgr = _color(raw) if index in self._whole_at else None
+        whole = index in self._whole_at
+        bgr = decode_color_bgr(raw.color[1], f"colour of {raw.name}") if whole and raw.color else None
         gray = _gray(raw)
         depth_m = depth_in_metres(raw.depth[::step, ::step], self._recording.depth_scale)
         digest = hashlib.blake2b(raw.depth.tobytes(), digest_size=16).digest()
         self._frames.append(SmallFrame(index, raw.stamp_ns, depth_m, gray, digest))
-        if index in self._whole_at:
+        if whole:
             self._whole.append(WholeFrame(index, raw.depth, bgr))
 
     def look(self, damaged: Sequence[str] = (), refused: Sequence[str] = ()) -> Look:
@@ -170,23 +177,11 @@ def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
 
     if raw.color is None:
         return None
-    _, width, _ = image_header(raw.color[1], f"colour of {raw.name}")
+    data, name = raw.color[1], f"colour of {raw.name}"
+    _, width, _ = image_header(data, name)
     flags = (cv2.IMREAD_REDUCED_GRAYSCALE_8, cv2.IMREAD_REDUCED_GRAYSCALE_4, cv2.IMREAD_REDUCED_GRAYSCALE_2)
     fitting = (flag for flag, by in zip(flags, (8, 4, 2), strict=True) if width >= by * GRAY_COLUMNS)
-    return _decoded(raw, next(fitting, cv2.IMREAD_GRAYSCALE))
-
-
-def _color(raw: RawFrame) -> NDArray[np.uint8] | None:
-    import cv2
-
-    return None if raw.color is None else _decoded(raw, cv2.IMREAD_COLOR)
-
-
-def _decoded(raw: RawFrame, flag: int) -> NDArray[np.uint8]:
-    import cv2
-
-    assert raw.color is not None
-    image = cv2.imdecode(np.frombuffer(raw.color[1], np.uint8), flag)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), next(fitting, cv2.IMREAD_GRAYSCALE))
     if image is None:
-        raise DamagedImageError(f"colour of {raw.name}: cannot be decoded; the image is damaged")
+        raise DamagedImageError(f"{name}: cannot be decoded; the image is damaged")
     return np.asarray(image, np.uint8)

@@ -5,12 +5,10 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kinectbench.core.trajectory.stamps import find_doubled, find_stamp_faults
-from kinectbench.doctor.delays import Motion, estimate_delay, image_motion
+from kinectbench.core.trajectory.stamps import StampFaults, find_doubled, find_stamp_faults, usual_period_ns
+from kinectbench.doctor.delays import Motion, estimate_delay_ns, image_motion
 
 STEP_NS = 33_333_333
 START_NS = 1_400_000_000_000_000_000
@@ -22,18 +20,11 @@ def stamps(count: int = 100) -> NDArray[np.int64]:
 
 
 def test_a_good_clock() -> None:
-    faults = find_stamp_faults(stamps())
-    assert abs(faults.period_ns - STEP_NS) < 1_000_000
-    assert not faults.any
-    assert not find_stamp_faults([]).any
-    assert find_stamp_faults([5]).period_ns == 0
-
-
-@given(st.sets(st.integers(5, 90), max_size=12))
-def test_dropped_frames_are_counted(gone: set[int]) -> None:
-    kept = np.array([i not in gone for i in range(100)])
-    faults = find_stamp_faults(stamps()[kept])
-    assert (faults.dropped, faults.repeated, faults.backwards) == (len(gone), 0, 0)
+    nothing = StampFaults(repeated=0, backwards=0, jumps=(), resets=())
+    assert find_stamp_faults(stamps()) == nothing
+    assert find_stamp_faults([]) == nothing
+    assert abs(usual_period_ns(stamps()) - STEP_NS) < 1_000_000
+    assert usual_period_ns(np.array([5])) == 0
 
 
 @pytest.mark.parametrize("every", [2, 3])
@@ -41,10 +32,7 @@ def test_many_dropped_frames_do_not_make_the_step_longer(every: int) -> None:
     """Of three frames one is gone, or of four two: most steps are then not those of the clock."""
     index = np.arange(120)
     kept = index % 3 != 1 if every == 3 else (index % 4) // 2 == 0
-    faults = find_stamp_faults(stamps(120)[kept])
-    assert abs(faults.period_ns - STEP_NS) < 3_000_000
-    inside = ~kept[: np.flatnonzero(kept)[-1]]
-    assert faults.dropped == inside.sum()
+    assert abs(usual_period_ns(stamps(120)[kept]) - STEP_NS) < 3_000_000
 
 
 def test_repeats_steps_back_jumps_and_resets() -> None:
@@ -88,10 +76,9 @@ def test_the_delay_of_colour(delay_ms: int) -> None:
     color_ns = START_NS + 9_000_000 + np.arange(150) * 30_000_000
     depth = image_motion(depth_ns.tolist(), images(depth_ns, 1))
     color = image_motion((color_ns + delay_ms * 1_000_000).tolist(), images(color_ns, 2))
-    found = estimate_delay(depth, color)
+    found = estimate_delay_ns(depth, color)
     assert found is not None
-    assert abs(found.delay_ns / 1e6 - delay_ms) < 6
-    assert found.correlation > 0.9
+    assert abs(found / 1e6 - delay_ms) < 6
 
 
 def test_without_motion_in_common_nothing_is_offered() -> None:
@@ -99,7 +86,7 @@ def test_without_motion_in_common_nothing_is_offered() -> None:
     still = Motion(times, np.zeros((100, 2)))
     rng = np.random.default_rng(3)
     noise = [Motion(times, rng.normal(size=(100, 2))) for _ in range(2)]
-    assert estimate_delay(still, noise[0]) is None
-    assert estimate_delay(*noise) is None
+    assert estimate_delay_ns(still, noise[0]) is None
+    assert estimate_delay_ns(*noise) is None
     few = Motion(times[:5], np.ones((5, 2)))
-    assert estimate_delay(few, noise[0]) is None
+    assert estimate_delay_ns(few, noise[0]) is None

@@ -43,14 +43,8 @@ def closest_rotation(matrix: Float64) -> Float64:
 
 def rotation_angle_rad(rotation: Float64) -> Float64:
     """Rotation angle in radians of (..., 3, 3) rotations, accurate for small angles."""
-    axis = np.stack(
-        [
-            rotation[..., 2, 1] - rotation[..., 1, 2],
-            rotation[..., 0, 2] - rotation[..., 2, 0],
-            rotation[..., 1, 0] - rotation[..., 0, 1],
-        ],
-        axis=-1,
-    )
+    skew = rotation - np.swapaxes(rotation, -1, -2)
+    axis = skew[..., [2, 0, 1], [1, 2, 0]]
     trace = np.trace(rotation, axis1=-2, axis2=-1)
     angle: Float64 = np.arctan2(np.linalg.norm(axis, axis=-1), trace - 1.0)
     return angle

@@ -1,6 +1,6 @@
 """Time stamps: decimal seconds as text to integer nanoseconds, exactly; and whether a clock ran as it should.
 
-A clock's faults are dropped and repeated frames, jumps, resets and time going back.
+A clock's faults are repeated frames, jumps, resets and time going back.
 """
 
 from collections.abc import Sequence
@@ -90,25 +90,16 @@ class StampFaults:
     """What is wrong with the stamps of a stream, in the order in which it was recorded.
 
     Attributes:
-        period_ns: the usual step between frames, as `usual_period_ns` has it.
-        dropped: frames that are missing in gaps between two frames.
         repeated: frames with the stamp of the one before.
         backwards: frames that are a little earlier than the one before.
         jumps: frames before which the time jumped ahead, longer than a few dropped frames explain.
         resets: frames before which the clock began anew, more than a second back.
     """
 
-    period_ns: int
-    dropped: int
     repeated: int
     backwards: int
     jumps: tuple[int, ...]
     resets: tuple[int, ...]
-
-    @property
-    def any(self) -> bool:
-        """Whether anything is wrong."""
-        return bool(self.dropped or self.repeated or self.backwards or self.jumps or self.resets)
 
 
 def usual_period_ns(stamps_ns: Int64) -> int:
@@ -132,14 +123,10 @@ def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
         stamps_ns: (n,) nanoseconds, in the order of recording.
     """
     stamps = np.asarray(stamps_ns, np.int64)
-    steps, period_ns = np.diff(stamps), usual_period_ns(stamps)
-    is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * period_ns)
-    gaps = steps[(steps > 0) & ~is_jump]
-    missing = np.rint(gaps / period_ns).astype(np.int64) - 1 if period_ns else np.zeros(0, np.int64)
+    steps = np.diff(stamps)
+    is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * usual_period_ns(stamps))
     is_reset = steps < -RESET_NS
     return StampFaults(
-        period_ns=period_ns,
-        dropped=int(np.maximum(missing, 0).sum()),
         repeated=int((steps == 0).sum()),
         backwards=int(((steps < 0) & ~is_reset).sum()),
         jumps=tuple((np.flatnonzero(is_jump) + 1).tolist()),
