@@ -163,9 +163,7 @@ def gallery_json(
         The text, or None if there is nothing to show; and how many pairs were left out for its size.
     """
     shown_by = [
-        {}
-        if gallery is None
-        else {name: _text(gallery.cells[name]) for name in gallery.cells if name in truths}
+        {name: _text(cells) for name, cells in (gallery or {}).items() if name in truths}
         for gallery in galleries
     ]
     holders = Counter(name for of in shown_by for name in of)

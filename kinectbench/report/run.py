@@ -222,7 +222,7 @@ def _scores(
     truths: dict[str, PairTruth] = {}
     if release is not None:
         targets = {target.name: target for target in release.split("test")}
-        wanted = {name for file in files if file.gallery for name in file.gallery.cells}
+        wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
     return tables, Beside(*rank(tables, RANKED), [file.gallery for file in files], truths), warnings
 

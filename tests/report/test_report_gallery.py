@@ -12,7 +12,7 @@ import pytest
 from report_fake_build import parsed_tables
 from synthetic_release import ball
 
-from kinectbench.core.artefacts.gallery import GALLERY, Gallery, read_gallery, write_gallery
+from kinectbench.core.artefacts.gallery import GALLERY, read_gallery, write_gallery
 from kinectbench.core.errors import StorageError
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
@@ -70,15 +70,15 @@ def test_a_file_comes_back_and_belongs_to_its_scores(tmp_path: Path) -> None:
     write_gallery(kept, scores)
     first = (tmp_path / GALLERY).read_bytes()
     found = read_gallery(scores)
-    assert found is not None and list(found.cells) == ["a/000", "b/001"]
+    assert found is not None and list(found) == ["a/000", "b/001"]
     for name, grid in kept.items():
-        np.testing.assert_array_equal(found.cells[name], grid)
+        np.testing.assert_array_equal(found[name], grid)
     write_gallery(kept, scores)
     assert (tmp_path / GALLERY).read_bytes() == first
     scores.write_text("{ }")
     assert read_gallery(scores) is None
     write_gallery({}, scores)
-    assert read_gallery(scores) == Gallery({})
+    assert read_gallery(scores) == {}
 
 
 def hostile(kind: str) -> bytes:
@@ -135,7 +135,7 @@ def scored(method: str, names: list[str]) -> dict:
 def test_the_data_come_back_and_cannot_end_their_element() -> None:
     bad = "</script><script>alert(1)</script><!--&"
     tables = parsed_tables([scored(bad, ["a/000", "b/000"]), scored("other", ["a/000"])])
-    kept = [Gallery({"a/000": cells(1), "b/000": cells(2), "gone/000": cells(3)}), None]
+    kept = [{"a/000": cells(1), "b/000": cells(2), "gone/000": cells(3)}, None]
     text, left_out = gallery_json(tables, kept, {"a/000": truth(10, bad), "b/000": truth(20)}, "known")
     assert text is not None and left_out == 0
     assert not set("<>&") & set(text)
@@ -151,7 +151,7 @@ def test_the_data_come_back_and_cannot_end_their_element() -> None:
 def test_the_page_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
     names = [f"a/{n:03d}" for n in range(6)]
     tables = parsed_tables([scored("x", names), scored("y", names)])
-    kept = [Gallery({name: cells(1) for name in names}), Gallery({names[4]: cells(2)})]
+    kept = [{name: cells(1) for name in names}, {names[4]: cells(2)}]
     # Random cells do not compress: 32 kB a grid, 44 as text; three of truth, one or two of predictions.
     monkeypatch.setattr(gallery, "MAX_BYTES", 450_000)
     text, left_out = gallery_json(tables, kept, {name: truth(5) for name in names}, "known")

@@ -2,7 +2,6 @@
 
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +19,12 @@ MAX_PAIRS = 256
 MAX_BYTES = 16 << 20
 
 
-@dataclass(frozen=True)
-class Gallery:
-    """Predictions of one method.
-
-    Attributes:
-        cells: {`<recording>/<view>`: (64, 64, 8) uint8, packed}: where the prediction is above its threshold.
-    """
-
-    cells: Mapping[str, Packed]
+# Predictions of one method, {`<recording>/<view>`: (64, 64, 8) uint8, packed}: where each is above its
+# threshold.
+Gallery = Mapping[str, Packed]
 
 
-def write_gallery(cells: Mapping[str, Packed], scores: Path) -> None:
+def write_gallery(cells: Gallery, scores: Path) -> None:
     """Write gallery.npz beside a scores.json, whose SHA-256 it holds.
 
     Args:
@@ -80,4 +73,4 @@ def read_gallery(scores: Path) -> Gallery | None:
         current = str(values["scores_sha256"]) == sha256_file(scores)
     except (*UNREADABLE, TypeError) as error:
         raise StorageError(f"{path}: not a readable gallery ({error}); score again, or delete it") from error
-    return Gallery(dict(zip(pairs.tolist(), cells, strict=True))) if current else None
+    return dict(zip(pairs.tolist(), cells, strict=True)) if current else None

@@ -3,7 +3,8 @@
 mesh.ply beside them is binary PLY (`core.geometry.mesh`): the closed surface in the world frame, metres.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -239,70 +240,68 @@ class CandidatesFile(Stored):
     candidates: tuple[CandidateRow, ...] = Field(description="the automatic choice first, then by distance")
 
 
-def _grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:
-    return {"voxel_size_m": np.asarray(grid.voxel_size_m), "T_world_grid": grid.T_world_grid}
-
-
-def _read_arrays(path: Path, names: tuple[str, ...]) -> tuple[Grid, list[NDArray[Any]]]:
-    """A grid, and the named arrays on it.
-
-    Raises:
-        StorageError: the file is missing or damaged, or an array is not of the first one's shape.
-    """
-    arrays = read_npz(path)
-    try:
-        values = [arrays[name] for name in names]
-        nx, ny, nz = values[0].shape
-        grid = Grid((nx, ny, nz), float(arrays["voxel_size_m"]), arrays["T_world_grid"].reshape(4, 4))
-    except (ValueError, KeyError, TypeError) as error:
-        raise StorageError(f"{path}: damaged ({error}); {Stored.ADVICE}") from error
-    if any(array.shape != grid.shape for array in values):
-        raise StorageError(f"{path}: damaged (its arrays have different shapes); {Stored.ADVICE}")
-    return grid, values
-
-
 @dataclass(frozen=True)
-class ObjectVolume:
-    """volume.npz: the object on a fine grid around it; all arrays have the grid's shape.
+class OnGrid:
+    """Arrays of a grid's shape, each by its field's name in one npz with the grid itself.
 
     Attributes:
-        grid: upright, cells aligned with the floor; its voxel size in metres.
-        solid: bool, occupied.
-        labels: uint8, see `Label`.
-        probability: float16 in the file, in [0, 1], that the voxel is occupied.
+        FILE: its name.
+        VERSION: what the file holds of its format.
+        grid: `voxel_size_m` and `T_world_grid` in the file.
     """
 
-    FILE: ClassVar[str] = "volume.npz"
+    FILE: ClassVar[str]
+    VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {}
 
     grid: Grid
-    solid: Bools
-    labels: NDArray[np.uint8]
-    probability: NDArray[np.floating]
 
     def write(self, folder: Path) -> None:
         """Write the file into a folder that is there."""
-        arrays = {
-            "format_version": np.asarray(1),
-            "solid": self.solid,
-            "labels": self.labels,
-            "probability": self.probability.astype(np.float16),
-            **_grid_arrays(self.grid),
-        }
-        (folder / self.FILE).write_bytes(npz_bytes(arrays, level=1))
+        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "grid"}
+        grid = {"voxel_size_m": np.asarray(self.grid.voxel_size_m), "T_world_grid": self.grid.T_world_grid}
+        (folder / self.FILE).write_bytes(npz_bytes({**self.VERSION, **arrays, **grid}, level=1))
 
     @classmethod
     def read(cls, folder: Path) -> Self:
         """Read the file in a folder.
 
         Raises:
-            StorageError: it is missing or damaged.
+            StorageError: it is missing or damaged, or its arrays are not of one shape.
         """
-        grid, arrays = _read_arrays(folder / cls.FILE, ("solid", "labels", "probability"))
-        return cls(grid, *arrays)
+        path = folder / cls.FILE
+        stored = read_npz(path)
+        try:
+            arrays = {field.name: stored[field.name] for field in fields(cls) if field.name != "grid"}
+            nx, ny, nz = next(iter(arrays.values())).shape
+            grid = Grid((nx, ny, nz), float(stored["voxel_size_m"]), stored["T_world_grid"].reshape(4, 4))
+        except (ValueError, KeyError, TypeError) as error:
+            raise StorageError(f"{path}: damaged ({error}); {Stored.ADVICE}") from error
+        if any(array.shape != grid.shape for array in arrays.values()):
+            raise StorageError(f"{path}: damaged (its arrays have different shapes); {Stored.ADVICE}")
+        return cls(grid, **arrays)
 
 
 @dataclass(frozen=True)
-class Surround:
+class ObjectVolume(OnGrid):
+    """volume.npz: the object on a fine grid around it; all arrays have the grid's shape.
+
+    Attributes:
+        grid: upright, cells aligned with the floor; its voxel size in metres.
+        solid: bool, occupied.
+        labels: uint8, see `Label`.
+        probability: float16, in [0, 1], that the voxel is occupied.
+    """
+
+    FILE: ClassVar[str] = "volume.npz"
+    VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {"format_version": np.asarray(1)}
+
+    solid: Bools
+    labels: NDArray[np.uint8]
+    probability: NDArray[np.float16]
+
+
+@dataclass(frozen=True)
+class Surround(OnGrid):
     """surround.npz: what is known of the space around the object, on a coarse grid.
 
     Attributes:
@@ -312,21 +311,4 @@ class Surround:
 
     FILE: ClassVar[str] = "surround.npz"
 
-    grid: Grid
     labels: NDArray[np.uint8]
-
-    def write(self, folder: Path) -> None:
-        """Write the file into a folder that is there."""
-        (folder / self.FILE).write_bytes(
-            npz_bytes({"labels": self.labels, **_grid_arrays(self.grid)}, level=1)
-        )
-
-    @classmethod
-    def read(cls, folder: Path) -> Self:
-        """Read the file in a folder.
-
-        Raises:
-            StorageError: it is missing or damaged.
-        """
-        grid, (labels,) = _read_arrays(folder / cls.FILE, ("labels",))
-        return cls(grid, labels)

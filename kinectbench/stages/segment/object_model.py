@@ -89,7 +89,8 @@ def write_object(model: ObjectModel, folder: Path) -> None:
         found=floor.found,
     ).write(folder)
     write_ply(shape.mesh, folder / MESH)
-    ObjectVolume(shape.grid, shape.solid, shape.labels, shape.probability).write(folder)
+    probability = shape.probability.astype(np.float16)
+    ObjectVolume(shape.grid, shape.solid, shape.labels, probability).write(folder)
     Surround(model.surround, model.surround_labels).write(folder)
     model.quality.write(folder)
 

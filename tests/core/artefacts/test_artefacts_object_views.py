@@ -124,7 +124,7 @@ def test_arrays_come_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     grid = Grid((4, 5, 6), 0.005, np.eye(4))
     labels = rng.integers(0, 5, grid.shape, dtype=np.uint8)
-    ObjectVolume(grid, labels > 1, labels, rng.random(grid.shape, dtype=np.float32)).write(tmp_path)
+    ObjectVolume(grid, labels > 1, labels, rng.random(grid.shape).astype(np.float16)).write(tmp_path)
     volume = ObjectVolume.read(tmp_path)
     assert volume.grid.shape == grid.shape and volume.grid.voxel_size_m == 0.005
     assert volume.solid.dtype == bool and volume.probability.dtype == np.float16
@@ -136,7 +136,7 @@ def test_arrays_come_back(tmp_path: Path) -> None:
 def test_damaged_arrays_are_told(tmp_path: Path) -> None:
     grid = Grid((4, 5, 6), 0.005, np.eye(4))
     labels = np.zeros((4, 5, 6), np.uint8)
-    ObjectVolume(grid, labels[1:] > 1, labels, labels.astype(np.float32)).write(tmp_path)
+    ObjectVolume(grid, labels[1:] > 1, labels, labels.astype(np.float16)).write(tmp_path)
     with pytest.raises(StorageError, match=r"volume\.npz: damaged \(its arrays have different shapes\)"):
         ObjectVolume.read(tmp_path)
     (tmp_path / "surround.npz").write_bytes(b"PK")
