@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.engine.artefact import content_hash
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine.artefact import VERSIONS, content_hash
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 

@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.scores import (
     SurfaceMetrics,
 )
 from kinectbench.core.voxels.resample import HALF_PIXEL
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.averages import (
     TRUTH_KEYS,

@@ -13,7 +13,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import Prediction, Tally, ceiling, occupied, protocol_counts, tally
 from kinectbench.scoring.mesh_prediction import MESHES

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.scores import BaseRate
-from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Tally
 from kinectbench.scoring.truth import read_grids
@@ -57,7 +56,7 @@ def base_rates(
 def _occupied_share(task: tuple[Path, str]) -> float:
     """Share of a pair's voxels that is occupied."""
     (full,) = read_grids(*task, ("full",))
-    return packed_count(full) / (8 * full.size)
+    return int(np.bitwise_count(full).sum()) / (8 * full.size)
 
 
 PUBLISHED_IN = (

@@ -13,9 +13,9 @@ from stage_sample import SYNTHESIS, Sample, jobs, make_sample, read_sample
 
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.voxels.npz import load_arrays, npz_bytes
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.pipeline import build_recording
 from kinectbench.engine.stages import STAGES, SUGGEST
-from kinectbench.engine.versions import VERSIONS
 from kinectbench.lab.synthesize.make import Task
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.release.publish.current import publish_if_stale
@@ -131,7 +131,7 @@ def test_one_changed_value_is_told_with_what_to_do(
     what = f"given/{file} {part}" if gone else f"given/{file}: {part}"
     assert line == (
         f"stage `{stage}` writes something else than version {VERSIONS[stage]} did ({what}): if that is "
-        "meant, raise its version in kinectbench/engine/versions.py and run "
+        "meant, raise its version in kinectbench/engine/artefact.py and run "
         "`python tests/support/pin_stages.py`"
     )
 

@@ -15,8 +15,8 @@ from stage_digests import Digest, difference, file_digest, from_json, to_json
 from stage_sample import REPOSITORY, Sample, make_sample
 
 from kinectbench.core.storage import canonical_json
-from kinectbench.engine import versions
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine import artefact
+from kinectbench.engine.artefact import VERSIONS
 
 PINS = Path(__file__).with_name("stage_pins.json")
 COMMAND = "python tests/support/pin_stages.py"
@@ -61,7 +61,7 @@ def _first(pinned: Mapping[str, Any], found: Mapping[str, Digest]) -> str:
 
 def unraised(pins: Pins, changed: Mapping[str, str]) -> list[str]:
     """A line for each stage that writes something else under the version that is pinned."""
-    file = Path(versions.__file__).resolve().relative_to(REPOSITORY)
+    file = Path(artefact.__file__).resolve().relative_to(REPOSITORY)
     return [
         f"stage `{stage}` writes something else than version {VERSIONS[stage]} did ({what}): if that is "
         f"meant, raise its version in {file} and run `{COMMAND}`"

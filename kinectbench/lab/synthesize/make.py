@@ -12,8 +12,7 @@ from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.storage import pretty_json, sha256_file, sha256_text
 from kinectbench.core.types import Split
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
-from kinectbench.engine.artefact import Artefact
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine.artefact import VERSIONS, Artefact
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes, recgan_path

@@ -20,7 +20,7 @@ from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.contents import Contents
 from kinectbench.release.publish.small_files import package_versions
 from kinectbench.settings.file import load_benchmark

@@ -8,8 +8,8 @@ from kinectbench.core.artefacts.benchmark import PublishOptions, PublishStamp, R
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.locks import locked, sweep
-from kinectbench.engine.versions import VERSIONS
 from kinectbench.release.contents import read_text
 from kinectbench.release.publish.publish import NO_OPTIONS, PRIVATE, PublishSummary, publish
 from kinectbench.settings.models import BenchmarkSettings

@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, S
 from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
-from kinectbench.engine.versions import VERSIONS
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted

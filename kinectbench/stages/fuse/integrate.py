@@ -72,11 +72,15 @@ def integrate(
         farthest_m: depth beyond it is not fused as a surface, metres.
     """
     remaining = iter(frames)
-    pixels = np.zeros((BATCH_FRAMES, *padded_shape(camera)), np.float32)
+    # Depth and weight of every pixel; the border stays empty.
+    padded = camera.height + 2 * BORDER_PX, camera.width + 2 * BORDER_PX
+    pixels = np.zeros((BATCH_FRAMES, *padded, 2), np.float32)
+    slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
     while batch := list(islice(remaining, BATCH_FRAMES)):
-        for values, frame in zip(pixels, batch, strict=False):
-            pixel_weights(frame.depth_m, camera, frame.pose_sigma_m, farthest_m, out=values)
-        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
+        noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.pose_sigma_m) for frame in batch])
+        for values, frame, noise in zip(pixels, batch, noise_m, strict=False):
+            _set_pixels(values, frame.depth_m, slope, noise, np.float32(farthest_m))
+        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m, noise_m)
 
 
 def _integrate_batch(
@@ -85,6 +89,7 @@ def _integrate_batch(
     pixels: Float32,
     camera: Camera,
     truncation_m: float,
+    noise_m: Float32,
 ) -> None:
     T_camera_grid = [invert_rigid(frame.T_world_camera) @ volume.T_world_grid for frame in batch]
     posed = list(zip(batch, T_camera_grid, strict=True))
@@ -93,7 +98,6 @@ def _integrate_batch(
     # fraction, round to the nearest pixel.
     to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
     middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
-    noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.pose_sigma_m) for frame in batch])
     tsdf, weight, votes = (
         values.reshape(-1, BLOCK_CELLS)
         for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
@@ -105,7 +109,7 @@ def _integrate_batch(
 
 
 def _noise_m(voxel_size_m: float, pose_sigma_m: float) -> Float32:
-    """What the width of the `surface` vote is made of: depth noise (a, b, c), pose, half a diagonal."""
+    """What weights and the width of `surface` votes are made of: depth noise (3), pose, half a diagonal."""
     depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
     return np.array([*depth, pose_sigma_m, HALF_DIAGONAL * voxel_size_m], np.float32)
 
@@ -206,41 +210,18 @@ def _merge(tsdf, weight, votes, new_total, new_weight, new_votes):  # type: igno
         new_total[n], new_weight[n], new_votes[n] = np.float32(0), np.float32(0), np.int32(0)
 
 
-def padded_shape(camera: Camera) -> tuple[int, int, int]:
-    """Of what `pixel_weights` sets: the image with a border of one pixel, depth and weight."""
-    return camera.height + 2 * BORDER_PX, camera.width + 2 * BORDER_PX, 2
-
-
-def pixel_weights(
-    depth_m: Float32,
-    camera: Camera,
-    pose_sigma_m: float,
-    farthest_m: float,
-    out: Float32,
-) -> None:
-    """Depth and weight of every pixel.
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-untyped-def]
+    """Set depth and weight of every pixel but the border's.
 
     The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma holds the noise of
     the depth and of the pose; what is an error of x along the surface's normal is x / cos along the viewing
     axis. 1 / cos is taken from pixels two to either side and is at most 10: its limit next to a depth edge,
-    where pixels mix two surfaces. Beyond `farthest_m` the weight is negative: what lies well in front of it
-    is free, and nothing more is said.
+    where pixels mix two surfaces. Beyond `farthest` the weight is negative: what lies well in front of it is
+    free, and nothing more is said.
 
-    Args:
-        depth_m: (height, width) float32, metres along z, 0 = none.
-        camera: pinhole intrinsics.
-        pose_sigma_m: by how much the frame's pose may be off, metres.
-        farthest_m: depth beyond it is not fused as a surface, metres.
-        out: (height + 2, width + 2, 2) float32, set but for its border, which is to be 0.
+    Row by row; slices, because indices that may be negative stop the compiler from vectorising.
     """
-    noise_m = np.array([SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, pose_sigma_m], np.float32)
-    slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
-    _pixel_weights(out, depth_m, slope, noise_m, np.float32(farthest_m))
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
-def _pixel_weights(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-untyped-def]
-    """Row by row; slices, because indices that may be negative stop the compiler from vectorising."""
     f32 = np.float32
     height, width = depth_m.shape
     near, growth, near_depth, pose = noise[0], noise[1], noise[2], noise[3]

@@ -18,7 +18,7 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Bools, Float32, Float64, Progress
+from kinectbench.core.types import Bools, Progress
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.sample_views.alignment import Alignment, align_view
 from kinectbench.stages.sample_views.masks import (
@@ -144,7 +144,8 @@ def _look(
     segmentation: SegmentationSettings,
 ) -> tuple[Alignment, Bools, ViewFit]:
     """A frame's corrected pose, the object's mask in it, and how well its depth fits the object."""
-    camera, depth_m = sequence.camera, sequence.depth_m(frame)
+    camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
+    depth_m = sequence.depth_m(frame)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
     if recorded is not None:
         # What stands before the object or touches it says nothing of how well it fits.
@@ -153,29 +154,15 @@ def _look(
     alignment = align_view(depth_m, camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m)
     T_world_camera = alignment.T_world_camera
     rendered_m = renderer.depth_m(camera, T_world_camera)
-    mask = _mask(depth_m, rendered_m, sequence, T_world_camera, model, segmentation, recorded)
+    if recorded is None:
+        heights_m = floor.heights_m(depth_m, camera, T_world_camera)
+        mask = object_mask(depth_m, rendered_m, heights_m, tolerance_m, low_cut_m(floor, segmentation))
+    else:
+        points = camera.backproject(depth_m)
+        points_floor = transform_points(floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
+        mask = recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
     fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
     return alignment, mask, fit
-
-
-def _mask(
-    depth_m: Float32,
-    rendered_m: Float32,
-    sequence: Sequence,
-    T_world_camera: Float64,
-    model: ObjectModel,
-    segmentation: SegmentationSettings,
-    recorded: Bools | None,
-) -> Bools:
-    """The mask of a view by its recorded mask, or else by its depth."""
-    tolerance_m = segmentation.mask_tolerance_m
-    if recorded is None:
-        heights_m = model.floor.heights_m(depth_m, sequence.camera, T_world_camera)
-        clear_m = low_cut_m(model.floor, segmentation)
-        return object_mask(depth_m, rendered_m, heights_m, tolerance_m, clear_m)
-    points = sequence.camera.backproject(depth_m)
-    points_floor = transform_points(model.floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
-    return recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
 
 
 def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> list[str]:
