@@ -70,7 +70,7 @@ def filled(page: str) -> str:
 def _table(model: type[Stored]) -> str:
     """A row for each key: its name, what kind of value it has, and what it means."""
     # The models of scores have defaults for what older tables lack; their schema tells what is always there.
-    schema = scores_schema() if model is ScoreTable else model.model_json_schema()
+    schema = scores_schema() if model is ScoreTable else model.model_json_schema(by_alias=True)
     return _markdown([("key", "value", "meaning"), ("---", "---", "---"), *_rows(schema, schema, "", {})])
 
 

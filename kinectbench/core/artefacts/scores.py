@@ -374,7 +374,7 @@ LATER = {*LATER_KEYS, *LATER_AVERAGES, *SURFACE_METRICS, *fields_of(Resolution)}
 
 def scores_schema() -> dict[str, Any]:
     """The JSON schema of scores.json, of every version."""
-    schema = ScoreTable.model_json_schema()
+    schema = ScoreTable.model_json_schema(by_alias=True)
     for part in (
         schema,
         *(schema["$defs"][name] for name in ("ScoreRow", "CategoryAverages", "OverallAverages")),

@@ -22,13 +22,12 @@ from pydantic import (
     ValidationInfo,
     WithJsonSchema,
     model_serializer,
+    model_validator,
 )
 
 from kinectbench.core.errors import KinectBenchError, StorageError
 from kinectbench.core.storage import pretty_json, strict_json
 from kinectbench.core.types import Float64
-
-FROM_FILE = "from a file"
 
 
 class Part(BaseModel):
@@ -43,7 +42,7 @@ class Part(BaseModel):
         extra="allow",
         allow_inf_nan=False,
         validate_by_name=True,
-        validate_by_alias=True,
+        validate_by_alias=False,
         serialize_by_alias=True,
         arbitrary_types_allowed=True,
     )
@@ -125,7 +124,7 @@ class Stored(Part):
         """
         try:
             strict_json(text)
-            return cls._validated(text)
+            return cls.validated(text)
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(str(part) for part in first["loc"])
@@ -136,18 +135,20 @@ class Stored(Part):
             raise cls.ERROR(f"{where}: not valid JSON ({error}); {cls.ADVICE}") from error
 
     @classmethod
-    def _validated(cls, text: str) -> Self:
-        return cls.model_validate_json(text, strict=True, context=FROM_FILE)
+    def validated(cls, text: str) -> Self:
+        """As `parse`, but raises pydantic's ValidationError, which holds all that is wrong."""
+        return cls.model_validate_json(text, strict=True, by_alias=True, by_name=False)
 
 
 class Bare(Stored):
     """A whole file that is the value of the model's one field, such as a list of rows without a key."""
 
     @classmethod
-    def _validated(cls, text: str) -> Self:
+    def validated(cls, text: str) -> Self:
+        """The value of the one field, from the whole text."""
         ((name, field),) = cls.model_fields.items()
         kind: TypeAdapter[Any] = TypeAdapter(field.rebuild_annotation())
-        value = kind.validate_json(text, strict=True, context=FROM_FILE)
+        value = kind.validate_json(text, strict=True, by_alias=True, by_name=False)
         return cls(**{name: value})
 
     @model_serializer(mode="wrap")
@@ -170,7 +171,7 @@ def _scaled_in_file(factor: float, decimals: int) -> tuple[Any, ...]:
     """
 
     def from_file(value: Any, info: ValidationInfo) -> Any:
-        return value / factor if info.context == FROM_FILE and isinstance(value, int | float) else value
+        return value / factor if info.mode == "json" and isinstance(value, int | float) else value
 
     def as_in_file(value: float) -> float:
         return round(value * factor, decimals)
@@ -191,13 +192,22 @@ DegreesInFile = Annotated[float, *_scaled_in_file(180.0 / np.pi, 2)]
 class ScaledPart(Part):
     """A part whose lengths in metres and angles in radians are in millimetres and degrees in the file.
 
-    A field `x_m` has the key `x_mm`, and `x_rad` the key `x_deg`, unless it has an alias of its own.
+    A field `x_m` has the key `x_mm`, and `x_rad` the key `x_deg`, unless it has an alias of its own. The
+    key is that of JSON alone: a value in memory is given by the field's name, and refused by the key.
     """
 
     model_config = ConfigDict(
         validate_by_name=True,
         alias_generator=lambda name: re.sub("_rad$", "_deg", re.sub("_m$", "_mm", name)),
     )
+
+    @model_validator(mode="after")
+    def _by_names_in_memory(self, info: ValidationInfo) -> Self:
+        if info.mode == "python" and self.model_extra:
+            keys = {field.alias for field in type(self).model_fields.values()}.intersection(self.model_extra)
+            if keys:
+                raise ValueError(f"{', '.join(map(str, keys))}: in the units of the file, not of memory")
+        return self
 
 
 def _array(shape: tuple[int, ...]) -> Any:

@@ -19,7 +19,7 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
 from kinectbench.core.artefacts.scores import scores_schema
-from kinectbench.core.artefacts.stored import FROM_FILE, Stored
+from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import COLUMNS, SPLITS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.storage import pretty_json
@@ -65,7 +65,8 @@ ABOUT = {
 def schema_texts() -> dict[str, str]:
     """Every schema as a text by its file's name, made from the models."""
     schemas = {
-        f"{name}.schema.json": {"$schema": DIALECT, "$comment": files} | model.model_json_schema()
+        f"{name}.schema.json": {"$schema": DIALECT, "$comment": files}
+        | model.model_json_schema(by_alias=True)
         for name, (files, model) in JSON_FILES.items()
     }
     schemas |= {TABLE_SCHEMA: _table(), PAIR_SCHEMA: _pair(), SCORES_SCHEMA: scores_schema()}
@@ -93,7 +94,7 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
     for files, model in JSON_FILES.values():
         if fnmatchcase(name, files):
             try:
-                model.model_validate_json(text, strict=True, context=FROM_FILE)
+                model.validated(text)
             except ValidationError as error:
                 for fault in error.errors():
                     where = ".".join(str(part) for part in fault["loc"])

@@ -1,0 +1,29 @@
+"""A stored value is in the units of memory by a field's name, and in those of the file by its key."""
+
+import json
+
+import pytest
+from pydantic import ValidationError
+
+from kinectbench.core.artefacts.trajectory import FrameHealth, TrajectoryHealth
+
+HEAD = {"source": "tracked", "verdict": "", "grade": "5 mm", "frames": 1, "tracked": 1}
+
+
+def test_a_key_of_the_file_is_refused_in_memory() -> None:
+    row = FrameHealth(frame=0, shift_m=0.005)
+    assert row.json_value()["shift_mm"] == 5.0
+    with pytest.raises(ValidationError, match="shift_mm: in the units of the file"):
+        FrameHealth(frame=0, shift_mm=5.0)
+    with pytest.raises(ValidationError, match="shift_mm: in the units of the file"):
+        FrameHealth.model_validate(row.json_value())
+
+
+def test_a_file_is_in_its_own_units_and_keeps_what_it_does_not_know() -> None:
+    content = {**HEAD, "per_frame": [{"frame": 0, "shift_mm": 5.0, "other_mm": 7.0}], "arc_deg": 90.0}
+    health = TrajectoryHealth.parse(json.dumps(content), "here")
+    assert health.per_frame[0].shift_m == 0.005
+    assert health.arc_rad == pytest.approx(1.5707963)
+    assert health.json_value()["per_frame"][0]["other_mm"] == 7.0
+    assert TrajectoryHealth.parse(health.text(), "again") == health
+    assert TrajectoryHealth.model_validate(health) == health
