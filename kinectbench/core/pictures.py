@@ -1,10 +1,12 @@
-"""Rendering pictures of meshes and voxel grids, in parallel projection.
+"""Rendering pictures of meshes and voxel grids, in parallel projection; and plots as PNG files.
 
 A viewpoint's axes are optical: right, down, forward.
 """
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,9 @@ from kinectbench.core.geometry.mesh import isosurface, raycaster
 from kinectbench.core.images import shrunk
 from kinectbench.core.types import Float32, Float64, Rgb
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Color = tuple[int, int, int]
 
 PAPER: Color = (243, 242, 238)
@@ -22,6 +27,9 @@ BLUE: Color = (118, 160, 205)
 # Towards the light, in the viewpoint's axes: from above, the left and behind the viewer.
 LIGHT = np.array([-0.45, -0.7, -0.55]) / np.linalg.norm([-0.45, -0.7, -0.55])
 SUPERSAMPLING = 1.5
+# Of plots: dots per inch, the colours of their lines and of their paper.
+DPI = 110
+INK, SOFT, PLOT_PAPER = "#1f2328", "#8a8f98", "#fdfcf9"
 
 
 @dataclass(frozen=True)
@@ -154,3 +162,18 @@ def smoothed(density: Float32) -> Float32:
         blurred[:-1] += moved[1:] * np.float32(0.25)
         result = np.moveaxis(blurred, 0, axis)
     return result[1:-1, 1:-1, 1:-1]
+
+
+def new_figure(width_in: float, height_in: float, paper: str = PLOT_PAPER) -> "Figure":
+    """An empty figure for a plot, in inches."""
+    # Without pyplot: no global state, no display.
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor=paper)
+
+
+def figure_png(figure: "Figure", version: bool = False) -> bytes:
+    """A plot as a PNG file; `version` keeps that of the library in it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata=None if version else {"Software": None})
+    return buffer.getvalue()

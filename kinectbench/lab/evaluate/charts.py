@@ -1,22 +1,28 @@
 """Pictures of an evaluation: path, surface errors, meshes coloured by error, slices of the solid; as PNG."""
 
-import io
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.images import shrunk
-from kinectbench.core.pictures import LIGHT, PAPER, Viewpoint, cast, ray_starts, viewpoints_around
+from kinectbench.core.pictures import (
+    INK,
+    LIGHT,
+    PAPER,
+    SOFT,
+    Viewpoint,
+    cast,
+    figure_png,
+    new_figure,
+    ray_starts,
+    viewpoints_around,
+)
 from kinectbench.core.types import Float64, Rgb
 from kinectbench.lab.evaluate.solid import Solids
 from kinectbench.lab.evaluate.surface import Surface, SurfaceErrors
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 # Maps distances (n,) in metres to colours (n, 3) in [0, 1].
 Colors = Callable[[Float64], Float64]
@@ -25,8 +31,6 @@ SIZE_PX = 320
 SUPERSAMPLING = 2
 # Two looks from a person's height and one from below: degrees.
 LOOKS_DEG = ((-50.0, 24.0), (130.0, 24.0), (-50.0, -35.0))
-DPI = 110
-INK, SOFT, BACKGROUND = "#1f2328", "#8a8f98", "#fdfcf9"
 BUILT, TRUE = "#b4572b", "#2b6cb4"
 # Errors beyond this have the colour of the last one; the same in every picture, so that they compare.
 SCALE_M = 0.020
@@ -78,7 +82,7 @@ def path_picture(
     Returns:
         A PNG file.
     """
-    figure = _figure(6.6, 5.6)
+    figure = new_figure(6.6, 5.6)
     axes = figure.add_subplot(aspect="equal")
     axes.plot(*outline.T, ".", color="#cdbaa0", markersize=1.5)
     axes.plot(positions_true[:, 0], positions_true[:, 1], color=SOFT, linewidth=1.2, label="true path")
@@ -90,12 +94,12 @@ def path_picture(
     figure.colorbar(points, label="position error, mm", shrink=0.8)
     axes.set(xlabel="x, m", ylabel="y, m")
     axes.legend(loc="upper right", frameon=False, fontsize=8)
-    return _png(figure)
+    return figure_png(figure, version=True)
 
 
 def error_picture(errors: SurfaceErrors) -> bytes:
     """Signed errors of the built surface, and precision and recall against the distance: a PNG file."""
-    figure = _figure(9.0, 3.6)
+    figure = new_figure(9.0, 3.6)
     left, right = figure.subplots(1, 2)
     signed_mm = np.clip(errors.built_m, -REACH_M, REACH_M) * 1000
     left.hist(signed_mm, bins=np.linspace(-REACH_M, REACH_M, BINS + 1) * 1000, color=BUILT, density=True)
@@ -113,7 +117,7 @@ def error_picture(errors: SurfaceErrors) -> bytes:
         right.plot(reach_mm, 100 * within, style, color=color, linewidth=1.4, label=label)
     right.set(xlabel="distance, mm", ylabel="surface that close, %", ylim=(0, 102), xlim=(0, reach_mm[-1]))
     right.legend(loc="lower right", frameon=False, fontsize=8)
-    return _png(figure)
+    return figure_png(figure, version=True)
 
 
 def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes:
@@ -127,7 +131,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    figure = _figure(10.2, 6.9)
+    figure = new_figure(10.2, 6.9)
     points = np.concatenate([built_object.vertices, true_object.vertices])
     looks = viewpoints_around(points, LOOKS_DEG)
     rows: tuple[tuple[TriangleMesh, Surface, bool, str, float, str], ...] = (
@@ -147,7 +151,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
         figure.colorbar(
             scale, ax=list(axes_row), label=label, shrink=0.85, extend="both" if signed else "max"
         )
-    return _png(figure)
+    return figure_png(figure, version=True)
 
 
 def slice_picture(solids: Solids) -> bytes:
@@ -158,7 +162,7 @@ def slice_picture(solids: Solids) -> bytes:
     """
     from matplotlib.patches import Patch
 
-    figure = _figure(10.2, 3.9)
+    figure = new_figure(10.2, 3.9)
     middle = np.rint(np.argwhere(solids.true).mean(axis=0)).astype(int)
     titles = ("from the side, x", "from the front, y", "from above, z")
     for axis, axes in enumerate(figure.subplots(1, 3)):
@@ -174,7 +178,7 @@ def slice_picture(solids: Solids) -> bytes:
     patches = [Patch(color=_hex(c), label=n) for c, n in zip(SLICE_COLORS[1:], names, strict=True)]
     patches.append(Patch(color=_hex(UNKNOWN_COLOR), label="unknown (tinted)"))
     figure.legend(handles=patches, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    return _png(figure)
+    return figure_png(figure, version=True)
 
 
 def _slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
@@ -188,16 +192,3 @@ def _slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDAr
 
 def _hex(color: Float64) -> str:
     return "#" + "".join(f"{int(channel):02x}" for channel in color)
-
-
-def _figure(width_in: float, height_in: float) -> "Figure":
-    # Without pyplot: no global state, no display.
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor=BACKGROUND)
-
-
-def _png(figure: "Figure") -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return buffer.getvalue()

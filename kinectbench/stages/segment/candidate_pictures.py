@@ -1,12 +1,12 @@
 """Candidate boxes as a person sees them: listed, from above, and each in the frame that shows it best."""
 
-import io
 from pathlib import Path
 
 import numpy as np
 
 from kinectbench.core.artefacts.object import BoxPart, CandidateRow, CandidatesFile
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
+from kinectbench.core.pictures import INK, SOFT, figure_png, new_figure
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64, Rgb
@@ -14,7 +14,6 @@ from kinectbench.stages.segment.candidates import Candidate, Candidates
 from kinectbench.stages.segment.floor import Floor
 
 PLAN = "plan.png"
-DPI = 110
 PLAN_CELL_M = 0.04
 # Blue, orange, green, vermilion, purple, sky blue of Okabe and Ito: told apart by everybody.
 COLORS_RGB = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 121, 167), (86, 180, 233))
@@ -57,19 +56,16 @@ def write_candidates(found: Candidates, sequence: Sequence, trajectory: Trajecto
 
 def plan_picture(found: Candidates, trajectory: Trajectory) -> bytes:
     """Heights, numbered boxes and the camera's path from above, in the floor frame: a PNG file."""
-    # Without pyplot: no global state, no display.
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 6.2), layout="constrained")
+    figure = new_figure(7.2, 6.2, "white")
     axes = figure.add_subplot(aspect="equal", xlabel="x of the floor frame, m", ylabel="y, m")
     heights_m, extent_m = _heights(found.scene.points_floor)
     image = axes.imshow(heights_m.T, origin="lower", extent=extent_m, cmap="Greys", vmin=-0.2, vmax=2.0)
     figure.colorbar(image, label="height, m", shrink=0.8)
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     path = transform_points(found.scene.floor.T_floor_world, T_world_camera[:, :3, 3])
-    axes.plot(*path[:, :2].T, ":", color="#8a8f98", linewidth=1)
-    axes.plot(*path[0, :2], "o", color="#8a8f98", markersize=4)
-    axes.plot(*found.scene.focus_floor[:2], "+", color="#1f2328", markersize=10)
+    axes.plot(*path[:, :2].T, ":", color=SOFT, linewidth=1)
+    axes.plot(*path[0, :2], "o", color=SOFT, markersize=4)
+    axes.plot(*found.scene.focus_floor[:2], "+", color=INK, markersize=10)
     for number, candidate in enumerate(found.candidates, start=1):
         color = tuple(channel / 255 for channel in _color(number))
         outline = candidate.box.corners_floor()[[0, 2, 6, 4, 0], :2]
@@ -79,10 +75,7 @@ def plan_picture(found: Candidates, trajectory: Trajectory) -> bytes:
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
     axes.set_title("dotted: the camera's path, o its start, + where it looks", fontsize=9)
-    buffer = io.BytesIO()
-    # The library's version would be written into the file otherwise.
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    return figure_png(figure)
 
 
 def candidate_picture(

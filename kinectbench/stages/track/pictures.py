@@ -1,6 +1,5 @@
 """Pictures of a trajectory for people: path from above, health over time, what keyframes share, errors."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
+from kinectbench.core.pictures import INK, PLOT_PAPER, SOFT, figure_png, new_figure
 from kinectbench.core.sequence import counts_frames
 from kinectbench.core.trajectory.compare import TrajectoryError
 from kinectbench.core.trajectory.coverage import convergence_point, from_above
@@ -17,13 +17,10 @@ from kinectbench.core.types import Float64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 # The picture of `track --compare`, in `build/<recording>/`.
 COMPARISON = "compare.png"
-DPI = 110
-INK, SOFT, PAPER = "#1f2328", "#8a8f98", "#fdfcf9"
 # Blue, orange, vermilion and green of Okabe and Ito: told apart by everybody.
 BLUE, ORANGE, RED, GREEN = "#0072b2", "#e69f00", "#d55e00", "#009e73"
 TIME_COLORS = "viridis"
@@ -69,14 +66,14 @@ def path_picture(trajectory: Trajectory) -> bytes:
     if the health knows an arc around it, the point where the optical axes meet. Metres from the first camera
     with a pose.
     """
-    figure = _figure(6.6, 5.6)
+    figure = new_figure(6.6, 5.6)
     axes = figure.add_subplot(xlabel="right, m", ylabel="ahead, m")
     # More is shown beside a narrow path, instead of an empty margin.
     axes.set_aspect("equal", adjustable="datalim")
     good = trajectory.good_frames
     if not len(good):
         _say(axes, NOTHING)
-        return _png(figure)
+        return figure_png(figure)
     T = trajectory.T_world_camera
     R_above_world = from_above(T[good])
     places = (T[:, :3, 3] - T[good[0], :3, 3]) @ R_above_world.T
@@ -105,7 +102,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
     _fit(axes, shown)
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> bytes:
@@ -128,7 +125,7 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
         ("turn_rad_per_s", turn, INK, 180 / np.pi),
         ("blur", "blur, × median", ORANGE, 1.0),
     )
-    figure = _figure(8.6, 6.8)
+    figure = new_figure(8.6, 6.8)
     grid = figure.subplots(len(panels), 1, sharex=True)
     for axes, (key, label, color, unit) in zip(grid, panels, strict=True):
         # What is not known, None, becomes NaN.
@@ -148,17 +145,17 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
     handles, labels = grid[0].get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside upper right", ncols=3, frameon=False, fontsize=8)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def covisibility_picture(health: TrajectoryHealth) -> bytes:
     """The share of each keyframe's points that others see, and the loops: a PNG file."""
-    figure = _figure(5.6, 4.8)
+    figure = new_figure(5.6, 4.8)
     axes = figure.add_subplot(xlabel="… that this keyframe sees", ylabel="points of this keyframe …")
     keyframes = np.array(health.covisibility.keyframes, np.int64)
     if not len(keyframes):
         _say(axes, "no keyframe has a pose")
-        return _png(figure)
+        return figure_png(figure)
     shares = 100 * np.array(health.covisibility.share, np.float64)
     image = axes.imshow(shares, cmap="cividis", vmin=0, vmax=100, interpolation="nearest")
     figure.colorbar(image, label="points, %", shrink=0.9)
@@ -172,7 +169,7 @@ def covisibility_picture(health: TrajectoryHealth) -> bytes:
     ticks = np.unique(np.linspace(0, len(keyframes) - 1, 7).astype(int))
     axes.set_xticks(ticks, [str(keyframes[t]) for t in ticks], fontsize=8)
     axes.set_yticks(ticks, [str(keyframes[t]) for t in ticks], fontsize=8)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def comparison_picture(
@@ -191,7 +188,7 @@ def comparison_picture(
         moments: (n,) what the errors are drawn over, of `timeline`.
         when: its label.
     """
-    figure = _figure(6.6, 7.2)
+    figure = new_figure(6.6, 7.2)
     above, below = figure.subplots(2, 1, height_ratios=(3, 1))
     R_above_world = from_above(T_world_camera_reference)
     origin = T_world_camera_reference[0, :3, 3]
@@ -213,7 +210,7 @@ def comparison_picture(
     below.axhline(1000 * error.ate_m.rmse, color=RED, linewidth=1, linestyle="--", label="rmse")
     below.set(xlabel=when, ylabel="error, mm", ylim=(0, None))
     _legend(below)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: TrajectoryHealth) -> None:
@@ -280,18 +277,4 @@ def _say(axes: "Axes", text: str) -> None:
 
 
 def _legend(axes: "Axes") -> None:
-    axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none", facecolor=PAPER, fontsize=8)
-
-
-def _figure(width_in: float, height_in: float) -> "Figure":
-    # Without pyplot: no global state, no display.
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor=PAPER)
-
-
-def _png(figure: "Figure") -> bytes:
-    buffer = io.BytesIO()
-    # The library's version would be written into the file otherwise.
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none", facecolor=PLOT_PAPER, fontsize=8)

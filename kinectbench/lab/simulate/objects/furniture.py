@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.geometry.mesh import join
+from kinectbench.core.images import shrunk
 from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.chairs import chair
@@ -87,8 +88,6 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
     Returns:
         (size_px, size_px, 3) uint8 RGB.
     """
-    import cv2
-
     pieces = [piece.mesh for piece in subject.pieces]
     view = fit_viewpoint(join(pieces).vertices, look_along(FORWARD, np.array([0.0, 0.0, 1.0])))
     distance_m, normals_view, which = cast_pieces(pieces, view, size_px * SUPERSAMPLING)
@@ -98,8 +97,7 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
     drawn = np.where(
         np.isfinite(distance_m)[..., None], (25 + 0.9 * colors[which]) * shade[..., None], np.array(PAPER)
     )
-    drawn_u8 = np.clip(drawn, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.resize(drawn_u8, (size_px, size_px), interpolation=cv2.INTER_AREA), np.uint8)
+    return shrunk(np.clip(drawn, 0, 255).astype(np.uint8), size_px)
 
 
 def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
