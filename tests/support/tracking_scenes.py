@@ -25,7 +25,7 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import align_positions
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.stages.track.frame_maps import FrameMaps, maps_of, reduced_frame
+from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.registration import Registration
 from kinectbench.stages.track.tracked import Tie, TieKind
 
@@ -149,7 +149,7 @@ def noisy_circle() -> Furniture:
 
 def frame_maps(sequence: Sequence, index: int) -> FrameMaps:
     """What registration knows of one frame of a recording."""
-    return maps_of(sequence.camera, reduced_frame(sequence, index))
+    return MapCache(sequence)[index]
 
 
 def without_color(sequence: Sequence) -> Sequence:

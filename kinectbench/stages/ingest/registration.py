@@ -81,16 +81,13 @@ class ColorRegistration:
             return np.zeros((*depth_m.shape, 3), np.uint8)
         image = bgr if self._pinhole is None else self._pinhole(bgr)
         u, v, z = self._project(_filled(depth_m))
-        zbuffer = np.full(self._buffer_shape, np.inf, np.float32)
+        shape = int(self._color.height / self._shrink) + 2, int(self._color.width / self._shrink) + 2
+        zbuffer = np.full(shape, np.inf, np.float32)
         _splat(u, v, z, depth_m > 0, np.float32(self._shrink), zbuffer)
         seen = np.empty(depth_m.shape, np.bool_)
         _find_seen(u, v, z, np.float32(self._shrink), zbuffer, np.array(self.color_px, np.float32), seen)
         sampled = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.where(seen[..., None], sampled, np.uint8(0)).astype(np.uint8)
-
-    @property
-    def _buffer_shape(self) -> tuple[int, int]:
-        return int(self._color.height / self._shrink) + 2, int(self._color.width / self._shrink) + 2
 
     def _project(self, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
         """Where each pixel's point is in the colour image (pixels), and its depth there (metres)."""

@@ -45,11 +45,9 @@ def glimpse(maps: FrameMaps) -> Glimpse:
 
 def shared_view(a: Glimpse, b: Glimpse, T_a_b: Float64) -> float:
     """Share of b's points that a sees, at about their depth and from their front."""
-    return (
-        float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
-        if len(b.points)
-        else 0.0
-    )
+    if not len(b.points):
+        return 0.0
+    return float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
 
 
 def covisible(glimpses: Sequence[Glimpse], T_world: Float64) -> list[tuple[float, int, int]]:

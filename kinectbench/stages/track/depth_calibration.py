@@ -68,21 +68,13 @@ class _Sums:
 NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
 
 
-@dataclass(frozen=True)
-class _PairSums:
-    """A pair's residuals where it lies (`posed`), and with the motion that is best for any coefficients."""
-
-    posed: _Sums
-    unexplained: _Sums
-
-
 def calibrate(views: Iterable[View]) -> DepthCalibration:
     """The correction that pairs of frames agree on best; each pair's motion is free besides.
 
     Args:
         views: in the order of time, with depth as recorded, not yet corrected.
     """
-    return _believed([each.unexplained for each in _all_sums(views)])
+    return _believed([unexplained for _, unexplained in _all_sums(views)])
 
 
 def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
@@ -102,8 +94,8 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
         View(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
         for a, b in evenly_chosen(pairs)
     )
-    sums = [each.unexplained for each in found]
-    helps = len(sums) >= MIN_PAIRS and _left(sums, [each.posed for each in found]) < POSED_FALLS_TO
+    sums = [unexplained for _, unexplained in found]
+    helps = len(sums) >= MIN_PAIRS and _left(sums, [posed for posed, _ in found]) < POSED_FALLS_TO
     return _believed(sums) if helps else NO_CALIBRATION
 
 
@@ -133,12 +125,15 @@ def _solved(sums: Sequence[_Sums]) -> Float64:
     return np.asarray(-np.linalg.solve(whole.A, whole.b), np.float64)
 
 
-def _all_sums(views: Iterable[View]) -> list[_PairSums]:
+def _all_sums(views: Iterable[View]) -> list[tuple[_Sums, _Sums]]:
     return [each for each in map(_sums, views) if each is not None]
 
 
-def _sums(view: View) -> _PairSums | None:
-    """Of one pair; None where too little overlaps."""
+def _sums(view: View) -> tuple[_Sums, _Sums] | None:
+    """Of one pair where it lies, and with the motion that is best for any coefficients.
+
+    None where too little overlaps.
+    """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
     if len(rows) < 10 * k:
@@ -155,7 +150,7 @@ def _sums(view: View) -> _PairSums | None:
     unexplained = _Sums(
         posed.A - explained[:, :-1], posed.b - explained[:, -1], posed.squares - float(b[:6] @ motion[:, -1])
     )
-    return _PairSums(posed, unexplained)
+    return posed, unexplained
 
 
 def _linearised(view: View) -> tuple[Float64, Float64, Float64]:

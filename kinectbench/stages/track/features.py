@@ -10,7 +10,7 @@ ORB words: Sivic & Zisserman 2003 ("Video Google") with binary words, as in Galv
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,19 +45,18 @@ class Features:
     descriptors: NDArray[np.uint8]
 
 
-@dataclass
-class FeatureCache:
+class FeatureCache(OrderedDict[int, Features]):
     """Features of frames, found when asked for; the last 1000 are kept."""
 
-    maps: MapCache
-    _kept: OrderedDict[int, Features] = field(default_factory=OrderedDict)
+    def __init__(self, maps: MapCache) -> None:
+        super().__init__()
+        self.maps = maps
 
-    def __getitem__(self, index: int) -> Features:
-        if index not in self._kept:
-            self._kept[index] = find_features(self.maps[index])
-            if len(self._kept) > CACHED_FRAMES:
-                self._kept.popitem(last=False)
-        return self._kept[index]
+    def __missing__(self, index: int) -> Features:
+        self[index] = find_features(self.maps[index])
+        if len(self) > CACHED_FRAMES:
+            self.popitem(last=False)
+        return self[index]
 
 
 def find_features(maps: FrameMaps) -> Features:

@@ -9,7 +9,7 @@ in the frames around it, where they see the same surface.
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
@@ -129,20 +129,32 @@ class MapCache:
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
     def __getitem__(self, index: int) -> FrameMaps:
+        import cv2
+
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
         frame = self._read.get(index) or self._reduced(index)
-        if index in self.averaged:
-            frame = replace(frame, depth=self.averaged[index])
-        maps = maps_of(self.sequence.camera, frame, self.correction_per_m)
+        depth_m = depth_in_metres(self.averaged.get(index, frame.depth), STORED_PER_M)
+        if self.correction_per_m is not None:
+            depth_m = corrected_depth_m(depth_m, self.correction_per_m)
+        intensity = np.zeros((0, 0), np.float32)
+        if frame.gray.size:
+            intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)
+        camera = self.sequence.camera
+        maps = FrameMaps(reduced_camera(camera, _reduction(camera)), depth_m, intensity)
         self._kept[index] = maps
         if len(self._kept) > CACHED_FRAMES:
             self._kept.popitem(last=False)
         return maps
 
     def _reduced(self, index: int) -> ReducedFrame:
-        frame = reduced_frame(self.sequence, index)
+        """Read one frame of the recording; gray only where colour is registered to depth."""
+        sequence, reduction = self.sequence, _reduction(self.sequence.camera)
+        native = sequence.frames.depth_native(index)
+        depth = reduced_depth(native, sequence.depth_scale, reduction, np.float32(STORED_PER_M))
+        gray = reduced_gray(sequence, index) if sequence.color_registered else None
+        frame = ReducedFrame(depth, np.zeros((0, 0), np.uint8) if gray is None else gray)
         if len(self._read) < READ_FRAMES:
             self._read[index] = frame
         if frame.gray.size and index not in self.sharpness:
@@ -162,16 +174,6 @@ class MapCache:
         self._kept.clear()
 
 
-def reduced_frame(sequence: Sequence, index: int) -> ReducedFrame:
-    """Read one frame of a recording; gray only where colour is registered to depth."""
-    reduction = _reduction(sequence.camera)
-    depth = reduced_depth(
-        sequence.frames.depth_native(index), sequence.depth_scale, reduction, np.float32(STORED_PER_M)
-    )
-    gray = reduced_gray(sequence, index) if sequence.color_registered else None
-    return ReducedFrame(depth, np.zeros((0, 0), np.uint8) if gray is None else gray)
-
-
 def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
     """Read the colour of one frame as gray, at working resolution; None if it is missing or does not fit."""
     import cv2
@@ -183,25 +185,6 @@ def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
     height, width = (size // reduction for size in gray.shape)
     whole = gray[: height * reduction, : width * reduction]
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
-
-
-def maps_of(camera: Camera, frame: ReducedFrame, correction_per_m: Float32 | None = None) -> FrameMaps:
-    """Prepare one frame for registration.
-
-    Args:
-        camera: of the recording.
-        frame: at working resolution.
-        correction_per_m: (height, width) float32, added to 1 / depth.
-    """
-    import cv2
-
-    depth_m = depth_in_metres(frame.depth, STORED_PER_M)
-    if correction_per_m is not None:
-        depth_m = corrected_depth_m(depth_m, correction_per_m)
-    intensity = np.zeros((0, 0), np.float32)
-    if frame.gray.size:
-        intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)
-    return FrameMaps(reduced_camera(camera, _reduction(camera)), depth_m, intensity)
 
 
 def _reduction(camera: Camera) -> int:

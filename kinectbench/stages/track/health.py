@@ -137,11 +137,9 @@ class _Case:
     @cached_property
     def shift_m(self) -> Float64:
         """(n,) by how much each pose may be off; NaN where unknown."""
-        return (
-            self.trusted.frames.shift_m
-            if self.trusted
-            else pose_sigma_m(self.sequence, self.tracked, self.kept)
-        )
+        if self.trusted:
+            return self.trusted.frames.shift_m
+        return pose_sigma_m(self.sequence, self.tracked, self.kept)
 
     @property
     def residual_m(self) -> Float64:

@@ -70,40 +70,29 @@ def _place(
     maps: MapCache, odometry: Odometry, graph: KeyframeGraph, progress: Callable[[int], None]
 ) -> Tracked:
     """Register every frame to several keyframes at once where the graph put them."""
-    n = len(maps.sequence)
-    poses = np.full((n, 4, 4), np.nan)
-    residual_m, noise_m, inlier_share = (np.full(n, np.nan) for _ in range(3))
-    degenerate = np.zeros(n, bool)
-    information = np.tile(HELD, (n, 1, 1))
-    states: list[State] = ["lost"] * n
-    reasons: dict[int, str] = {}
-    placer = _Placer(maps, odometry, graph)
-    for index in range(n):
+    placer, placed = _Placer(maps, odometry, graph), []
+    for index in range(len(maps.sequence)):
         progress(index + 1)
-        placed = placer.place(index)
-        found = placed.registration
-        if found is not None:
-            residual_m[index], noise_m[index] = found.residual_m, found.noise_m
-            inlier_share[index] = found.inlier_share
-            information[index] = found.information
-        degenerate[index] = placed.reason == OPEN_MOTION
-        if placed.reason is None:
-            poses[index], states[index] = placed.T_world_camera, placed.state
-        else:
-            reasons[index] = placed.reason
-    posed = has_pose(poses)
+        placed.append(placer.place(index))
+    found = [each.registration for each in placed]
+    measured = [(r.residual_m, r.noise_m, r.inlier_share) if r else (np.nan,) * 3 for r in found]
+    residual_m, noise_m, inlier_share = np.array(measured).T
+    information = np.array([r.information if r else HELD for r in found])
+    poses = np.array([each.T_world_camera for each in placed])
+    posed = np.array([each.reason is None for each in placed])
+    poses[~posed] = np.nan
     poses[posed] = smoothed(poses[posed], maps.sequence.stamps_ns[posed], information[posed])
     return Tracked(
         T_world_camera=poses,
-        states=tuple(states),
-        reasons=reasons,
+        states=tuple(each.state if each.reason is None else "lost" for each in placed),
+        reasons={index: each.reason for index, each in enumerate(placed) if each.reason is not None},
         keyframes=np.array(graph.keyframes, np.int64)[has_pose(graph.T_world)],
         ties=graph.ties,
         refused=graph.refused,
         residual_m=residual_m,
         noise_m=noise_m,
         inlier_share=inlier_share,
-        degenerate=degenerate,
+        degenerate=np.array([each.reason == OPEN_MOTION for each in placed]),
         sharpness=maps.sharpness,
         calibration=graph.calibration,
     )

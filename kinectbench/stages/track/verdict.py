@@ -99,10 +99,8 @@ def _given(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     if health.unchecked:
         level = _at_most(health.unchecked / health.tracked, UNCHECKED_SHARE)
         yield level, f"{_percent(health.unchecked, health.tracked)} of the poses could not be checked"
-    if degenerate := _degenerate(health):
-        level = min(1, _at_most(degenerate / health.tracked, DEGENERATE_SHARE))
-        frames = f"{_percent(degenerate, health.tracked)} of the frames"
-        yield level, f"{frames} show too plain a shape to check all of it"
+    for level, frames in _degenerate(health):
+        yield min(1, level), f"{frames} show too plain a shape to check all of it"
     if health.given is not None:
         yield from _distant(health.given)
     if health.recommended == "refine":
@@ -133,9 +131,7 @@ def _tracked(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     if health.median_shift_m is not None:
         level = _at_most(health.median_shift_m, SHIFT_M)
         yield level, f"keyframes agree within {_mm(health.median_shift_m)} (median)"
-    if degenerate := _degenerate(health):
-        level = _at_most(degenerate / health.tracked, DEGENERATE_SHARE)
-        frames = f"{_percent(degenerate, health.tracked)} of the frames"
+    for level, frames in _degenerate(health):
         yield level, f"{frames} show too plain a shape to fix a motion"
     yield from _loops(health)
 
@@ -158,9 +154,11 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
         yield level, f"{path}, their drift is not known" if level else f"only {path}"
 
 
-def _degenerate(health: TrajectoryHealth) -> int:
-    """How many frames with a pose have depth that leaves a motion open."""
-    return len(set(health.degenerate) - set(health.lost))
+def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
+    """How many frames with a pose have depth that leaves a motion open, if any."""
+    if degenerate := len(set(health.degenerate) - set(health.lost)):
+        share = f"{_percent(degenerate, health.tracked)} of the frames"
+        yield _at_most(degenerate / health.tracked, DEGENERATE_SHARE), share
 
 
 def _mm(value_m: float) -> str:

@@ -1,7 +1,5 @@
 """A known depth distortion is found from ties with known motion, and undone."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tracking_scenes import couch
@@ -9,7 +7,7 @@ from tracking_scenes import couch
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.depth import NO_CALIBRATION, TERMS, DepthCalibration
 from kinectbench.stages.track.depth_calibration import View, calibrate, calibrate_posed
-from kinectbench.stages.track.frame_maps import STORED_PER_M, FrameMaps, maps_of, reduced_frame
+from kinectbench.stages.track.frame_maps import STORED_PER_M, FrameMaps, MapCache
 
 pytestmark = pytest.mark.xdist_group("tracking")
 
@@ -18,15 +16,13 @@ PAIRS = [(i, i + step) for step in (1, 3, 5) for i in range(0, 18, 2)]
 
 def distorted(coefficients: np.ndarray) -> list[FrameMaps]:
     """The couch's frames as a sensor records them whose inverse depth is too small by the correction."""
-    sequence = couch().sequence
-    frames = []
+    maps = MapCache(couch().sequence)
     for index in range(24):
-        frame = reduced_frame(sequence, index)
-        exact = frame.depth / STORED_PER_M
+        exact = maps[index][0].depth_m.astype(np.float64)
         error_per_m = DepthCalibration(coefficients).correction_per_m(exact.shape[1], exact.shape[0])
         recorded = np.rint(STORED_PER_M * exact / (1 - exact * error_per_m)).astype(np.uint16)
-        frames.append(maps_of(sequence.camera, replace(frame, depth=recorded)))
-    return frames
+        maps.improve(index, recorded)
+    return [maps[index] for index in range(24)]
 
 
 def views(frames: list[FrameMaps], pairs: list[tuple[int, int]]) -> list[View]:

@@ -187,11 +187,9 @@ def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageT
 
 def _from_tree(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> Given:
     moving = tree.moving(depth.frame_id.lstrip("/")) if depth.frame_id else None
-    if moving is None:
-        if named == "tf":
-            raise RecordingError(
-                f"{bag.path}: `pose_topic: tf`, but no transform above the frame '{depth.frame_id}' of "
-                f"{depth.name} moves; its frames are {', '.join(sorted(tree.edges)) or 'none'}"
-            )
-        return None, []
+    if moving is None and named == "tf":
+        raise RecordingError(
+            f"{bag.path}: `pose_topic: tf`, but no transform above the frame '{depth.frame_id}' of "
+            f"{depth.name} moves; its frames are {', '.join(sorted(tree.edges)) or 'none'}"
+        )
     return moving, []

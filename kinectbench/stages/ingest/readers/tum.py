@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S, check_unit, first_by_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import text_rows
@@ -57,7 +56,10 @@ class TumRecording(FileRecording):
         camera_json = path / "camera.json"
         said = read_intrinsics_json(camera_json) if camera_json.is_file() else Intrinsics()
         intrinsics = said.overridden_by(settings)
-        trajectory, trajectory_warnings, error = read_given(lambda: _read_groundtruth(path))
+        truth = path / "groundtruth.txt"
+        trajectory, trajectory_warnings, error = read_given(
+            lambda: read_trajectory(truth) if truth.is_file() else (None, [])
+        )
         return cls(
             path=path,
             places=files,
@@ -89,8 +91,3 @@ def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[int], list[str]
     order, repeated = first_by_stamp(stamps_ns)
     warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
     return [rows[i] for i in order], stamps_ns, [*warnings, *check_unit(stamps_ns, str(path))]
-
-
-def _read_groundtruth(path: Path) -> tuple[GivenTrajectory | None, list[str]]:
-    file = path / "groundtruth.txt"
-    return read_trajectory(file) if file.is_file() else (None, [])
