@@ -19,7 +19,7 @@ Role = Literal["subject", "floor", "wall", "clutter"]
 WALL_HEIGHT_M = 2.6
 WALL_CLEARANCE_M = 0.5
 THICK_M = 0.1
-GROUND_HALF_M = 15.0
+FLOOR_M, GROUND_M = 16.0, 30.0
 CLEARANCE_M = 0.6
 # A touching neighbour reaches this far into the subject's bounding box.
 TOUCH_M = 0.005
@@ -88,7 +88,7 @@ def make_scene(
         for piece in subject.pieces
     ]
     outdoor = settings.place == "outdoor"
-    items.append(_ground(draw) if outdoor else _floor(draw))
+    items.append(_floor(draw, outdoor=outdoor))
     walls = settings.walls
     if walls is None:
         walls = 0 if outdoor else draw.integer(2, 4)
@@ -103,20 +103,16 @@ def make_scene(
     return items
 
 
-def _floor(draw: Draw) -> Item:
-    """An indoor floor: tiles, or a carpet or boards without joints."""
+def _floor(draw: Draw, *, outdoor: bool) -> Item:
+    """Tiles, or a carpet or boards without joints; outdoors paving, lawn or sand."""
+    side_m = GROUND_M if outdoor else FLOOR_M
+    mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (side_m, side_m, THICK_M)))
+    if outdoor:
+        tile_m = float(draw.rng.choice([0.0, 0.4]))
+        return Item("floor", mesh, draw.choose(GROUND_RGB), 0.6, tile_m)
     tile_m = float(draw.rng.choice([0.28, 0.45, 0.0], p=[0.5, 0.2, 0.3]))
-    mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (16.0, 16.0, THICK_M)))
-    return Item("floor", mesh, _shaded(draw.choose(FLOOR_RGB), draw), 0.45, tile_m)
-
-
-def _ground(draw: Draw) -> Item:
-    """Open ground: paving, lawn or sand."""
-    size = (2 * GROUND_HALF_M, 2 * GROUND_HALF_M, THICK_M)
-    tile_m = float(draw.rng.choice([0.0, 0.4]))
-    return Item(
-        "floor", box_mesh(OrientedBox((0, 0, -THICK_M / 2), size)), draw.choose(GROUND_RGB), 0.6, tile_m
-    )
+    (red, green, blue), tint = draw.choose(FLOOR_RGB), draw.between(0.8, 1.0)
+    return Item("floor", mesh, (red * tint, green * tint, blue * tint), 0.45, tile_m)
 
 
 def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
@@ -129,7 +125,7 @@ def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
         x, y, _ = (outward * middle_m + along * aside_m).tolist()
         return box_mesh(OrientedBox((x, y, size[2] / 2), size, turn_rad))
 
-    wall = box(at_m + THICK_M / 2, 0.0, (THICK_M, 16.0, WALL_HEIGHT_M))
+    wall = box(at_m + THICK_M / 2, 0.0, (THICK_M, FLOOR_M, WALL_HEIGHT_M))
     items = [Item("wall", wall, (gray, gray, 0.92 * gray), 0.25)]
     for _ in range(draw.integer(1, 3)):
         deep, wide, high = draw.between(0.25, 0.4), draw.between(0.5, 1.2), draw.between(0.6, 1.9)
@@ -163,8 +159,3 @@ def _neighbour(subject_room: TriangleMesh, draw: Draw) -> Item:
     x, y = (reached + outward * (size[0] / 2 - TOUCH_M)).tolist()
     box = OrientedBox((x, y, high / 2), (size[0], size[1], high), turn)
     return Item("clutter", box_mesh(box), draw.choose(THING_RGB), 0.5)
-
-
-def _shaded(color: Vector3, draw: Draw) -> Vector3:
-    tint = draw.between(0.8, 1.0)
-    return color[0] * tint, color[1] * tint, color[2] * tint

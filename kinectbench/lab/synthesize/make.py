@@ -139,8 +139,7 @@ def _write_recgan(
         if reason:
             refused.append(reason)
             continue
-        seen, full = recgan_bytes(pair)
-        for kind, content in (("25d", seen), ("3d", full)):
+        for kind, content in zip(("25d", "3d"), recgan_bytes(pair), strict=True):
             path = files / recgan_path(kind, model.category, task.split, model.name, view)  # type: ignore[arg-type]
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)

@@ -65,10 +65,10 @@ def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
         raise ShapeError("a triangle names a vertex that is not there")
     if not np.isfinite(mesh.vertices[used]).all():
         raise ShapeError("a vertex is not a finite number (NaN or infinite)")
-    used_only = mesh.keep_faces(np.ones(len(mesh.faces), dtype=bool))
-    clean = _cleaned(used_only)
+    clean = _cleaned(mesh.keep_faces(np.ones(len(mesh.faces), dtype=bool)))
     dropped = len(mesh.faces) - len(clean.faces)
-    if not _has_area(clean):
+    a, b, c = (clean.vertices[clean.faces[:, corner]] for corner in range(3))
+    if not np.cross(b - a, c - a).any():
         raise ShapeError("no triangle has an area")
     notes = (f"{dropped} triangles with two corners at one place left out",) if dropped else ()
     if not _is_closed(clean.faces):
@@ -122,12 +122,6 @@ def _cleaned(mesh: TriangleMesh) -> TriangleMesh:
     faces = faces[np.argsort(faces.min(axis=1), kind="stable")]
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return TriangleMesh(places, np.asarray(faces, dtype=np.int32)).keep_faces(distinct)
-
-
-def _has_area(mesh: TriangleMesh) -> bool:
-    """Whether any triangle has an area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    return bool(np.cross(b - a, c - a).any())
 
 
 def _is_closed(faces: NDArray[np.int32]) -> bool:

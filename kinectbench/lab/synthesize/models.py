@@ -204,22 +204,19 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
                 good[model.category].append(model)
             else:
                 bad[model.category].append(LeftOut(model.label, reason))
-    return {
-        name: Dealt(_split(good[name], settings), tuple(sorted(bad[name])), len(waiting[name]))
-        for name in waiting
-    }
+    dealt = {}
+    for name, models_here in good.items():
+        counts = shares(settings.wanted, len(models_here))
+        splits = [split for split, count in counts.items() for _ in range(count)]
+        split_of = dict(zip(models_here, splits, strict=True))
+        dealt[name] = Dealt(split_of, tuple(sorted(bad[name])), len(waiting[name]))
+    return dealt
 
 
 def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
     """The models of one category in the order in which they are tried."""
     here = [model for model in models if model.category == category]
     return [here[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(here))]
-
-
-def _split(good: Sequence[Model], settings: SynthesisSettings) -> dict[Model, Split]:
-    counts = shares(settings.wanted, len(good))
-    splits = [split for split, count in counts.items() for _ in range(count)]
-    return dict(zip(good, splits, strict=True))
 
 
 def shares(wanted: dict[Split, int], available: int) -> dict[Split, int]:

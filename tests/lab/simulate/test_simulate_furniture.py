@@ -64,7 +64,6 @@ def test_round_shapes_have_their_volume_but_for_their_facets():
         assert volume_m3 * (1 - share) < shape.volume() < volume_m3 * (1 + 1e-9)
 
     near(shapes.rod((0, 0, 0), (0, 0.3, 0.4), 0.05), np.pi * 0.0025 * 0.5, 0.02)
-    near(shapes.rod((0, 0, 0), (0, 0, 0.3), 0.06, 0.03), np.pi * 0.3 / 3 * 0.0063, 0.02)
     near(shapes.plate(shapes.ellipse((0.8, 0.5)), 0, 0.03), np.pi * 0.1 * 0.03, 0.01)
     corners = 0.04**2 * (4 - np.pi)
     near(shapes.plate(shapes.rectangle((0.4, 0.3), 0.04), 0, 0.1), (0.12 - corners) * 0.1, 0.01)

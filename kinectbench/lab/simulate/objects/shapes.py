@@ -157,14 +157,12 @@ def leg(
     return Manifold.hull_points(np.concatenate(ends))
 
 
-def rod(a_m: Vector3, b_m: Vector3, radius_a_m: float, radius_b_m: float | None = None) -> "Manifold":
-    """A round bar between two points, perhaps tapered, with flat ends."""
+def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> "Manifold":
+    """A round bar between two points, with flat ends."""
     from manifold3d import Manifold
 
     a, b = np.array(a_m, np.float64), np.array(b_m, np.float64)
-    bar = Manifold.cylinder(
-        float(np.linalg.norm(b - a)), radius_a_m, radius_a_m if radius_b_m is None else radius_b_m, SEGMENTS
-    )
+    bar = Manifold.cylinder(float(np.linalg.norm(b - a)), radius_m, radius_m, SEGMENTS)
     return bar.transform(_frame(a, b))
 
 

@@ -39,22 +39,19 @@ def write_realsense(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, ol
     for name, definition in DEFINITIONS.items():
         store.register(get_types_from_msg(definition, name))
     maker = MessageMaker(store.types, rig, "raw", ros2=False)
-    with Writer(path) as writer:
-        log_messages(writer, store, _messages(maker, store.types, rig, frames, old=old))
-
-
-def _messages(
-    maker: MessageMaker, types: Any, rig: Rig, frames: Iterable[RecordedFrame], *, old: bool
-) -> Messages:
-    yield from _old_facts(maker, types, rig) if old else _facts(maker, types, rig)
     depth_topic = "/camera/DEPTH/image_raw/0" if old else f"{SENSORS['Depth']}/image/data"
     color_topic = "/camera/COLOR/image_raw/0" if old else f"{SENSORS['Color']}/image/data"
-    for index, frame in enumerate(frames):
-        depth_header = maker.header(index, frame.stamp_ns, FRAME_ID)
-        depth = maker.image(depth_header, frame.depth_native(), "mono16")
-        yield depth_topic, IMAGE, frame.stamp_ns, depth
-        color_header = maker.header(index, frame.color_stamp_ns, FRAME_ID)
-        yield color_topic, IMAGE, frame.color_stamp_ns, maker.image(color_header, frame.color_rgb, "rgb8")
+
+    def messages() -> Messages:
+        yield from (_old_facts if old else _facts)(maker, store.types, rig)
+        for index, frame in enumerate(frames):
+            header = maker.header(index, frame.stamp_ns, FRAME_ID)
+            yield depth_topic, IMAGE, frame.stamp_ns, maker.image(header, frame.depth_native(), "mono16")
+            header = maker.header(index, frame.color_stamp_ns, FRAME_ID)
+            yield color_topic, IMAGE, frame.color_stamp_ns, maker.image(header, frame.color_rgb, "rgb8")
+
+    with Writer(path) as writer:
+        log_messages(writer, store, messages())
 
 
 def _facts(maker: MessageMaker, types: Any, rig: Rig) -> Messages:
