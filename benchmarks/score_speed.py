@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.core.voxels.resample import CORNER_ALIGNED, upsampled_planes
-from kinectbench.scoring.counts import THRESHOLDS, Tally, protocol_counts, tally
+from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
 from kinectbench.scoring.metrics import cross_entropy, ious
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.surface_kernels import cells_of, nearest

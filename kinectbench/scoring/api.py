@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.pair_file import Pair, PairInput, read_input, read_pair, unpack
@@ -14,7 +15,7 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
-from kinectbench.scoring.pair_result import Counting, PairResult, count
+from kinectbench.scoring.pair_result import Counting, count
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import missing_line
 from kinectbench.scoring.references import base_rates

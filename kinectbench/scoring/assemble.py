@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pydantic import JsonValue
 
 from kinectbench._version import __version__
+from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import (
     BaseRate,
     Failure,
@@ -29,7 +30,7 @@ from kinectbench.scoring.averages import (
 )
 from kinectbench.scoring.counts import CE_CLIP, PRIMARY, THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import constant_cross_entropy, metrics
-from kinectbench.scoring.pair_result import Counting, PairResult
+from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
 from kinectbench.scoring.thresholds import Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED

@@ -6,6 +6,7 @@ from statistics import fmean
 
 import numpy as np
 
+from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import (
     AVERAGED,
     METRICS,
@@ -21,7 +22,6 @@ from kinectbench.core.types import Float64
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import ious
-from kinectbench.scoring.pair_result import PairResult
 from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
 # Of quality.json: an object's values of these are averaged as `truth_<key>`.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
@@ -28,21 +29,6 @@ PROTOCOLS = {
     "occluded": tuple(code for code in range(8) if code & 2 and not code & 4),
 }
 PRIMARY = "known"
-
-
-@dataclass(frozen=True)
-class Tally:
-    """Voxels of one pair by code: 1 if occupied, + 2 if known, + 4 if seen by the input view.
-
-    Attributes:
-        voxels: (8,) int64, how many there are.
-        above: (17, 8) int64, how many are predicted above each threshold k / 20, k = 2 to 18.
-        ce_sum: (8,) float64, sum of the cross-entropy in nats.
-    """
-
-    voxels: Int64
-    above: Int64
-    ce_sum: Float64
 
 
 @dataclass(frozen=True)

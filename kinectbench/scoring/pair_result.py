@@ -1,13 +1,14 @@
 """Count one prediction against its truth: all that the table needs to know of a pair."""
 
-import json
+import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
+from kinectbench.core.artefacts.counted import JOURNAL, CountedPair, PairResult
 from kinectbench.core.artefacts.scores import SurfaceMetrics
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
@@ -15,7 +16,7 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import Prediction, Tally, ceiling, occupied, protocol_counts, tally
+from kinectbench.scoring.counts import Prediction, ceiling, occupied, protocol_counts, tally
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.prediction_file import load_prediction
@@ -41,45 +42,6 @@ class Counting:
 
 
 @dataclass(frozen=True)
-class PairResult:
-    """What was counted of one pair.
-
-    Attributes:
-        tally: of the prediction.
-        cells: side of the prediction; 0 if there was none.
-        ceilings: {protocol: the IoU that this side can reach}.
-        surface: {protocol: surface metrics}; empty if they were not asked for.
-        digest: BLAKE3 of the prediction's file, as "blake3:<hex>"; None if there is no file.
-    """
-
-    tally: Tally
-    cells: int
-    ceilings: Mapping[str, float]
-    surface: Mapping[str, SurfaceMetrics]
-    digest: str | None
-
-    def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; floats keep every bit."""
-        counted = {name: values.tolist() for name, values in vars(self.tally).items()}
-        surface = {protocol: asdict(values) for protocol, values in self.surface.items()}
-        return {**vars(self), "tally": counted, "surface": surface}
-
-    @staticmethod
-    def from_json(content: Mapping[str, Any]) -> "PairResult":
-        """The inverse of `to_json`."""
-        counted = content["tally"]
-        voxels, above = (np.array(counted[name], np.int64) for name in ("voxels", "above"))
-        surface = {name: SurfaceMetrics(**values) for name, values in content["surface"].items()}
-        return PairResult(
-            Tally(voxels, above, np.array(counted["ce_sum"], np.float64)),
-            content["cells"],
-            content["ceilings"],
-            surface,
-            content["digest"],
-        )
-
-
-@dataclass(frozen=True)
 class Job:
     """One pair to be counted.
 
@@ -89,7 +51,7 @@ class Job:
         file: the prediction's file, None for an empty grid.
         threshold: for the surface metrics; None leaves them out.
         counting: how.
-        earlier: what an interrupted run wrote of this pair, as {"key", "result"}, or None.
+        earlier: what an interrupted run wrote of this pair, or None.
     """
 
     target: Target
@@ -97,7 +59,7 @@ class Job:
     file: Path | None
     threshold: float | None
     counting: Counting
-    earlier: Mapping[str, Any] | None = None
+    earlier: CountedPair | None = None
 
     def key(self, digest: str | None) -> str:
         """What a result depends on; `digest` is that of the prediction's file."""
@@ -118,8 +80,8 @@ def count_job(job: Job) -> PairResult | str:
             digest = _blake3(job.file)
     except PredictionError as error:
         return str(error)
-    if job.earlier is not None and job.earlier["key"] == job.key(digest):
-        return PairResult.from_json(job.earlier["result"])
+    if job.earlier is not None and job.earlier.key == job.key(digest):
+        return job.earlier.result
     truth = read_truth(job.truth, job.target.sha256)
     result = count(prediction, truth, job.counting, job.threshold)
     return replace(result, digest=digest, cells=0 if job.file is None else result.cells)
@@ -157,9 +119,6 @@ def _blake3(path: Path) -> str:
         raise PredictionError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
-JOURNAL = ".counted.jsonl"
-
-
 class Journal:
     """Results by pair, on disk as soon as they are known; None as folder keeps nothing."""
 
@@ -167,7 +126,7 @@ class Journal:
         self._path = None if folder is None else folder / JOURNAL
         self._earlier = {} if self._path is None else _read(self._path)
 
-    def earlier(self, pair: str) -> Mapping[str, Any] | None:
+    def earlier(self, pair: str) -> CountedPair | None:
         """What an earlier run wrote of a pair."""
         return self._earlier.get(pair)
 
@@ -177,14 +136,14 @@ class Journal:
         Raises:
             StorageError: the disk is full or read-only.
         """
-        key = job.key(result.digest)
-        if self._path is None or self._earlier.get(job.target.name, {}).get("key") == key:
+        counted = CountedPair(pair=job.target.name, key=job.key(result.digest), result=result)
+        earlier = self.earlier(counted.pair)
+        if self._path is None or (earlier is not None and earlier.key == counted.key):
             return
-        line = canonical_json({"pair": job.target.name, "key": key, "result": result.to_json()})
         with storage_errors(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("a") as file:
-                file.write(line + "\n")
+                file.write(counted.line())
 
     def remove(self) -> None:
         """All is done: the table holds it."""
@@ -192,18 +151,15 @@ class Journal:
             self._path.unlink(missing_ok=True)
 
 
-def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """{pair: {"key", "result"}}; lines that were not written whole are left out."""
+def _read(path: Path) -> dict[str, CountedPair]:
+    """The pairs by name; lines that were not written whole are left out."""
     found = {}
     try:
         lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
     for line in lines:
-        try:
-            content = json.loads(line)
-            PairResult.from_json(content["result"])
-            found[str(content["pair"])] = {"key": content["key"], "result": content["result"]}
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue
+        with contextlib.suppress(ValidationError):
+            counted = CountedPair.model_validate_json(line, strict=True)
+            found[counted.pair] = counted
     return found

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.counts import Tally
 from kinectbench.scoring.truth import read_grids
 from kinectbench.scoring.workers import run_tasks
 

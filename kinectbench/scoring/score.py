@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_splits
@@ -15,7 +16,7 @@ from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
-from kinectbench.scoring.pair_result import Counting, Job, Journal, PairResult, count_job
+from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
 from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line, split_methods
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, Tally, protocol_counts
+from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import ious
 
 FIXED = 0.5

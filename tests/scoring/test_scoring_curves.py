@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinectbench.core.artefacts.counted import PairResult, Tally
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.averages import iou_by_threshold
-from kinectbench.scoring.counts import THRESHOLDS, Tally
-from kinectbench.scoring.pair_result import PairResult
+from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.score import score
 
 

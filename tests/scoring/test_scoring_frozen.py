@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from sklearn.metrics import log_loss, precision_score, recall_score
 
+from kinectbench.core.artefacts.counted import JOURNAL, PairResult
 from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
-from kinectbench.scoring.pair_result import JOURNAL, Job, PairResult, count_job
+from kinectbench.scoring.pair_result import Job, count_job
 from kinectbench.scoring.score import score, score_methods
 from kinectbench.scoring.thresholds import read_thresholds
 

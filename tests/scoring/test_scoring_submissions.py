@@ -1,6 +1,8 @@
 """Meshes, packed bits, orders of bytes, hostile folders: each is scored, or refused in one line."""
 
+import json
 import tracemalloc
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +11,12 @@ import trimesh
 from hypothesis import given, settings
 from score_fuzz import FILES, good_files, read_one
 
+from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import PredictionError
+from kinectbench.core.storage import canonical_json
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
-from kinectbench.scoring.pair_result import Counting, Job, count_job
+from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import check
 from kinectbench.scoring.score import score
@@ -166,6 +170,33 @@ def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) 
         Job(target, job.truth, path, 0.5, Counting(("known",), surface=False)).key(result.digest),
     }
     assert len(keys) == 4
+
+
+def test_the_journal_keeps_every_bit_and_no_damaged_line(release: Release, tmp_path: Path) -> None:
+    target = release.split("test")[0]
+    np.save(tmp_path / "000.npy", np.random.default_rng(0).random((8, 8, 8), np.float32))
+    job = Job(target, release.pair_path(target), tmp_path / "000.npy", 0.5, Counting(("known", "paper")))
+    result = count_job(job)
+    assert not isinstance(result, str)
+    Journal(tmp_path).add(job, result)
+    written = (tmp_path / JOURNAL).read_text()
+    tally = {name: values.tolist() for name, values in vars(result.tally).items()}
+    surface = {protocol: asdict(values) for protocol, values in result.surface.items()}
+    plain = {
+        "pair": target.name,
+        "key": job.key(result.digest),
+        "result": {**vars(result), "tally": tally, "surface": surface},
+    }
+    assert written == canonical_json(plain) + "\n"
+    read = Journal(tmp_path).earlier(target.name)
+    assert read is not None and read.line() == written and read.result.surface == result.surface
+    for name, values in vars(result.tally).items():
+        again = getattr(read.result.tally, name)
+        assert again.dtype == values.dtype and np.array_equal(again, values)
+    short = {**plain["result"], "tally": tally | {"voxels": [1, 2, 3]}}
+    for damaged in ({}, [], plain | {"result": short}, plain | {"result": {**plain["result"], "cells": "8"}}):
+        (tmp_path / JOURNAL).write_text(json.dumps(damaged) + "\n")
+        assert Journal(tmp_path).earlier(target.name) is None
 
 
 @settings(max_examples=150, deadline=None)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import THRESHOLDS, Tally
+from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.thresholds import best_threshold, read_thresholds, searched_thresholds
 
 

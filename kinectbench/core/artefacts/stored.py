@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -210,11 +211,11 @@ class ScaledPart(Part):
         return self
 
 
-def _array(shape: tuple[int, ...]) -> Any:
-    """Annotations of a numpy array of this shape, float64 and finite; nested lists in the file."""
+def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[Any, ...]:
+    """Annotations of a numpy array of this shape and type, finite; nested lists in the file."""
 
-    def checked(value: Any) -> Float64:
-        array = np.array(value, dtype=np.float64)
+    def checked(value: Any) -> NDArray[Any]:
+        array: NDArray[Any] = np.array(value, dtype=dtype)
         if array.shape != shape or not np.isfinite(array).all():
             raise ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
         array.flags.writeable = False
@@ -223,15 +224,13 @@ def _array(shape: tuple[int, ...]) -> Any:
     schema: dict[str, Any] = {"type": "number"}
     for side in reversed(shape):
         schema = {"type": "array", "items": schema, "minItems": side, "maxItems": side}
-    return Annotated[
-        Float64,
+    return (
         BeforeValidator(checked),
         PlainSerializer(lambda array: array.tolist(), return_type=list),
         WithJsonSchema(schema),
-    ]
+    )
 
 
-Matrix3 = _array((3, 3))
-Matrix4 = _array((4, 4))
-Vector3 = _array((3,))
-Vector4 = _array((4,))
+Matrix3 = Annotated[Float64, *array_in_file((3, 3))]
+Matrix4 = Annotated[Float64, *array_in_file((4, 4))]
+Vector4 = Annotated[Float64, *array_in_file((4,))]

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
 from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Progress
@@ -16,7 +17,7 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
-from kinectbench.scoring.pair_result import Counting, PairResult, ceilings, count
+from kinectbench.scoring.pair_result import Counting, ceilings, count
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import searched_thresholds
 from kinectbench.scoring.truth import read_truth

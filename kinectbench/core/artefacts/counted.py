@@ -1,0 +1,60 @@
+"""What is counted of a pair, and .counted.jsonl, where it lies until a method is scored: one pair a line."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from kinectbench.core.artefacts.scores import SurfaceMetrics
+from kinectbench.core.artefacts.stored import Part, array_in_file
+from kinectbench.core.storage import canonical_json
+from kinectbench.core.types import Float64, Int64
+
+JOURNAL = ".counted.jsonl"
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Voxels of one pair by code: 1 if occupied, + 2 if known, + 4 if seen by the input view.
+
+    Attributes:
+        voxels: (8,) int64, how many there are.
+        above: (17, 8) int64, how many are predicted above each threshold k / 20, k = 2 to 18.
+        ce_sum: (8,) float64, sum of the cross-entropy in nats.
+    """
+
+    voxels: Annotated[Int64, *array_in_file((8,), np.int64)]
+    above: Annotated[Int64, *array_in_file((17, 8), np.int64)]
+    ce_sum: Annotated[Float64, *array_in_file((8,))]
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """What was counted of one pair.
+
+    Attributes:
+        tally: of the prediction.
+        cells: side of the prediction; 0 if there was none.
+        ceilings: {protocol: the IoU that this side can reach}.
+        surface: {protocol: surface metrics}; empty if they were not asked for.
+        digest: BLAKE3 of the prediction's file, as "blake3:<hex>"; None if there is no file.
+    """
+
+    tally: Tally
+    cells: int
+    ceilings: Mapping[str, float]
+    surface: Mapping[str, SurfaceMetrics]
+    digest: str | None
+
+
+class CountedPair(Part):
+    """A line of the journal: a pair's name, what its result depends on, and the result, every bit of it."""
+
+    pair: str
+    key: str
+    result: PairResult
+
+    def line(self) -> str:
+        """As the journal has it."""
+        return canonical_json(self.json_value()) + "\n"
