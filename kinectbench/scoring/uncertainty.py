@@ -135,9 +135,8 @@ def smallest_p(count: int) -> float:
 
 def holm(p_values: list[float]) -> list[float]:
     """P-values corrected for their number (Holm, Scand. J. Statist. 6, 1979), in the same order."""
-    adjusted = [0.0] * len(p_values)
-    running = 0.0
-    for rank, index in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
-        running = max(running, min(1.0, (len(p_values) - rank) * p_values[index]))
-        adjusted[index] = running
-    return adjusted
+    rising = np.argsort(p_values, kind="stable")
+    corrected = np.minimum(1.0, np.arange(len(p_values), 0, -1) * np.array(p_values)[rising])
+    adjusted = np.empty(len(p_values))
+    adjusted[rising] = np.maximum.accumulate(corrected)
+    return [float(p) for p in adjusted]

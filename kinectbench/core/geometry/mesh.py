@@ -68,8 +68,7 @@ def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 
 def box_mesh(box: OrientedBox) -> TriangleMesh:
     """The closed mesh of a box, in the frame of the box's centre (z up), metres."""
-    corners = box.corners_floor()
-    return TriangleMesh(corners, BOX_FACES)
+    return TriangleMesh(box.corners_floor(), BOX_FACES)
 
 
 def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple[Any, Any]:

@@ -127,7 +127,7 @@ def observe(
         progress: called with (done, total).
     """
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
-    _integrate_frames(volume, sequence, trajectory, list(frames), settings, progress, far=True)
+    _integrate_frames(volume, sequence, trajectory, frames, settings, progress, far=True)
     return Observation(
         grid,
         tsdf=dense_grid(volume.tsdf, grid.shape),
