@@ -5,6 +5,7 @@ keys of the files are in millimetres or degrees, for people who open them. Such 
 holds in memory; its model is a `ScaledPart`, which makes the key: `shift_m: MillimetresInFile` is `shift_mm`.
 """
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
@@ -163,6 +164,11 @@ def known(value: float | np.floating[Any], decimals: int | None = None) -> float
     if not np.isfinite(value):
         return None
     return float(value) if decimals is None else round(float(value), decimals)
+
+
+def number(value: float | None) -> float:
+    """What `known` made None: JSON has no NaN and no infinity."""
+    return math.nan if value is None else value
 
 
 def _scaled_in_file(factor: float, decimals: int) -> tuple[Any, ...]:

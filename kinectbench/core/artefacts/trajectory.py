@@ -22,8 +22,10 @@ class LostStretch(Part):
 
     first_frame: int = Field(description="its first frame")
     last_frame: int = Field(description="its last frame")
-    from_s: float = Field(0.0, description="when it begins, seconds from the recording's first frame on")
-    to_s: float = Field(0.0, description="when it ends, seconds")
+    from_s: float | None = Field(
+        None, description="when it begins, seconds from the recording's first frame on"
+    )
+    to_s: float | None = Field(None, description="when it ends, seconds")
     reason: str = Field("", description="the most frequent reason")
 
 
@@ -130,7 +132,9 @@ class TrajectoryHealth(ScaledPart, Stored):
         (), description="frames left out because their depth disagrees with their given pose"
     )
     degenerate: tuple[int, ...] = Field((), description="frames whose depth alone leaves a motion open")
-    unchecked: int = Field(0, description="frames with a pose that overlap too little with others to tell")
+    unchecked: int | None = Field(
+        None, description="frames with a pose that overlap too little with others to tell"
+    )
     keyframes: tuple[int, ...] = Field((), description="frames that the others are compared with")
     median_shift_m: Millimetres = Field(None, description="by how much poses may be off, median, mm")
     max_shift_m: Millimetres = Field(None, description="the largest of these, mm")
@@ -141,9 +145,11 @@ class TrajectoryHealth(ScaledPart, Stored):
     sensor_noise_m: Millimetres = Field(
         None, description="what the sensor's noise alone would make of that, mm"
     )
-    path_length_m: float = Field(0.0, alias="path_length_m", description="length of the camera's path, m")
-    open_path_m: float = Field(
-        0.0, alias="open_path_m", description="of this, what lies outside every believed loop, m"
+    path_length_m: float | None = Field(
+        None, alias="path_length_m", description="length of the camera's path, m"
+    )
+    open_path_m: float | None = Field(
+        None, alias="open_path_m", description="of this, what lies outside every believed loop, m"
     )
     arc_rad: DegreesInFile | None = Field(
         None, description="walked around what is looked at, degrees; null if nothing is"
@@ -157,6 +163,13 @@ class TrajectoryHealth(ScaledPart, Stored):
     given: GivenFigures | None = Field(None, description="of a given trajectory; null without one")
     covisibility: Covisibility = Field(Covisibility(), description="what keyframes see of each other")
     per_frame: tuple[FrameHealth, ...] = Field((), description="a row for each frame")
+
+    @model_validator(mode="after")
+    def _rows_of_its_frames(self) -> Self:
+        frames = [row.frame for row in self.per_frame]
+        if len(set(frames)) < len(frames) or any(not 0 <= frame < self.frames for frame in frames):
+            raise ValueError(f"'per_frame' has a row twice, or one of none of the {self.frames} frames")
+        return self
 
     def pose_sigma_m(self) -> Float64:
         """(n,) by how much each frame's pose may be off, metres; NaN where it is not known."""

@@ -3,7 +3,6 @@
 On disk they are views.json with depth, colour and mask images.
 """
 
-import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.stored import known
+from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.artefacts.views import Refused, ViewRow, ViewsFile
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
@@ -223,6 +222,8 @@ def read_views(folder: Path) -> list[View]:
 def _view(row: ViewRow, folder: Path) -> View:
     if row.frame is None or row.stamp_ns is None or row.reason is None or row.T_world_camera is None:
         raise StorageError(f"{folder / ViewsFile.FILE}: view {row.view} has no frame; {ViewsFile.ADVICE}")
+    if row.pixels is None:
+        raise StorageError(f"{folder / ViewsFile.FILE}: view {row.view} has no pixels; {ViewsFile.ADVICE}")
     path = folder / f"{row.view}.mask.png"
     mask = _read_mask(path)
     if mask is None:
@@ -232,9 +233,9 @@ def _view(row: ViewRow, folder: Path) -> View:
         frame=row.frame,
         stamp_ns=row.stamp_ns,
         reason=row.reason,
-        alignment=Alignment(row.T_world_camera, _figure(row.moved_m), _figure(row.turned_rad)),
+        alignment=Alignment(row.T_world_camera, number(row.moved_m), number(row.turned_rad)),
         mask=mask,
-        fit=ViewFit(row.pixels or 0, **{name: _figure(getattr(row, name)) for name in FIT_FIGURES}),
+        fit=ViewFit(row.pixels, **{name: number(getattr(row, name)) for name in FIT_FIGURES}),
         blur=row.blur,
         pose_residual_m=row.pose_residual_m,
     )
@@ -259,11 +260,6 @@ def _read_mask(path: Path) -> Bools | None:
     data = path.read_bytes() if path.is_file() else b""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     return None if image is None else np.asarray(image, dtype=np.uint8) > 0
-
-
-def _figure(value: float | None) -> float:
-    """JSON has no NaN and no infinity, so null stands for them."""
-    return math.nan if value is None else value
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:

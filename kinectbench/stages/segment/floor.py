@@ -46,7 +46,8 @@ class Floor:
             along the world's x axis projected onto the floor (or its z axis where that is degenerate).
         noise_m: robust standard deviation of the surface around the plane, metres.
         inlier_share: share of the scene's surface that lies on the plane.
-        tilt_rad: angle between its normal and up as the cameras were held, radians; coarse, as hands are.
+        tilt_rad: angle between its normal and up as the cameras were held, radians; coarse, as hands are;
+            NaN if it is not known.
         found: False if it is not a measured plane but `level_floor`.
     """
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object import FloorFile, ObjectVolume, QualityFile, Surround
+from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, OrientedBox
 from kinectbench.core.geometry.mesh import read_ply, write_ply
@@ -85,7 +86,7 @@ def write_object(model: ObjectModel, folder: Path) -> None:
         T_floor_world=floor.T_floor_world,
         noise_m=round(floor.noise_m, 6),
         inlier_share=round(floor.inlier_share, 4),
-        tilt_rad=round(floor.tilt_rad, 4),
+        tilt_rad=known(floor.tilt_rad, 4),
         found=floor.found,
     ).write(folder)
     write_ply(shape.mesh, folder / MESH)
@@ -112,7 +113,7 @@ def read_object(folder: Path) -> ObjectModel:
         stored.T_floor_world,
         stored.noise_m,
         stored.inlier_share,
-        stored.tilt_rad or 0.0,
+        number(stored.tilt_rad),
         stored.found is not False,
     )
     shape = SolidShape(
@@ -121,7 +122,7 @@ def read_object(folder: Path) -> ObjectModel:
         volume.labels,
         volume.probability.astype(np.float32),
         read_ply(folder / MESH),
-        quality.doubtful_share or 0.0,
+        number(quality.doubtful_share),
     )
     sigma_m = quality.surface_sigma_m
     return ObjectModel(floor, quality.box.box(), shape, surround.grid, surround.labels, sigma_m, quality)

@@ -145,8 +145,8 @@ def warnings_of(sequence: Sequence, checked: GivenCheck) -> list[str]:
     ]
     if len(jumps) > MAX_JUMPS_TOLD:
         told.append(f"it jumps {len(jumps) - MAX_JUMPS_TOLD} more times")
-    drift_m = checked.figures.distant_shift_m or 0.0
-    if drift_m > IMPLAUSIBLE_DRIFT_M:
+    drift_m = checked.figures.distant_shift_m
+    if drift_m is not None and drift_m > IMPLAUSIBLE_DRIFT_M:
         told.append(
             f"distant frames disagree by {drift_m * 1000:.0f} mm: if the given trajectory does not drift so "
             "much, depth_scale or the clock of its stamps is wrong"

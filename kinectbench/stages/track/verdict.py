@@ -68,16 +68,17 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     """
     if rejected_share > REJECTED_SHARE[1] or checked_share < 1 - UNCHECKED_SHARE[0]:
         return "ignore"
-    near_m = given.median_shift_m or 0.0
-    drift_m = near_m if given.distant_shift_m is None else given.distant_shift_m - TIMES_NEAR * near_m
-    refine = (
-        drift_m > SHIFT_M[0]
-        or rejected_share > REJECTED_SHARE[0]
-        or (given.largest_jump_m or 0.0) > 0
-        or (given.distant_unmatched or 0.0) > UNMATCHED_SHARE[0]
-        or (given.refined_apart_m or 0.0) > REFINED_APART_M
+    drift_m = near_m = given.median_shift_m
+    if near_m is not None and given.distant_shift_m is not None:
+        drift_m = given.distant_shift_m - TIMES_NEAR * near_m
+    signs = (
+        (drift_m, SHIFT_M[0]),
+        (rejected_share, REJECTED_SHARE[0]),
+        (given.largest_jump_m, 0.0),
+        (given.distant_unmatched, UNMATCHED_SHARE[0]),
+        (given.refined_apart_m, REFINED_APART_M),
     )
-    return "refine" if refine else "trust"
+    return "refine" if any(value is not None and value > limit for value, limit in signs) else "trust"
 
 
 def _coverage(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
@@ -145,7 +146,7 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
         level = _at_least(believed / loops, BELIEVED_LOOP_SHARE)
         yield level, f"{loops - believed} of {loops} loops contradict the rest"
     # A given trajectory that is refined holds the path together by itself.
-    if health.source == "tracked":
+    if health.source == "tracked" and health.open_path_m is not None:
         level = _at_most(health.open_path_m, OPEN_PATH_M)
         arc = ""
         if health.arc_rad is not None and not believed:

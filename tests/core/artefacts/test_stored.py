@@ -6,6 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from kinectbench.core.artefacts.trajectory import FrameHealth, TrajectoryHealth
+from kinectbench.core.errors import StorageError
 
 HEAD = {"source": "tracked", "verdict": "", "grade": "5 mm", "frames": 1, "tracked": 1}
 
@@ -27,3 +28,18 @@ def test_a_file_is_in_its_own_units_and_keeps_what_it_does_not_know() -> None:
     assert health.json_value()["per_frame"][0]["other_mm"] == 7.0
     assert TrajectoryHealth.parse(health.text(), "again") == health
     assert TrajectoryHealth.model_validate(health) == health
+
+
+def test_rows_are_of_the_frames_and_none_twice() -> None:
+    for frames in ([7], [-1], [0, 0]):
+        content = {**HEAD, "per_frame": [{"frame": frame} for frame in frames]}
+        with pytest.raises(StorageError, match=r"here: 'per_frame' has a row twice, or one of none"):
+            TrajectoryHealth.parse(json.dumps(content), "here")
+
+
+def test_what_a_file_does_not_say_is_not_known() -> None:
+    content = {**HEAD, "lost_stretches": [{"first_frame": 0, "last_frame": 0}]}
+    health = TrajectoryHealth.parse(json.dumps(content), "here")
+    assert (health.unchecked, health.path_length_m, health.open_path_m) == (None, None, None)
+    assert (health.lost_stretches[0].from_s, health.lost_stretches[0].to_s) == (None, None)
+    assert not {"unchecked", "path_length_m", "open_path_m"} & set(health.json_value())

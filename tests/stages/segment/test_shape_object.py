@@ -1,5 +1,6 @@
 """The stage `segment` on a simulated chair, its folder, and its grids."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,6 +149,16 @@ def test_folder_round_trip(chair, tmp_path: Path):
     write_object(model, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert FUSION.voxel_size_m == again.shape.grid.voxel_size_m
+
+
+def test_what_an_older_folder_lacks_is_not_known(chair, tmp_path: Path):
+    write_object(chair.model, tmp_path)
+    for name, key in (("floor.json", "tilt_rad"), ("quality.json", "doubtful_share")):
+        content = json.loads((tmp_path / name).read_text())
+        del content[key]
+        (tmp_path / name).write_text(json.dumps(content))
+    again = read_object(tmp_path)
+    assert np.isnan(again.floor.tilt_rad) and np.isnan(again.shape.doubtful_share)
 
 
 @pytest.mark.parametrize("name", ["floor.json", "mesh.ply", "volume.npz", "surround.npz", "quality.json"])
