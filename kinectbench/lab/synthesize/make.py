@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench.core.artefacts.object import SynthesisedQualityFile
+from kinectbench.core.artefacts.views import Refused, SynthesisedCamera, ViewRow, ViewsFile
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.storage import pretty_json, sha256_file, sha256_text
@@ -110,24 +111,23 @@ def _write_release(
         (files / name / recording).mkdir(parents=True)
     rows, refused = [], []
     for index, (view, pair, reason) in enumerate(pairs):
-        row = {"view": f"{index:03d}", "steps": view.steps, "angles_rad": view.angles_rad}
+        name, steps, angles_rad = f"{index:03d}", view.steps, view.angles_rad
         if reason:
-            refused.append(row | {"reason": reason})
+            refused.append(Refused(view=name, steps=steps, angles_rad=angles_rad, reason=reason))
             continue
-        (files / "pairs" / recording / f"{index:03d}.npz").write_bytes(pair_bytes(pair))
-        rows.append(row | {"T_world_camera": pair.T_world_camera.tolist()})
-    content = {
-        "format_version": 1,
-        "order": "roll, pitch, yaw",
-        "steps_per_turn": task.groups[group],
-        "camera": asdict(camera),
-        "views": rows,
-        "refused": refused,
-    }
-    (files / "views" / recording / "views.json").write_text(pretty_json(content))
+        (files / "pairs" / recording / f"{name}.npz").write_bytes(pair_bytes(pair))
+        pose = pair.T_world_camera
+        rows.append(ViewRow(view=name, steps=steps, angles_rad=angles_rad, T_world_camera=pose))
+    ViewsFile(
+        order="roll, pitch, yaw",
+        steps_per_turn=task.groups[group],
+        camera=SynthesisedCamera(**asdict(camera)),
+        views=tuple(rows),
+        refused=tuple(refused),
+    ).write(files / "views" / recording)
     write_ply(checked.mesh, files / "objects" / recording / "mesh.ply")
     _quality(task.model, checked).write(files / "objects" / recording)
-    return {"views": [row["view"] for row in rows], "refused": [row["reason"] for row in refused]}
+    return {"views": [row.view for row in rows], "refused": [row.reason for row in refused]}
 
 
 def _write_recgan(
