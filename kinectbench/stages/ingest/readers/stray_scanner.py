@@ -42,11 +42,6 @@ class _Video:
             done, bgr = self.capture.read()
         return bgr if done else None
 
-    def size_px(self) -> tuple[int, int] | None:
-        """Width and height; None if it cannot be read."""
-        first = self.frame(0)
-        return None if first is None else (first.shape[1], first.shape[0])
-
 
 @dataclass(frozen=True, kw_only=True)
 class StrayScannerRecording(PhoneRecording):
@@ -85,7 +80,8 @@ class StrayScannerRecording(PhoneRecording):
         files = tuple(FrameFiles(paired[i][1].stamp_ns, depth[paired[i][0]], None) for i in order)
         size_px = first_depth_size(files)
         video = _Video(path / "rgb.mp4") if (path / "rgb.mp4").is_file() else None
-        color_px = video.size_px() if video else None
+        first = video.frame(0) if video else None
+        color_px = None if first is None else (first.shape[1], first.shape[0])
         if color_px is None:
             warnings.append(f"{path}: rgb.mp4 is missing or cannot be read; there will be no colour")
         K = read_matrix(path / "camera_matrix.csv", 3)
