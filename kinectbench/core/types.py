@@ -1,7 +1,7 @@
-"""Types that every room uses."""
+"""Types that every room uses, and how the progress of a loop is told."""
 
-from collections.abc import Callable
-from typing import Literal
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,3 +24,13 @@ Split = Literal["train", "validation", "test"]
 # How the cube of a pair is placed, and how 4 x 4 x 4 of its cells become one.
 Framing = Literal["object", "view"]
 PartialRule = Literal["any", "majority"]
+
+Item = TypeVar("Item")
+
+
+def counted(items: Sequence[Item], progress: Progress | None) -> Iterator[Item]:
+    """The items one by one; when the loop's body is done with one, `progress` is called."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress:
+            progress(done, len(items))

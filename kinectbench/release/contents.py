@@ -20,6 +20,8 @@ DATASHEET = "datasheet.md"
 PREVIEW = "index.html"
 SCHEMAS = "schemas"
 SPLIT_TARGETS = "targets"
+# Of each view.
+VIEW_IMAGES = (".depth.png", ".mask.png")
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
@@ -42,10 +44,12 @@ class Entry:
 
     Attributes:
         size: bytes, as the folder or archive says.
+        opener: opens it, if it has no problem.
         problem: why it must not be opened, or None.
     """
 
     size: int
+    opener: Callable[[], IO[bytes]]
     problem: str | None = None
 
 
@@ -56,12 +60,10 @@ class Contents:
     Attributes:
         entries: every file and link by its name, relative to the release, with "/".
         problems: one line each about what cannot be a file of a release, such as a way out of it.
-        opener: opens an entry that has no problem.
     """
 
     entries: Mapping[str, Entry]
-    problems: tuple[str, ...]
-    opener: Callable[[str], IO[bytes]]
+    problems: tuple[str, ...] = ()
 
     def read(self, name: str, limit: int = MAX_READ_BYTES) -> bytes:
         """The bytes of a file.
@@ -87,7 +89,7 @@ class Contents:
             ReleaseError: its bytes are damaged, or cannot be read.
         """
         try:
-            with self.opener(name) as file:
+            with self.entries[name].opener() as file:
                 yield file
         except OSError as error:
             reason = error.strerror or error

@@ -7,9 +7,10 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, Any, cast
+from typing import IO, cast
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS
@@ -48,18 +49,15 @@ def open_contents(path: Path) -> Iterator[Contents]:
 
 def _folder(path: Path) -> Contents:
     """The files of a folder; links are not followed."""
-    entries = {}
-    for file in release_files(path):
-        entries[file.relative_to(path).as_posix()] = _entry(file)
+    entries = {file.relative_to(path).as_posix(): _entry(file) for file in release_files(path)}
     if (path / SHA256SUMS).is_symlink() or (path / SHA256SUMS).exists():
         entries[SHA256SUMS] = _entry(path / SHA256SUMS)
-    return Contents(entries, (), lambda name: (path / name).open("rb"))
+    return Contents(entries)
 
 
 def _entry(file: Path) -> Entry:
-    if file.is_symlink():
-        return Entry(0, LINK)
-    return Entry(file.stat().st_size) if file.is_file() else Entry(0, "not a plain file")
+    problem = LINK if file.is_symlink() else None if file.is_file() else "not a plain file"
+    return Entry(0 if problem else file.stat().st_size, lambda: file.open("rb"), problem)
 
 
 def rooted(contents: Contents, path: Path) -> Contents:
@@ -80,16 +78,7 @@ def rooted(contents: Contents, path: Path) -> Contents:
     outside = [
         f"{name}: beside the release's folder" for name in contents.entries if not name.startswith(top)
     ]
-    return Contents(inside, (*contents.problems, *outside), lambda name: contents.opener(top + name))
-
-
-@dataclass(frozen=True)
-class _Member:
-    """A file as an archive lists it, and what the archive's opener takes for it."""
-
-    name: str
-    entry: Entry
-    handle: Any
+    return Contents(inside, (*contents.problems, *outside))
 
 
 @contextmanager
@@ -146,8 +135,8 @@ def _zip_contents(archive: zipfile.ZipFile, path: Path) -> Contents:
         if info.flag_bits & 1:
             problem = "encrypted"
         if not info.is_dir():
-            members.append(_Member(info.filename, Entry(info.file_size, problem), info))
-    return _contents(members, path, archive.open)
+            members.append((info.filename, Entry(info.file_size, partial(archive.open, info), problem)))
+    return _contents(members, path)
 
 
 def _tar_contents(archive: tarfile.TarFile, file: IO[bytes], path: Path) -> Contents:
@@ -158,32 +147,30 @@ def _tar_contents(archive: tarfile.TarFile, file: IO[bytes], path: Path) -> Cont
             problem = LINK
         elif not info.isfile() or info.issparse():
             problem = "not a plain file"
+        # A plain file always opens; links and others are never asked for.
+        opener = cast(Callable[[], IO[bytes]], partial(archive.extractfile, info))
         if not info.isdir():
-            members.append(_Member(info.name, Entry(info.size, problem), info))
+            members.append((info.name, Entry(info.size, opener, problem)))
     # tarfile stops without a word where a header is damaged or the end is missing.
     file.seek(archive.offset)
     if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
         raise tarfile.ReadError("a header is damaged, or the end is missing")
-    # A plain file always opens; links and others are never asked for.
-    return _contents(members, path, cast(Callable[[Any], IO[bytes]], archive.extractfile))
+    return _contents(members, path)
 
 
-def _contents(members: Iterable[_Member], path: Path, opener: Callable[[Any], IO[bytes]]) -> Contents:
+def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
     """An archive's files by name; names that lead elsewhere and doubles are told and not opened."""
     entries: dict[str, Entry] = {}
-    handles: dict[str, Any] = {}
     problems = []
-    for member in members:
-        name = PurePosixPath(member.name).as_posix()
-        if not member.name.isprintable() or set(member.name) & set("\\:") or _leads_out(name):
-            problems.append(f"{member.name!r}: a name that leads out of the release or cannot be a file's")
-        elif name in entries:
-            entries[name] = Entry(member.entry.size, "twice in the archive")
+    for said, entry in members:
+        name = PurePosixPath(said).as_posix()
+        if not said.isprintable() or set(said) & set("\\:") or _leads_out(name):
+            problems.append(f"{said!r}: a name that leads out of the release or cannot be a file's")
         else:
-            entries[name], handles[name] = member.entry, member.handle
+            entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry
     if sum(entry.size for entry in entries.values()) > _limit(path):
         raise _bomb(path)
-    return Contents(entries, tuple(problems), lambda name: opener(handles[name]))
+    return Contents(entries, tuple(problems))
 
 
 def _leads_out(name: str) -> bool:

@@ -1,11 +1,12 @@
 """A folder of submitted predictions: which file answers which target, and what is wrong with them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.errors import PredictionError
+from kinectbench.core.types import Progress, counted
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
@@ -138,7 +139,7 @@ def _answers(folder: Path, recordings: Iterable[str]) -> bool:
     )
 
 
-def check(release: Release, folder: Path, progress: Callable[[int, int], None] | None = None) -> list[str]:
+def check(release: Release, folder: Path, progress: Progress | None = None) -> list[str]:
     """Check one method's predictions for the test split, and for validation if it answers any of it.
 
     Args:
@@ -157,14 +158,12 @@ def check(release: Release, folder: Path, progress: Callable[[int, int], None] |
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in found.missing if target.split in required}
     problems = []
-    for done, target in enumerate(release.targets, start=1):
+    for target in counted(release.targets, progress):
         line = found.problems.get(target) or missing.get(target)
         if target in found.files:
             line = _file_problem(release, target, found.files[target])
         if line:
             problems.append(line)
-        if progress:
-            progress(done, len(release.targets))
     return problems + [stray_line(name, found.missing) for name in found.stray]
 
 

@@ -1,5 +1,6 @@
 """`verify --rebuild`: what was made again is compared to the byte, and what differs is said."""
 
+import io
 import json
 import shutil
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from kinectbench.release.check.rebuild import (
     rebuild_plan,
     version_notes,
 )
+from kinectbench.release.contents import Entry
 from kinectbench.release.opening import open_contents
 
 
@@ -112,7 +114,9 @@ def test_missing_recordings_and_other_releases(
         def released(**values: object) -> RebuildPlan:
             changed = json.loads(text)
             changed["settings"] |= values
-            reader = replace(contents, opener=_opener(contents.opener, json.dumps(changed)))
+            content = json.dumps(changed).encode()
+            entry = Entry(len(content), lambda: io.BytesIO(content))
+            reader = replace(contents, entries={**contents.entries, "benchmark.json": entry})
             return rebuild_plan(reader, everything)
 
         assert released(views={"count": 7}).settings.views.count == 7
@@ -122,12 +126,6 @@ def test_missing_recordings_and_other_releases(
             released(views={"colour": True})
         with pytest.raises(ReleaseError, match="not made from recordings"):
             released(recordings=[])
-
-
-def _opener(other: Callable[[str], object], text: str) -> Callable[[str], object]:
-    import io
-
-    return lambda name: io.BytesIO(text.encode()) if name == "benchmark.json" else other(name)
 
 
 def test_versions(analytic: Path) -> None:

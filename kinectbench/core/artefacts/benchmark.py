@@ -106,6 +106,11 @@ class ReleaseInfo(ReleaseFile):
                 raise ReleaseError(f"{where}: format version {version}; this package reads {FORMAT_VERSION}")
         return super().parse(text, where)
 
+    def hides(self, recording: str) -> bool:
+        """Whether a recording's truth is held back; False for one that is not of the release."""
+        info = self.recordings.get(recording)
+        return info is not None and info.split in self.held_back
+
 
 class PublishOptions(Part):
     """What is asked of `publish` beyond the settings."""

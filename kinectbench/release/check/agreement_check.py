@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
@@ -67,8 +68,10 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
         CROISSANT: _croissant_problems,
         LINEAGE_JSON: _lineage_problems,
     }
-    checks |= {f"{SPLIT_TARGETS}/{split}.csv": _split_problems(split) for split in SPLITS}
-    checks |= {f"views/{name}/views.json": _views_problems(name) for name in stated.metadata.recordings}
+    checks |= {f"{SPLIT_TARGETS}/{split}.csv": partial(_split_problems, split) for split in SPLITS}
+    checks |= {
+        f"views/{name}/views.json": partial(_views_problems, name) for name in stated.metadata.recordings
+    }
     for name, check in checks.items():
         if name in whole:
             try:
@@ -144,36 +147,27 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
             yield f"other views of {name} than in {TARGETS_CSV}"
 
 
-def _split_problems(split: str) -> Check:
-    def check(text: str, stated: Stated) -> Iterator[str]:
-        if text != targets_text(tuple(target for target in stated.targets if target.split == split)):
-            yield f"not the lines of {TARGETS_CSV} whose split is {split}"
-
-    return check
+def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
+    if text != targets_text(tuple(target for target in stated.targets if target.split == split)):
+        yield f"not the lines of {TARGETS_CSV} whose split is {split}"
 
 
-def _views_problems(recording: str) -> Check:
+def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
     """Whether views.json has the views that have pairs, and of held-back ones nothing of the truth."""
-
-    def check(text: str, stated: Stated) -> Iterator[str]:
-        """What is wrong with a views.json, line by line."""
-        rows = ViewsFile.parse(text, ViewsFile.FILE).views
-        listed = {row.view for row in rows if row.pair is not False}
-        here = {target.view for target in stated.targets if target.recording == recording}
-        if here - listed or (listed - here and any(row.pair is not None for row in rows)):
-            yield f"other views with a pair than in {TARGETS_CSV}"
-        told = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
-        if stated.metadata.recordings[recording].split in stated.metadata.held_back and told:
-            yield f"holds {', '.join(sorted(told))}, which is held back"
-
-    return check
+    rows = ViewsFile.parse(text, ViewsFile.FILE).views
+    listed = {row.view for row in rows if row.pair is not False}
+    here = {target.view for target in stated.targets if target.recording == recording}
+    if here - listed or (listed - here and any(row.pair is not None for row in rows)):
+        yield f"other views with a pair than in {TARGETS_CSV}"
+    told = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
+    if stated.metadata.hides(recording) and told:
+        yield f"holds {', '.join(sorted(told))}, which is held back"
 
 
 def _told_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
     """Files of objects whose truth is held back."""
     for name in contents.entries:
         parts = name.split("/")
-        if parts[0] == "objects" and len(parts) > 2 and parts[2] not in PUBLIC_OF_OBJECT:
-            info = metadata.recordings.get(parts[1])
-            if info is not None and info.split in metadata.held_back:
-                yield f"{name}: truth of a split that is held back"
+        truth = parts[0] == "objects" and len(parts) > 2 and parts[2] not in PUBLIC_OF_OBJECT
+        if truth and metadata.hides(parts[1]):
+            yield f"{name}: truth of a split that is held back"

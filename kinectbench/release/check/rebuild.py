@@ -21,13 +21,12 @@ from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.release.contents import Contents
+from kinectbench.release.contents import VIEW_IMAGES, Contents
 from kinectbench.release.publish.small_files import package_versions
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 
 OBJECT_FILES = ("mesh.ply", "volume.npz")
-VIEW_IMAGES = (".depth.png", ".mask.png")
 AGAIN = "differs when made again"
 # Files of a recording that a line names.
 SHOWN = 3

@@ -22,10 +22,9 @@ from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.pair_check import input_problems, pair_problems
-from kinectbench.release.contents import Contents
+from kinectbench.release.contents import VIEW_IMAGES, Contents
 from kinectbench.release.opening import open_contents
 
-VIEW_FILES = (".depth.png", ".mask.png")
 FIRST_LINE = 2  # of targets.csv that holds a target
 
 
@@ -61,7 +60,7 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
             if progress:
                 progress(done, total)
         lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
-        metadata, found = check_small_files(contents, text, sums, damaged)
+        metadata, found = _small_file_problems(contents, text, sums, damaged)
         lines += found
         for done, name in enumerate(pairs, start=len(sums) + 1):
             if metadata and name not in damaged:
@@ -98,7 +97,7 @@ def _pair_lines(contents: Contents, name: str, metadata: ReleaseInfo) -> list[st
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
-        if not held_back(name, metadata):
+        if not metadata.hides(name.split("/")[1]):
             least = metadata.settings.pairs.min_containment
             problems = pair_problems(checked_pair(Pair, values, name), min_containment=least, **rules)
             return [f"{name}: {problem}" for problem in problems]
@@ -110,20 +109,13 @@ def _pair_lines(contents: Contents, name: str, metadata: ReleaseInfo) -> list[st
         return [str(error)]
 
 
-def check_small_files(
+def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, list[str]]:
-    """Check what the small files say, of themselves and of each other.
+    """benchmark.json, None if it cannot be read; and what is wrong with the small files, a line each.
 
-    Args:
-        contents: the release.
-        sums_text: SHA256SUMS.
-        sums: the same, parsed.
-        damaged: files that are not the published ones, by name. They are still read if they can be, but
-            their faults are not named a second time, except for the lines of targets.csv.
-
-    Returns:
-        benchmark.json, None if it cannot be read; and one line per problem.
+    Damaged files are still read if they can be, but their faults are not named a second time, except for the
+    lines of targets.csv.
     """
     lines: list[str] = []
     metadata: ReleaseInfo | None = None
@@ -152,12 +144,6 @@ def check_small_files(
     return metadata, lines
 
 
-def held_back(pair_file: str, metadata: ReleaseInfo) -> bool:
-    """Whether the truth of `pairs/<recording>/<view>.npz` is held back."""
-    info = metadata.recordings.get(pair_file.split("/")[1])
-    return info is not None and info.split in metadata.held_back
-
-
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
     """Lines of targets.csv without their files, pair files without a line, and other hashes."""
     # Synthesised views have no images.
@@ -168,7 +154,7 @@ def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iter
         elif sums[target.file] != target.sha256:
             yield f"{TARGETS_CSV}, line {line}: another SHA-256 for {target.file} than in {SHA256SUMS}"
         if f"views/{target.recording}" in folders:
-            for suffix in VIEW_FILES:
+            for suffix in VIEW_IMAGES:
                 image = f"views/{target.recording}/{target.view}{suffix}"
                 if image not in sums:
                     yield f"{image}: missing, {TARGETS_CSV} has its pair in line {line}"

@@ -1,7 +1,8 @@
 """A release as a BOP data set: a scene and an object model per recording, in millimetres."""
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,16 @@ from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.release.exchange.bop_object import (
     MM_PER_M,
     BopModel,
-    ObjectInView,
     model_info,
     model_ply,
     object_in_view,
     read_model,
 )
-from kinectbench.release.exchange.layouts import SPLIT_NAMES, export_folder, write_export_json
+from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_export_json
 from kinectbench.release.release import Release
 
+# Keys of scene_gt_info.json.
+GT_INFO = ("bbox_obj", "bbox_visib", "px_count_all", "px_count_valid", "px_count_visib", "visib_fract")
 DATASET_INFO = """# {name}
 
 Made by kinectbench of the release {identity}; licence of the data: {license}.
@@ -60,23 +62,25 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
 
     Source: the format page of the BOP benchmark (Hodan et al., ECCV 2018).
     """
-    done, infos, scenes = 0, dict[str, Any](), list[dict[str, Any]]()
+    infos, scenes = dict[str, Any](), list[dict[str, Any]]()
     camera: Camera | None = None
+    exported = itertools.count(1)
 
     def step() -> None:
-        nonlocal done
-        done += 1
+        done = next(exported)
         if progress:
             progress(done, len(release.targets))
 
-    with export_folder(out) as folder:
+    with new_folder(out) as folder:
         (folder / "models").mkdir()
         for number, recording in enumerate(sorted({t.recording for t in release.targets}), start=1):
             targets = [target for target in release.targets if target.recording == recording]
             split = SPLIT_NAMES[targets[0].split]
-            model = None if _held_back(release, recording) else read_model(release, recording)
+            model = None if release.metadata.hides(recording) else read_model(release, recording)
             if model is not None:
-                infos[str(number)] = _write_model(model, folder / "models" / f"obj_{number:06d}.ply")
+                mesh_mm = model.mesh_mm
+                (folder / "models" / f"obj_{number:06d}.ply").write_bytes(model_ply(mesh_mm))
+                infos[str(number)] = model_info(mesh_mm)
             scene = folder / split / f"{number:06d}"
             last = write_scene(release, targets, scene, number, model, step)
             camera = camera or last
@@ -90,19 +94,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
                 }
             )
         _write_dataset_files(release, folder, scenes, infos, camera)
-    return done
-
-
-def _held_back(release: Release, recording: str) -> bool:
-    """Whether a recording's truth is not in the release, and should not be."""
-    return release.metadata.recordings[recording].split in release.metadata.held_back
-
-
-def _write_model(model: BopModel, path: Path) -> dict[str, float]:
-    """Write the model's PLY; returns its row of models_info.json."""
-    mesh_mm = model.mesh_mm
-    path.write_bytes(model_ply(mesh_mm))
-    return model_info(mesh_mm)
+    return len(release.targets)
 
 
 def _write_dataset_files(
@@ -176,7 +168,7 @@ def write_scene(
             T_camera_model = invert_rigid(T_world_camera) @ model.T_world_model
             poses[str(image)] = [{**_rigid_mm(T_camera_model, "m2c"), "obj_id": obj_id}]
             seen = object_in_view(depth_mm, camera, T_world_camera, model.mesh, renderer)
-            infos[str(image)] = [_info(seen)]
+            infos[str(image)] = [{key: getattr(seen, key) for key in GT_INFO}]
             for name, mask in (("mask", seen.mask), ("mask_visib", seen.mask_visib)):
                 _write(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
         step()
@@ -192,18 +184,6 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
     return {
         f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
         f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
-    }
-
-
-def _info(seen: ObjectInView) -> Mapping[str, Any]:
-    """A row of scene_gt_info.json."""
-    return {
-        "bbox_obj": list(seen.bbox_obj),
-        "bbox_visib": list(seen.bbox_visib),
-        "px_count_all": seen.px_count_all,
-        "px_count_valid": seen.px_count_valid,
-        "px_count_visib": seen.px_count_visib,
-        "visib_fract": seen.visib_fract,
     }
 
 

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
+from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import pretty_json, replaced_folder
+from kinectbench.core.voxels.pair_file import Pair, PairInput
 from kinectbench.release.release import Release
 
 EXPORT_JSON = "export.json"
@@ -25,7 +27,8 @@ SYNSETS = {
     "02691156": "plane",
 }
 NO_SYNSET = "00000000"
-# What a pair holds beside its grids.
+# What a pair is called, and what it holds beside its grids.
+NAMES = ("recording", "object", "view", "category", "split")
 NUMBERS = ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule", "occupancy_rule")
 MATRICES = ("T_world_grid", "T_world_camera", "K")
 # Split → what BOP and the paper's authors call it.
@@ -33,14 +36,18 @@ SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 
 
 @contextmanager
-def export_folder(out: Path) -> Iterator[Path]:
+def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
     """Yield an empty folder that takes `out`'s place when the block ends well.
 
+    Args:
+        out: a new or an empty folder, or one that may be replaced.
+        known_by: a file of it that says so; default: that of an earlier export.
+
     Raises:
-        SettingsError: `out` holds something else than an earlier export.
+        SettingsError: `out` holds something else.
         StorageError: the disk is full or read-only.
     """
-    if out.exists() and not (out.is_dir() and ((out / EXPORT_JSON).is_file() or not any(out.iterdir()))):
+    if out.exists() and not (out.is_dir() and ((out / known_by).is_file() or not any(out.iterdir()))):
         raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
     with replaced_folder(out) as folder:
         yield folder
@@ -61,3 +68,10 @@ def write_export_json(folder: Path, release: Release, rows: Mapping[str, Any]) -
 def synset_of(category: str) -> str:
     """The ShapeNet synset of a category; "00000000" if it is none of the paper's."""
     return next((synset for synset, name in SYNSETS.items() if name == category), NO_SYNSET)
+
+
+def pair_row(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
+    """What a pair is called, where its files are, and its numbers, texts and matrices, as JSON values."""
+    row: dict[str, Any] = {name: getattr(target, name) for name in NAMES} | files
+    row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}
+    return row | {name: getattr(pair, name).tolist() for name in MATRICES}

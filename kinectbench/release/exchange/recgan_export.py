@@ -2,17 +2,15 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, counted
 from kinectbench.core.voxels.pair_file import Pair, checked_pair, pair_values, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
 from kinectbench.release.exchange.layouts import (
-    MATRICES,
-    NUMBERS,
     SPLIT_NAMES,
-    export_folder,
+    new_folder,
+    pair_row,
     synset_of,
     write_export_json,
 )
@@ -41,8 +39,8 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
     release.require_truth(SPLIT_NAMES)
     views = max(Counter(target.recording for target in release.targets).values())
     rows = []
-    with export_folder(out) as folder:
-        for done, target in enumerate(release.targets, start=1):
+    with new_folder(out) as folder:
+        for target in counted(release.targets, progress):
             values = pair_values(release.content(target.file), target.file)
             pair = checked_pair(Pair, values, target.file)
             names = {kind: recgan_name(target, kind, views) for kind in ("25d", "3d")}
@@ -50,9 +48,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
                 path = folder / names[kind]
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(recgan_file_bytes(unpack(cells)))
-            rows.append(_row(target, names, pair))
-            if progress:
-                progress(done, len(release.targets))
+            rows.append(pair_row(target, pair, file_25d=names["25d"], file_3d=names["3d"]))
         write_export_json(folder, release, {"pairs": rows})
     return len(rows)
 
@@ -62,18 +58,3 @@ def recgan_name(target: Target, kind: str, views: int) -> str:
     group = f"{SPLIT_NAMES[target.split]}_{views}_{kind}_vox256"
     folder = f"P1_{synset_of(target.category)}_{target.category}"
     return f"{folder}/{group}/{target.recording}_{int(target.view)}_0_0.npz"
-
-
-def _row(target: Target, names: dict[str, str], pair: Pair) -> dict[str, Any]:
-    """What the two files of a pair do not hold."""
-    row: dict[str, Any] = {
-        "recording": target.recording,
-        "object": target.object,
-        "view": target.view,
-        "category": target.category,
-        "split": target.split,
-        "file_25d": names["25d"],
-        "file_3d": names["3d"],
-    }
-    row |= {name: getattr(pair, name) for name in NUMBERS}
-    return row | {name: getattr(pair, name).tolist() for name in MATRICES}

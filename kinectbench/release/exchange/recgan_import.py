@@ -1,7 +1,7 @@
 """Files of the paper's authors as a release, so that predictions for them can be scored."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,14 +11,22 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import PairError, SettingsError
-from kinectbench.core.storage import NAME, replaced_folder, sha256_file
-from kinectbench.core.types import Progress, Split
+from kinectbench.core.storage import NAME, sha256_file
+from kinectbench.core.types import Progress, Split, counted
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Pair, pack, pair_bytes
 from kinectbench.core.voxels.recgan_file import read_recgan_file
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.contents import read_text, strict_json
-from kinectbench.release.exchange.layouts import EXPORT_JSON, MATRICES, NUMBERS, SPLIT_NAMES, SYNSETS
+from kinectbench.release.exchange.layouts import (
+    EXPORT_JSON,
+    MATRICES,
+    NAMES,
+    NUMBERS,
+    SPLIT_NAMES,
+    SYNSETS,
+    new_folder,
+)
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.settings.models import PairSettings
@@ -64,22 +72,18 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         PairError: a file is damaged, or lacks its counterpart.
         StorageError: the disk is full or read-only.
     """
-    if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
-        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
-    exported = folder / EXPORT_JSON
-    content = strict_json(read_text(exported), str(exported)) if exported.is_file() else {}
-    found = _exported(folder, content) if content else _theirs(folder)
-    if not found:
-        raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
-    with replaced_folder(out) as temporary:
+    with new_folder(out, BENCHMARK_JSON) as temporary:
+        exported = folder / EXPORT_JSON
+        content = strict_json(read_text(exported), str(exported)) if exported.is_file() else {}
+        found = _exported(folder, content) if content else _theirs(folder)
+        if not found:
+            raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
         targets = []
-        for done, one in enumerate(found, start=1):
+        for one in counted(found, progress):
             path = temporary / one.target.file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(pair_bytes(_pair(one)))
-            targets.append(Target(**{**vars(one.target), "sha256": sha256_file(path)}))
-            if progress:
-                progress(done, len(found))
+            targets.append(replace(one.target, sha256=sha256_file(path)))
         first = found[0].values
         head = Head(
             content.get("name", folder.resolve().name or "imported"),
@@ -98,7 +102,7 @@ def _exported(folder: Path, content: dict[str, Any]) -> list[Found]:
     found = []
     for row in content.get("pairs", []):
         try:
-            names = {key: row[key] for key in ("recording", "object", "view", "category", "split")}
+            names = {key: row[key] for key in NAMES}
             files = [folder / row[key] for key in ("file_25d", "file_3d")]
             values: dict[str, Any] = {key: row[key] for key in NUMBERS}
             values |= {key: np.array(row[key], dtype=np.float64) for key in MATRICES}

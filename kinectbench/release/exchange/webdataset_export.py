@@ -5,7 +5,6 @@ import json
 import tarfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pair_values
-from kinectbench.release.exchange.layouts import MATRICES, NUMBERS, export_folder, write_export_json
+from kinectbench.release.exchange.layouts import new_folder, pair_row, write_export_json
 from kinectbench.release.release import Release
 
 # At 6.3 MB a pair a shard has about 630 MB.
@@ -51,7 +50,7 @@ def export_webdataset(
     _check_keys(release.targets)
     shards: dict[str, int] = {}
     done = 0
-    with export_folder(out) as folder:
+    with new_folder(out) as folder:
         for name, targets in _shards(release, pairs_per_shard):
             with tarfile.open(folder / name, "w", format=tarfile.USTAR_FORMAT) as shard:
                 for target in targets:
@@ -103,12 +102,7 @@ def _sample(target: Target, pair: Pair | PairInput) -> Iterator[tuple[str, bytes
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, np.ascontiguousarray(getattr(pair, name)), allow_pickle=False)
         yield f"{name}.npy", buffer.getvalue()
-    row: dict[str, Any] = {
-        name: getattr(target, name) for name in ("recording", "object", "view", "category", "split")
-    }
-    row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}
-    row |= {name: getattr(pair, name).tolist() for name in MATRICES}
-    yield "json", json.dumps(row, allow_nan=False).encode()
+    yield "json", json.dumps(pair_row(target, pair), allow_nan=False).encode()
 
 
 def _add(shard: tarfile.TarFile, name: str, content: bytes) -> None:

@@ -17,6 +17,7 @@ from kinectbench.core.errors import PairError, ReleaseError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
+from kinectbench.release.contents import VIEW_IMAGES
 from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
@@ -133,7 +134,7 @@ def _publish_views(built: Built, names: Sequence[str], folder: Path, found: list
     (folder / name).mkdir(parents=True)
     has_color = False
     for view in names:
-        for suffix in (".depth.png", ".mask.png"):
+        for suffix in VIEW_IMAGES:
             _copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
         image = f"{view}.color.jpg"
         has_color |= (source / image).is_file()
