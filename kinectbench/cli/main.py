@@ -11,16 +11,13 @@ import typer
 from kinectbench._version import __version__
 from kinectbench.cli.build import BUILD
 from kinectbench.cli.common import Command
-from kinectbench.cli.exchange import export, import_
 from kinectbench.cli.lab import evaluate, simulate, synthesize
-from kinectbench.cli.methods import baseline, check, compare
-from kinectbench.cli.publish import publish
+from kinectbench.cli.publish import export, import_, publish, verify
 from kinectbench.cli.recordings import formats, init, inspect
 from kinectbench.cli.report import report
-from kinectbench.cli.score import score
+from kinectbench.cli.score import baseline, check, compare, score
 from kinectbench.cli.segment import segment
 from kinectbench.cli.track import track
-from kinectbench.cli.verify import verify
 from kinectbench.core.errors import KinectBenchError, internal_error
 from kinectbench.engine.interrupts import (
     check_interrupt,

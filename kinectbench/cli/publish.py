@@ -1,21 +1,25 @@
-"""`kinectbench publish`: what is built as a release, in parts and archives where asked for."""
+"""The commands around releases: published, checked, made again, and exchanged with other layouts."""
 
-import json
+import tempfile
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from kinectbench.cli.build import build_recordings, exit_status, need_some
-from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.cli.build import build_jobs, build_recordings, exit_status, find_release, need_some
+from kinectbench.cli.common import CANNOT_BE_USED, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.settings.models import BenchmarkSettings
+
+# Each is a room `release/exchange/<layout>_export.py` with a function `export_<layout>`.
+Layout = Literal["recgan", "bop", "webdataset"]
 
 
 @takes("config", "overrides", "jobs", "force", "wait", "as_json")
@@ -51,7 +55,7 @@ def publish(
     )
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [write_archive(part, archives_to or root) for part in parts] if packed else []
-    _tell(summary, written, common.as_json)
+    _tell(common, summary, written)
     return exit_status(rows)
 
 
@@ -84,7 +88,7 @@ def publish_options(
     return PublishOptions(hold_back=hidden, thresholds=thresholds.read_text())
 
 
-def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> None:
+def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> None:
     """What was published, removed, packed, and asked for."""
     from kinectbench.cli import console
 
@@ -93,28 +97,101 @@ def _tell(summary: "PublishSummary", archives: list[Path], as_json: bool) -> Non
         keys = ", ".join(summary.unanswered)
         line = f"not stated in datasheet.md: {keys}; answer under `publish: datasheet:` in benchmark.yaml"
         console.lines("note", [line], "cyan")
-    if as_json:
-        result: dict[str, Any] = {
-            "release": str(summary.folder),
-            "recordings": list(summary.recordings),
-            "pairs": summary.pairs,
-            "benchmark_sha256": summary.benchmark_sha256,
-            "private": None if summary.private is None else str(summary.private),
-            "private_benchmark_sha256": summary.private_sha256,
-            "removed": list(summary.removed),
-            "unanswered": list(summary.unanswered),
-            "archives": [str(path) for path in archives],
-        }
-        typer.echo(json.dumps(result))
-        return
+    result = {
+        "release": str(summary.folder),
+        "recordings": summary.recordings,
+        "pairs": summary.pairs,
+        "benchmark_sha256": summary.benchmark_sha256,
+        "private": None if summary.private is None else str(summary.private),
+        "private_benchmark_sha256": summary.private_sha256,
+        "removed": summary.removed,
+        "unanswered": summary.unanswered,
+        "archives": [str(path) for path in archives],
+    }
     count = f"{len(summary.recordings)} recording{'s' * (len(summary.recordings) != 1)}"
-    typer.echo(f"published {summary.pairs} pairs of {count}: {summary.folder}")
-    typer.echo(f"benchmark_sha256 {summary.benchmark_sha256}")
+    lines = [f"published {summary.pairs} pairs of {count}: {summary.folder}"]
+    lines += [f"benchmark_sha256 {summary.benchmark_sha256}"]
     if summary.private is not None:
-        typer.echo(f"private part, which scores: {summary.private}")
-        typer.echo(f"private_benchmark_sha256 {summary.private_sha256}")
-    for line in (
-        *summary.removed,
-        *(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives),
-    ):
-        typer.echo(line)
+        lines += [f"private part, which scores: {summary.private}"]
+        lines += [f"private_benchmark_sha256 {summary.private_sha256}"]
+    lines += summary.removed
+    lines += [f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives]
+    common.tell(result, lines)
+
+
+@takes("jobs", "as_json")
+def verify(
+    common: Common,
+    release: Annotated[
+        Path, typer.Argument(help="the release's folder, or its .zip, .tar or .tar.gz")
+    ] = Path("benchmark"),
+    rebuild: Annotated[
+        Path | None,
+        typer.Option(help="make the pairs again from here: a benchmark.yaml, or a folder of recordings"),
+    ] = None,
+    work: Annotated[
+        Path | None, typer.Option(help="with --rebuild: build here and keep it; default: a temporary folder")
+    ] = None,
+) -> int:
+    """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
+    from kinectbench.cli import console
+    from kinectbench.release.check.verify import verify as find_problems
+
+    with console.bar("verify") as progress:
+        problems = find_problems(release, progress)
+    if rebuild is not None and not problems:
+        problems = _rebuild(release, rebuild, work, common.workers)
+    common.tell_problems(problems, f"{release}: all well")
+    return CANNOT_BE_USED if problems else 0
+
+
+def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int) -> list[str]:
+    """Build the release's recordings anew and say what differs; only a sound release comes here."""
+    from kinectbench.cli import console
+    from kinectbench.engine.stages import Job
+    from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan
+    from kinectbench.release.opening import open_contents
+
+    sources = find_sources(recordings)
+    with ExitStack() as stack:
+        contents = stack.enter_context(open_contents(release))
+        plan = rebuild_plan(contents, sources)
+        console.lines("note", plan.notes, "yellow")
+        root = work or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-rebuild-")))
+        chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]
+        build_jobs(chosen, "pairs", processes)
+        return list(differences(contents, plan, root / "build"))
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def export(
+    common: Common,
+    out: Annotated[Path, typer.Argument(help="a new folder")],
+    layout: Annotated[Layout, typer.Option(help="the paper's authors', BOP's, or WebDataset's")] = "recgan",
+) -> int:
+    """Write a release in another layout: `recgan`, the paper authors' files and axes; `bop`; `webdataset`."""
+    from importlib import import_module
+
+    from kinectbench.cli import console
+
+    write = getattr(import_module(f"kinectbench.release.exchange.{layout}_export"), f"export_{layout}")
+    release, rows = find_release(common)
+    with console.bar("export") as progress:
+        pairs = write(release, out, progress)
+    common.tell({"folder": str(out), "pairs": pairs}, [f"exported {pairs} pairs: {out}"])
+    return exit_status(rows)
+
+
+@takes("as_json")
+def import_(
+    common: Common,
+    folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/")],
+    out: Annotated[Path, typer.Argument(help="the release: a new folder")],
+) -> None:
+    """Make a release of files in the layout of the paper's authors."""
+    from kinectbench.cli import console
+    from kinectbench.release.exchange.recgan_import import import_recgan
+
+    with console.bar("import") as progress:
+        pairs = import_recgan(folder, out, progress)
+    common.tell({"folder": str(out), "pairs": pairs}, [f"imported {pairs} pairs: {out}"])

@@ -25,7 +25,7 @@ def init(
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
     from kinectbench.core.storage import replaced_file
-    from kinectbench.settings.file import init_benchmark
+    from kinectbench.settings.template import init_benchmark
     from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
 
     target = folder / "benchmark.yaml"

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +14,6 @@ from kinectbench.core.errors import KinectBenchError
 if TYPE_CHECKING:
     from kinectbench.core.sequence import GivenTrajectory
     from kinectbench.engine.summary import RecordingSummary
-    from kinectbench.stages.track.comparison import Comparison
 
 # The figures of a comparison that are shown, by their key.
 COMPARED = {
@@ -51,39 +49,22 @@ def track(
     # A file that cannot be read is told before anything is built.
     reference = None if compare is None else _reference(compare)
     rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
-    compared: list[_Compared | None] = [None] * len(rows)
+    compared: list[dict[str, Any] | None] = [None] * len(rows)
     if compare is not None and reference is not None:
         for index, row in enumerate(rows):
             if row.error is None:
                 rows[index], compared[index] = _compare(row, common.root, reference, compare)
     if common.as_json:
-        typer.echo(json.dumps([_json_value(*one, compare) for one in zip(rows, compared, strict=True)]))
+        values = [row.json_value() for row in rows]
+        if compare is not None:
+            values = [value | {"comparison": one} for value, one in zip(values, compared, strict=True)]
+        typer.echo(json.dumps(values))
     else:
         show_rows(rows, "track")
         for line in _verdicts(rows):
             typer.echo(line)
         _show([one for one in compared if one is not None], compare)
     return exit_status(rows)
-
-
-@dataclass(frozen=True)
-class _Compared:
-    """A trajectory beside the reference: figures, whether these are the same poses, and the plot's file."""
-
-    recording: str
-    figures: "Comparison"
-    with_itself: bool
-    picture: Path
-
-    def json_value(self) -> dict[str, Any]:
-        head, tail = {"recording": self.recording}, {"with_itself": self.with_itself}
-        return {**head, **self.figures.row(), **tail, "picture": str(self.picture)}
-
-
-def _json_value(row: "RecordingSummary", compared: _Compared | None, compare: Path | None) -> dict[str, Any]:
-    if compare is None:
-        return row.json_value()
-    return {**row.json_value(), "comparison": None if compared is None else compared.json_value()}
 
 
 def _reference(path: Path) -> "GivenTrajectory":
@@ -97,8 +78,11 @@ def _reference(path: Path) -> "GivenTrajectory":
 
 def _compare(
     row: "RecordingSummary", root: Path, reference: "GivenTrajectory", name: Path
-) -> "tuple[RecordingSummary, _Compared | None]":
-    """A recording beside the reference, with the plot beside its artefact; or its summary with the error."""
+) -> "tuple[RecordingSummary, dict[str, Any] | None]":
+    """A recording beside the reference, with the plot beside its artefact; or its summary with the error.
+
+    Of the comparison there are the figures, whether these are the same poses, and the plot's file.
+    """
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.engine.steps import read_tracked
@@ -119,7 +103,9 @@ def _compare(
     given = sequence.given_trajectory
     # With stamps between those of the frames the errors are not quite 0, though the poses are the same.
     same = figures.error.ate_m.max < SAME_M or (given is not None and given.equals(reference, SAME_M))
-    return row, _Compared(row.recording, figures, trajectory.source == "trust" and same, picture)
+    itself = trajectory.source == "trust" and same
+    told = {"recording": row.recording, **figures.row(), "with_itself": itself, "picture": str(picture)}
+    return row, told
 
 
 def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
@@ -134,19 +120,18 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
         yield f"{row.recording}: {row.verdict}{advice}"
 
 
-def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
+def _show(compared: Sequence[dict[str, Any]], reference: Path | None) -> None:
     if not compared:
         return
     from kinectbench.cli import console
 
-    figures = [one.json_value() for one in compared]
-    shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in figures]
+    shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in compared]
     formats = {key: ".1f" if key == "tracked_percent" else ".2f" for key in COMPARED}
     console.out.print(console.table(shown, COMPARED, formats, title=f"against {reference}"))
     for one in compared:
-        if one.with_itself:
+        if one["with_itself"]:
             typer.echo(
-                f"{one.recording}: these are the given poses themselves, which are trusted: "
+                f"{one['recording']}: these are the given poses themselves, which are trusted: "
                 "the comparison says nothing of how right they are"
             )
-        typer.echo(f"picture: {one.picture}")
+        typer.echo(f"picture: {one['picture']}")

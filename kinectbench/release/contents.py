@@ -20,7 +20,8 @@ DATASHEET = "datasheet.md"
 PREVIEW = "index.html"
 SCHEMAS = "schemas"
 SPLIT_TARGETS = "targets"
-# Of each view.
+# The bytes of each object, and of each view.
+OBJECT_FILES = ("mesh.ply", "volume.npz")
 VIEW_IMAGES = (".depth.png", ".mask.png")
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"

@@ -35,20 +35,18 @@ def open_contents(path: Path) -> Iterator[Contents]:
         ReleaseError: there is no release, the archive is cut off, or it claims to hold far more than
             its size.
     """
-    if path.is_dir():
-        contents = _folder(path)
-        if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
-            raise ReleaseError(f"{path}: no release there; run publish or download one")
-        yield contents
-    elif path.is_file():
-        with open_archive(path) as contents:
-            yield rooted(contents, path)
-    else:
+    if path.is_file():
+        with _open_archive(path) as contents:
+            yield _rooted(contents, path)
+        return
+    contents = _folder(path)
+    if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
         raise ReleaseError(f"{path}: no release there; run publish or download one")
+    yield contents
 
 
 def _folder(path: Path) -> Contents:
-    """The files of a folder; links are not followed."""
+    """The files of a folder, none where there is no folder; links are not followed."""
     entries = {file.relative_to(path).as_posix(): _entry(file) for file in release_files(path)}
     if (path / SHA256SUMS).is_symlink() or (path / SHA256SUMS).exists():
         entries[SHA256SUMS] = _entry(path / SHA256SUMS)
@@ -60,7 +58,7 @@ def _entry(file: Path) -> Entry:
     return Entry(0 if problem else file.stat().st_size, lambda: file.open("rb"), problem)
 
 
-def rooted(contents: Contents, path: Path) -> Contents:
+def _rooted(contents: Contents, path: Path) -> Contents:
     """The files of a release that lies at the top of an archive, or in a folder of it.
 
     Raises:
@@ -82,7 +80,7 @@ def rooted(contents: Contents, path: Path) -> Contents:
 
 
 @contextmanager
-def open_archive(path: Path) -> Iterator[Contents]:
+def _open_archive(path: Path) -> Iterator[Contents]:
     """Look into a .zip, .tar or .tar.gz, whatever its name ends in.
 
     A zip or a tar is read where it is. A .tar.gz is inflated into one temporary file without a name, for

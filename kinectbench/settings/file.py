@@ -6,14 +6,12 @@ from typing import Any
 
 import yaml
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.models import BenchmarkSettings
-from kinectbench.settings.template import init_benchmark
 from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
-
-__all__ = ["init_benchmark", "load_benchmark", "parse_benchmark"]
 
 
 def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettings:
@@ -105,23 +103,22 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
     try:
         return BenchmarkSettings.model_validate(values)
     except ValidationError as error:
-        found = [_error_line(root, values, e["loc"], e["type"], e["msg"]) for e in error.errors()]
+        found = [_error_line(root, values, each) for each in error.errors()]
     # A vector of three wrong numbers is one error.
     raise SettingsError("\n".join(dict.fromkeys(line for _, line in sorted(found))))
 
 
-def _error_line(
-    root: yaml.Node, values: dict[str, Any], location: Location, kind: str, message: str
-) -> tuple[tuple[bool, int], str]:
+def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails) -> tuple[tuple[bool, int], str]:
     """Sort key and text of one of pydantic's errors."""
+    location, kind = error["loc"], error["type"]
     annotation, constraints, used = field_at(location)
     if kind == "extra_forbidden":
         what = f"unknown key; {_key_hint(str(location[-1]), annotation)}"
     elif kind == "missing" and used == len(location):
         what = f"missing; wanted {wanted(annotation, constraints)}"
     elif kind == "value_error":
-        location = location or ("recordings", _first_clash(values))
-        what = message.removeprefix("Value error, ")
+        location = location or ("recordings", error["ctx"]["index"])
+        what = error["msg"].removeprefix("Value error, ")
         value = yaml_nodes.find(root, location)[1]
         what = f"found {_found(value)}; {what}" if isinstance(value, yaml.ScalarNode) else what
     else:
@@ -158,17 +155,6 @@ def _value_hint(value: yaml.Node | None, annotation: Any) -> str:
     if annotation in (str, str | None):
         return f": write '{value.value}' in quotes"
     return ""
-
-
-def _first_clash(values: dict[str, Any]) -> int:
-    """Index of the first recording that does not go with those before it."""
-    recordings = values["recordings"]
-    for count in range(1, len(recordings)):
-        try:
-            BenchmarkSettings.model_validate({**values, "recordings": recordings[:count]})
-        except ValidationError:
-            return count - 1
-    return len(recordings) - 1
 
 
 def _dotted(values: dict[str, Any], location: Location) -> str:

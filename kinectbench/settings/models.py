@@ -5,6 +5,7 @@ import re
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.storage import NAME
@@ -12,7 +13,6 @@ from kinectbench.core.types import Framing, PartialRule, Split
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
-Size3 = Annotated[tuple[float, float, float], Field(strict=False)]
 
 CITED = {
     "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
@@ -61,7 +61,7 @@ class BoxSettings(Settings):
     """An upright box around the object, in the floor frame (z up, floor at z = 0)."""
 
     center_m: Vector3 = Field(description="centre, metres")
-    size_m: Size3 = Field(description="edge lengths, metres")
+    size_m: Vector3 = Field(description="edge lengths, metres")
     yaw_rad: float = Field(0.0, description="turn about the vertical, radians")
 
     @field_validator("size_m")
@@ -221,6 +221,11 @@ class PublishSettings(Settings):
     )
 
 
+def _clash(index: int, problem: str) -> PydanticCustomError:
+    """An error about a recording that does not go with those before it."""
+    return PydanticCustomError("value_error", "{problem}", {"problem": problem, "index": index})
+
+
 class BenchmarkSettings(Settings):
     """All of benchmark.yaml."""
 
@@ -239,18 +244,19 @@ class BenchmarkSettings(Settings):
 
     @model_validator(mode="after")
     def _unique(self) -> "BenchmarkSettings":
-        seen: dict[str, RecordingSettings] = {}
+        seen: set[str] = set()
         split_of: dict[str, RecordingSettings] = {}
-        for recording in self.recordings:
-            if recording.id in seen:
-                raise ValueError(f"two recordings have the id '{recording.id}': give each its own")
-            seen[recording.id] = recording
+        for index, recording in enumerate(self.recordings):
             first = split_of.setdefault(recording.object_name, recording)
+            if recording.id in seen:
+                raise _clash(index, f"two recordings have the id '{recording.id}': give each its own")
             if first.split != recording.split:
-                raise ValueError(
+                raise _clash(
+                    index,
                     f"object '{recording.object_name}' is in two splits: '{first.split}' ({first.id}) and "
-                    f"'{recording.split}' ({recording.id}); an object belongs to one"
+                    f"'{recording.split}' ({recording.id}); an object belongs to one",
                 )
+            seen.add(recording.id)
         return self
 
     def recording(self, recording_id: str) -> RecordingSettings:

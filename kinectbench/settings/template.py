@@ -13,20 +13,9 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
 from kinectbench.settings.words import field_range, model_of
 
-CATEGORY_WORDS = {
-    "bench": "bench",
-    "chair": "chair",
-    "armchair": "chair",
-    "couch": "couch",
-    "sofa": "couch",
-    "table": "table",
-    "desk": "table",
-    "cabinet": "cabinet",
-    "stool": "stool",
-    "shelf": "shelf",
-    "lamp": "lamp",
-    "bed": "bed",
-}
+CATEGORIES = ("bench", "chair", "couch", "table", "cabinet", "stool", "shelf", "lamp", "bed")
+CATEGORY_WORDS = {name: name for name in CATEGORIES}
+CATEGORY_WORDS |= {"armchair": "chair", "sofa": "couch", "desk": "table"}
 UNKNOWN_CATEGORY = "unknown"
 
 HEADER = """\
@@ -62,13 +51,11 @@ def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Seq
 
 
 def _top_level(folder_name: str) -> list[str]:
-    """The name and the licence."""
+    """The name, the licence and the source."""
     fields = BenchmarkSettings.model_fields
-    return [
-        _commented(f"name: {_text(_safe(folder_name, 'benchmark'))}", fields["name"].description),
-        _commented(f"license: {_text(fields['license'].default)}", fields["license"].description),
-        _commented(f"source: {_text(fields['source'].default)}", fields["source"].description),
-    ]
+    values = {key: fields[key].default for key in ("license", "source")}
+    values = {"name": _safe(folder_name, "benchmark"), **values}
+    return [_commented(f"{key}: {_text(value)}", fields[key].description) for key, value in values.items()]
 
 
 def _recording(name: str, path: str, kind: str, path_name: str) -> list[str]:

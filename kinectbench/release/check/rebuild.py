@@ -14,19 +14,18 @@ from pydantic import ValidationError
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Sources
-from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, parse_targets
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.release.contents import VIEW_IMAGES, Contents
+from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.publish.small_files import package_versions
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 
-OBJECT_FILES = ("mesh.ply", "volume.npz")
 AGAIN = "differs when made again"
 # Files of a recording that a line names.
 SHOWN = 3
@@ -144,9 +143,7 @@ def version_notes(metadata: ReleaseInfo) -> list[str]:
 
 def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
     """One line for each stage that is of another version here than the one that made these recordings."""
-    if LINEAGE_JSON not in contents.entries:
-        return []
-    lineage = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+    lineage = _lineage(contents)
     made = {
         (stage, row.stage_version)
         for name in recordings
@@ -159,6 +156,13 @@ def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
         for stage, version in sorted(made)
         if VERSIONS.get(stage) != version
     ]
+
+
+def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
+    """What lineage.json says of each recording; nothing where there is none."""
+    if LINEAGE_JSON not in contents.entries:
+        return {}
+    return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
 
 
 def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
@@ -193,10 +197,10 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
 def _source_difference(contents: Contents, recording: str, build: Path) -> Iterator[str]:
     """Whether the recording is the one that lineage.json knows by the hashes of its files."""
     made = Sources.read_if_there(build)
-    if LINEAGE_JSON not in contents.entries or made is None:
+    rows = _lineage(contents)
+    if recording not in rows or made is None:
         return
-    rows = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
-    published = rows[recording].files if recording in rows else {}
+    published = rows[recording].files
     here = made.sha256
     if set(here) == {""}:  # a recording that is one file, whatever it is called here
         here = dict.fromkeys(published, here[""])

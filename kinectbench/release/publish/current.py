@@ -95,10 +95,9 @@ def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSum
     if stamp is None or stamp.fingerprint != wanted:
         return None
     private = out.with_name(out.name + PRIVATE) if stamp.private_sha256 else None
+    parts = {out: stamp.benchmark_sha256} | ({private: stamp.private_sha256} if private else {})
     try:
-        there = ReleaseInfo.read(out).benchmark_sha256 == stamp.benchmark_sha256
-        if private is not None:
-            there = there and ReleaseInfo.read(private).benchmark_sha256 == stamp.private_sha256
+        there = all(ReleaseInfo.read(part).benchmark_sha256 == sha256 for part, sha256 in parts.items())
     except ReleaseError:
         return None
     facts = {key: fact for key, fact in stamp if key not in ("fingerprint", "options")}

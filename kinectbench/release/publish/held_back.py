@@ -1,7 +1,5 @@
 """What a public part shows of recordings whose truth is held back."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from kinectbench.core.artefacts.object import FloorFile
@@ -57,13 +55,3 @@ def own_views(views: ViewsFile) -> ViewsFile:
     """views.json without frames, poses and the fit to the shape."""
     rows = tuple(ViewRow(**{key: getattr(row, key) for key in VIEW_KEYS}) for row in views.views if row.pair)
     return views.model_copy(update={"views": rows, "refused": (), "warnings": ()})
-
-
-def hold_back_warnings(framing: str, splits: Sequence[str]) -> list[str]:
-    """What the publisher of a public part should know."""
-    if not splits or framing != "object":
-        return []
-    return [
-        "with framing 'object' the cube of a held-back pair tells how long its shape is and where its middle "
-        "lies: use `pairs: {framing: view}`"
-    ]

@@ -21,7 +21,6 @@ from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
-from kinectbench.release.publish.held_back import hold_back_warnings
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
@@ -130,7 +129,7 @@ def _write(
 ) -> PublishSummary:
     """Fill one folder."""
     found, made = list[Removed](), dict[str, Published]()
-    warnings = [*_warnings(settings), *hold_back_warnings(settings.pairs.framing, options.hold_back)]
+    warnings = _warnings(settings, options.hold_back)
     for name in recordings:
         recording = settings.recording(name)
         hidden = recording.split in options.hold_back
@@ -195,13 +194,18 @@ def _write_texts(
         scrubbed_file(given, THRESHOLDS_JSON, found).write(folder)
 
 
-def _warnings(settings: BenchmarkSettings) -> list[str]:
-    """What a user of the release should know from the settings alone."""
+def _warnings(settings: BenchmarkSettings, hold_back: Sequence[str]) -> list[str]:
+    """What a user of the release should know from the settings and options alone."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
     if not any(recording.split == "validation" for recording in settings.recordings):
         warnings.append("no validation split: thresholds are fixed at 0.5 unless a threshold file is given")
+    if hold_back and settings.pairs.framing == "object":
+        warnings.append(
+            "with framing 'object' the cube of a held-back pair tells how long its shape is and where its "
+            "middle lies: use `pairs: {framing: view}`"
+        )
     return warnings
 
 

@@ -17,12 +17,10 @@ from kinectbench.core.errors import PairError, ReleaseError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
-from kinectbench.release.contents import VIEW_IMAGES
+from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
 from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
-
-BYTES_OF_OBJECT = ("mesh.ply", "volume.npz")
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,7 @@ def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
     """Copy the object's files; of a held-back one the floor only."""
     source, name = built.folder / "object", f"objects/{built.recording.id}"
     (folder / name).mkdir(parents=True)
-    for file in BYTES_OF_OBJECT if not built.hidden else ():
+    for file in OBJECT_FILES if not built.hidden else ():
         _copy_built(source / file, folder / name / file)
     floor = FloorFile.read(source)
     _write(own_floor(floor) if built.hidden else floor, folder, name, found)
