@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.settings.models import BenchmarkSettings
 
-# Each is a room `release/exchange/<layout>_export.py` with a function `export_<layout>`.
+# Each is a room `release/exchange/<layout>.py` with a function `export_<layout>`.
 Layout = Literal["recgan", "bop", "webdataset"]
 
 
@@ -174,7 +174,7 @@ def export(
 
     from kinectbench.cli import console
 
-    write = getattr(import_module(f"kinectbench.release.exchange.{layout}_export"), f"export_{layout}")
+    write = getattr(import_module(f"kinectbench.release.exchange.{layout}"), f"export_{layout}")
     release, rows = find_release(common)
     with console.bar("export") as progress:
         pairs = write(release, out, progress)
@@ -190,7 +190,7 @@ def import_(
 ) -> None:
     """Make a release of files in the layout of the paper's authors."""
     from kinectbench.cli import console
-    from kinectbench.release.exchange.recgan_import import import_recgan
+    from kinectbench.release.exchange.recgan import import_recgan
 
     with console.bar("import") as progress:
         pairs = import_recgan(folder, out, progress)

@@ -52,6 +52,12 @@ def sha256_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def write_below(path: Path, content: bytes) -> None:
+    """Write a file; the folders on its way are made where they are missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+
+
 @contextlib.contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
     """Turn the operating system's complaints about a full or read-only disk into one clear line."""

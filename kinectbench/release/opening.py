@@ -161,18 +161,16 @@ def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
     entries: dict[str, Entry] = {}
     problems = []
     for said, entry in members:
-        name = PurePosixPath(said).as_posix()
-        if not said.isprintable() or set(said) & set("\\:") or _leads_out(name):
+        inside = PurePosixPath(said)
+        name = inside.as_posix()
+        leads_out = inside.is_absolute() or ".." in inside.parts
+        if leads_out or not said.isprintable() or set(said) & set("\\:"):
             problems.append(f"{said!r}: a name that leads out of the release or cannot be a file's")
         else:
             entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry
     if sum(entry.size for entry in entries.values()) > _limit(path):
         raise _bomb(path)
     return Contents(entries, tuple(problems))
-
-
-def _leads_out(name: str) -> bool:
-    return name.startswith("/") or ".." in PurePosixPath(name).parts
 
 
 def _limit(path: Path) -> int:

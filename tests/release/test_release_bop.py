@@ -21,7 +21,7 @@ from analytic_release import (
 
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.release.exchange.bop_export import export_bop
+from kinectbench.release.exchange.bop import export_bop
 from kinectbench.release.exchange.bop_object import object_in_view
 from kinectbench.release.release import open_release
 from kinectbench.stages.ingest.readers import open_recording

@@ -16,9 +16,9 @@ from kinectbench.cli.main import app
 from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.check.verify import verify
-from kinectbench.release.exchange.bop_export import export_bop
-from kinectbench.release.exchange.recgan_export import export_recgan
-from kinectbench.release.exchange.webdataset_export import export_webdataset
+from kinectbench.release.exchange.bop import export_bop
+from kinectbench.release.exchange.recgan import export_recgan
+from kinectbench.release.exchange.webdataset import export_webdataset
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import open_release
 

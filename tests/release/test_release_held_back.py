@@ -27,7 +27,7 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.release.check.pair_check import input_problems
 from kinectbench.release.check.verify import verify
-from kinectbench.release.exchange.recgan_export import export_recgan
+from kinectbench.release.exchange.recgan import export_recgan
 from kinectbench.release.publish.held_back import own_world, without_truth
 from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.release.release import open_release

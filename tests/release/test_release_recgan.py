@@ -15,8 +15,7 @@ from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import Pair, read_pair, unpack
 from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
 from kinectbench.release.check.verify import verify
-from kinectbench.release.exchange.recgan_export import export_recgan
-from kinectbench.release.exchange.recgan_import import import_recgan
+from kinectbench.release.exchange.recgan import export_recgan, import_recgan
 from kinectbench.release.release import open_release
 
 KEPT = {"partial", "partial_256", "full", "shell", "T_world_grid", "T_world_camera", "K", "voxel_size_m"}

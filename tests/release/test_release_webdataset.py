@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from kinectbench.cli.main import app
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.voxels.pair_file import read_pair
-from kinectbench.release.exchange.webdataset_export import export_webdataset
+from kinectbench.release.exchange.webdataset import export_webdataset
 from kinectbench.release.release import Release, open_release
 
 

@@ -72,7 +72,9 @@ def datasheet(
         partial_rule=settings.pairs.partial_rule,
         color=color,
         figures=_figures(infos),
-        quality_warnings=_listed(_quality_warnings(infos)),
+        quality_warnings=_listed(
+            [f"{name}: {line}" for name, info in sorted(infos.items()) for line in info.quality.warnings]
+        ),
         warnings=_listed(warnings),
         license=common_license(infos, settings.license),
         distribution=" ".join(
@@ -102,10 +104,6 @@ def _figures(infos: Mapping[str, RecordingInfo]) -> str:
             count = f"{len(values)} recording{'s' * (len(values) > 1)}"
             lines.append(f"{text}: {middle}{spread}{unit}, of {count}")
     return _listed(lines) if lines else "- nothing"
-
-
-def _quality_warnings(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    return [f"{name}: {line}" for name, info in sorted(infos.items()) for line in info.quality.warnings]
 
 
 def _listed(lines: Sequence[str]) -> str:

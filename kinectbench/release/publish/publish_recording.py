@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
-from kinectbench.core.storage import sha256_file
+from kinectbench.core.storage import sha256_file, write_below
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
@@ -98,9 +98,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> Target:
     file = f"pairs/{recording.id}/{view}.npz"
     if built.hidden:
         floor = FloorFile.read(built.folder / "object")
-        (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        data = pair_bytes(without_truth(pair, floor.T_floor_world))
-        (folder / file).write_bytes(data)
+        write_below(folder / file, pair_bytes(without_truth(pair, floor.T_floor_world)))
     else:
         _copy_built(source, folder / file)
     return Target(

@@ -1,6 +1,7 @@
-"""Files of the paper's authors as a release, so that predictions for them can be scored."""
+"""Files of the paper's authors: a release as such files, which existing networks read unchanged, and back."""
 
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -11,11 +12,19 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import PairError, SettingsError
-from kinectbench.core.storage import NAME, sha256_file
+from kinectbench.core.storage import NAME, sha256_file, write_below
 from kinectbench.core.types import Progress, Split, counted
 from kinectbench.core.voxels.morphology import packed_shell
-from kinectbench.core.voxels.pair_file import FULL_CELLS, Pair, pack, pair_bytes
-from kinectbench.core.voxels.recgan_file import read_recgan_file
+from kinectbench.core.voxels.pair_file import (
+    FULL_CELLS,
+    Pair,
+    checked_pair,
+    pack,
+    pair_bytes,
+    pair_values,
+    unpack,
+)
+from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.contents import read_text, strict_json
 from kinectbench.release.exchange.layouts import (
@@ -26,9 +35,13 @@ from kinectbench.release.exchange.layouts import (
     SPLIT_NAMES,
     SYNSETS,
     new_folder,
+    pair_row,
+    synset_of,
+    write_export_json,
 )
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.release.release import Release
 from kinectbench.settings.models import PairSettings
 
 SPLITS = {theirs: split for split, theirs in SPLIT_NAMES.items()}
@@ -51,6 +64,47 @@ class Found:
     file_25d: Path
     file_3d: Path
     values: dict[str, Any]
+
+
+def export_recgan(release: Release, out: Path, progress: Progress | None = None) -> int:
+    """Write every pair of a release as two files, what is seen (`25d`) and the full shape (`3d`).
+
+    Nothing is cropped: their readers centre the grids in 256, so they stay where they are. `export.json`
+    holds what the files do not: names and transforms. `known`, `seen` and `shell` are not exported.
+
+    Args:
+        release: opened.
+        out: a new folder, or an earlier export, which is replaced.
+        progress: called with (pairs done, pairs in all).
+
+    Returns:
+        The number of pairs.
+
+    Raises:
+        SettingsError: `out` holds something else.
+        ReleaseError, PairError: a pair is missing or damaged, or truth is held back.
+        StorageError: the disk is full or read-only.
+    """
+    release.require_truth(SPLIT_NAMES)
+    views = max(Counter(target.recording for target in release.targets).values())
+    rows = []
+    with new_folder(out) as folder:
+        for target in counted(release.targets, progress):
+            values = pair_values(release.content(target.file), target.file)
+            pair = checked_pair(Pair, values, target.file)
+            names = {kind: recgan_name(target, kind, views) for kind in ("25d", "3d")}
+            for kind, cells in (("25d", pair.partial_256), ("3d", pair.full)):
+                write_below(folder / names[kind], recgan_file_bytes(unpack(cells)))
+            rows.append(pair_row(target, pair, file_25d=names["25d"], file_3d=names["3d"]))
+        write_export_json(folder, release, {"pairs": rows})
+    return len(rows)
+
+
+def recgan_name(target: Target, kind: str, views: int) -> str:
+    """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<recording>_<view>_0_0.npz`."""
+    group = f"{SPLIT_NAMES[target.split]}_{views}_{kind}_vox256"
+    folder = f"P1_{synset_of(target.category)}_{target.category}"
+    return f"{folder}/{group}/{target.recording}_{int(target.view)}_0_0.npz"
 
 
 def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> int:
@@ -81,8 +135,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         targets = []
         for one in counted(found, progress):
             path = temporary / one.target.file
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(pair_bytes(_pair(one)))
+            write_below(path, pair_bytes(_pair(one)))
             targets.append(replace(one.target, sha256=sha256_file(path)))
         first = found[0].values
         head = Head(

@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.storage import pretty_json
+from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.release.exchange.bop_object import (
@@ -156,9 +156,9 @@ def write_scene(
         image = int(target.view)
         source = f"views/{target.recording}/{target.view}"
         png = release.content(f"{source}.depth.png")
-        _write(folder / "depth" / f"{image:06d}.png", png)
+        write_below(folder / "depth" / f"{image:06d}.png", png)
         if colored and f"{source}.color.jpg" in release.sums:
-            _write(folder / "rgb" / f"{image:06d}.jpg", release.content(f"{source}.color.jpg"))
+            write_below(folder / "rgb" / f"{image:06d}.jpg", release.content(f"{source}.color.jpg"))
         K, T_world_camera = _camera(release, target)
         depth_mm = _depth_mm(png, f"{source}.depth.png")
         camera = Camera(depth_mm.shape[1], depth_mm.shape[0], K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -170,7 +170,7 @@ def write_scene(
             seen = object_in_view(depth_mm, camera, T_world_camera, model.mesh, renderer)
             infos[str(image)] = [{key: getattr(seen, key) for key in GT_INFO}]
             for name, mask in (("mask", seen.mask), ("mask_visib", seen.mask_visib)):
-                _write(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
+                write_below(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
         step()
     (folder / "scene_camera.json").write_text(pretty_json(cameras))
     if model is not None:
@@ -217,8 +217,3 @@ def _mask_png(mask: Bools) -> bytes:
     import cv2
 
     return bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes())
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
