@@ -26,8 +26,9 @@ from kinectbench.core.voxels.view_grids import object_cube, partial_grids
 from kinectbench.lab.simulate.objects.furniture import FAMILIES, make_object
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.lab.synthesize.pair import VOXELIZERS, make_pair, recgan_bytes, recgan_path
+from kinectbench.lab.synthesize.pair import VOXELIZERS, make_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
+from kinectbench.release.exchange.layouts import recgan_path
 
 Result = TypeVar("Result")
 
@@ -108,7 +109,8 @@ def readback(category: str, pairs: int, folder: Path) -> Iterator[Figure]:
     for view in all_views(5)[:pairs]:
         pair, _ = make_pair(checked, eye, view, SETTINGS)
         paths = [
-            folder / recgan_path(kind, category, "train", f"{category}-0", view) for kind in ("25d", "3d")
+            folder / recgan_path(kind, category, "train", view.n**3, f"{category}-0_{view.name}")
+            for kind in ("25d", "3d")
         ]
         for path, content in zip(paths, recgan_bytes(pair), strict=True):
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,14 +10,15 @@ from kinectbench.core.artefacts.object import SynthesisedQualityFile
 from kinectbench.core.artefacts.views import Refused, SynthesisedCamera, ViewRow, ViewsFile
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.mesh import write_ply
-from kinectbench.core.storage import pretty_json, sha256_file, sha256_text
+from kinectbench.core.storage import pretty_json, sha256_file, sha256_text, write_below
 from kinectbench.core.types import Split
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import VERSIONS, Artefact
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes, recgan_path
+from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
+from kinectbench.release.exchange.layouts import recgan_path
 
 FILES = "files"
 MADE = "made.json"
@@ -139,9 +140,8 @@ def _write_recgan(
         if reason:
             refused.append(reason)
             continue
+        name = f"{model.name}_{view.name}"
         for kind, content in zip(("25d", "3d"), recgan_bytes(pair), strict=True):
-            path = files / recgan_path(kind, model.category, task.split, model.name, view)  # type: ignore[arg-type]
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+            write_below(files / recgan_path(kind, model.category, task.split, view.n**3, name), content)
         names.append(view.name)
     return {"views": names, "refused": refused}

@@ -1,7 +1,5 @@
 """One synthetic pair: depth by a virtual camera, the whole shape as it stands, and the authors' files."""
 
-from typing import Literal
-
 import numpy as np
 
 from kinectbench.core.voxels.morphology import containment, packed_shell
@@ -14,7 +12,6 @@ from kinectbench.core.voxels.view_grids import object_cube, partial_grids
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose
-from kinectbench.release.exchange.layouts import SPLIT_NAMES, synset_of
 
 VOXELIZERS = {"winding": voxelize_solid, "six-rays": voxelize_open}
 
@@ -71,20 +68,6 @@ def _reason(pair: Pair, min_containment: float) -> str | None:
     if inside < min_containment:
         return f"containment is {inside:.3f}, below {min_containment}"
     return None
-
-
-def recgan_path(kind: Literal["25d", "3d"], category: str, split: str, model: str, view: ViewAngles) -> str:
-    """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<model>_<roll>_<pitch>_<yaw>.npz`.
-
-    Args:
-        kind: "25d", what is seen, or "3d", the full shape.
-        category: such as "chair".
-        split: "train", "validation" or "test".
-        model: its name.
-        view: of a group of n^3 views.
-    """
-    group = f"{SPLIT_NAMES[split]}_{view.n**3}_{kind}_vox256"
-    return f"P1_{synset_of(category)}_{category}/{group}/{model}_{view.name}.npz"
 
 
 def recgan_bytes(pair: Pair) -> tuple[bytes, bytes]:

@@ -70,6 +70,20 @@ def synset_of(category: str) -> str:
     return next((synset for synset, name in SYNSETS.items() if name == category), NO_SYNSET)
 
 
+def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> str:
+    """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<name>.npz`.
+
+    Args:
+        kind: "25d", what is seen, or "3d", the full shape.
+        category: such as "chair".
+        split: "train", "validation" or "test".
+        views: their number in a group.
+        name: `<model>_<roll>_<pitch>_<yaw>`.
+    """
+    group = f"{SPLIT_NAMES[split]}_{views}_{kind}_vox256"
+    return f"P1_{synset_of(category)}_{category}/{group}/{name}.npz"
+
+
 def pair_row(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
     """What a pair is called, where its files are, and its numbers, texts and matrices, as JSON values."""
     row: dict[str, Any] = {name: getattr(target, name) for name in NAMES} | files

@@ -36,7 +36,7 @@ from kinectbench.release.exchange.layouts import (
     SYNSETS,
     new_folder,
     pair_row,
-    synset_of,
+    recgan_path,
     write_export_json,
 )
 from kinectbench.release.publish.card import CardTexts
@@ -92,19 +92,15 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
         for target in counted(release.targets, progress):
             values = pair_values(release.content(target.file), target.file)
             pair = checked_pair(Pair, values, target.file)
-            names = {kind: recgan_name(target, kind, views) for kind in ("25d", "3d")}
+            files = {}
             for kind, cells in (("25d", pair.partial_256), ("3d", pair.full)):
-                write_below(folder / names[kind], recgan_file_bytes(unpack(cells)))
-            rows.append(pair_row(target, pair, file_25d=names["25d"], file_3d=names["3d"]))
+                name = f"{target.recording}_{int(target.view)}_0_0"
+                file = recgan_path(kind, target.category, target.split, views, name)
+                write_below(folder / file, recgan_file_bytes(unpack(cells)))
+                files[f"file_{kind}"] = file
+            rows.append(pair_row(target, pair, **files))
         write_export_json(folder, release, {"pairs": rows})
     return len(rows)
-
-
-def recgan_name(target: Target, kind: str, views: int) -> str:
-    """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<recording>_<view>_0_0.npz`."""
-    group = f"{SPLIT_NAMES[target.split]}_{views}_{kind}_vox256"
-    folder = f"P1_{synset_of(target.category)}_{target.category}"
-    return f"{folder}/{group}/{target.recording}_{int(target.view)}_0_0.npz"
 
 
 def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> int:

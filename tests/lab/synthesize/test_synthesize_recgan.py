@@ -9,8 +9,9 @@ from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.lab.synthesize.mesh_check import check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes, recgan_path
+from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
+from kinectbench.release.exchange.layouts import recgan_path
 
 VIEWS = [view for view in all_views(5) if view.name in ("0_0_0", "0_1_2", "3_4_1", "2_2_2")]
 
@@ -71,9 +72,9 @@ def test_back_projection_in_their_axes_falls_onto_the_shape():
 def test_folders_and_names():
     view = ViewAngles((0, 1, 2), 6)
     model = "2d1ea225c279836cd67b3c7873295e75"
-    assert recgan_path("25d", "bench", "test", model, view) == (
+    assert recgan_path("25d", "bench", "test", view.n**3, f"{model}_{view.name}") == (
         f"P1_02828884_bench/test_216_25d_vox256/{model}_0_1_2.npz"
     )
-    assert recgan_path("3d", "couch", "validation", "m", ViewAngles((4, 0, 3), 5)) == (
+    assert recgan_path("3d", "couch", "validation", 125, "m_4_0_3") == (
         "P1_04256520_couch/val_125_3d_vox256/m_4_0_3.npz"
     )
