@@ -100,5 +100,5 @@ def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSum
         there = all(ReleaseInfo.read(part).benchmark_sha256 == sha256 for part, sha256 in parts.items())
     except ReleaseError:
         return None
-    facts = {key: fact for key, fact in stamp if key not in ("fingerprint", "options")}
+    facts = {key: fact for key, fact in vars(stamp).items() if key not in ("fingerprint", "options")}
     return PublishSummary(folder=out, private=private, **facts) if there else None
