@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import kinectbench
-from kinectbench.cli import methods as commands_methods
 from kinectbench.cli import score as commands_score
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
@@ -65,7 +64,7 @@ def test_an_option_has_one_default() -> None:
         ]
         assert len(defaults) >= 3 and all(default == defaults[0] for default in defaults), name
     assert signature(compare_tables).parameters["protocol"].default == PRIMARY
-    assert signature(commands_methods.compare).parameters["protocol"].default == PRIMARY
+    assert signature(commands_score.compare).parameters["protocol"].default == PRIMARY
 
 
 def test_scorer_refuses(release: Release) -> None:
