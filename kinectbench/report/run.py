@@ -28,9 +28,16 @@ class ScoreFile:
     table: ScoreTable
     gallery: Gallery | None
 
+    @property
+    def version(self) -> int:
+        """Of what counted it; 0 if it does not say."""
+        return self.table.settings.score_version or 0
+
 
 def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile], list[str]]:
-    """The scores.json in a folder and in its subfolders, sorted; those of another truth are left out.
+    """The scores.json in a folder and in its subfolders, sorted.
+
+    Those of another truth are left out, and those that an older version than the newest there counted.
 
     Args:
         folder: of the scores; it need not be there.
@@ -42,28 +49,31 @@ def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile
     Raises:
         StorageError: a file is damaged.
     """
-    files, warnings = [], []
-    for path in [*sorted(folder.glob(SCORES_JSON)), *sorted(folder.glob(f"*/{SCORES_JSON}"))]:
-        file = _read(path)
-        if benchmark_sha256 in (None, file.table.benchmark_sha256):
-            files.append(file)
-        else:
-            warnings.append(f"{path}: scores of another benchmark, left out of the page; score again")
-    return files, warnings
+    paths = [*sorted(folder.glob(SCORES_JSON)), *sorted(folder.glob(f"*/{SCORES_JSON}"))]
+    found = [_read(path) for path in paths]
+    others = [file for file in found if benchmark_sha256 not in (None, file.table.benchmark_sha256)]
+    newest = max((file.version for file in found if file not in others), default=0)
+    older = [file for file in found if file not in others and file.version != newest]
+    files = [file for file in found if file not in (*others, *older)]
+    return files, [
+        f"{file.path}: scores of {what}, left out of the page; score again"
+        for what, left_out in (("another benchmark", others), ("an older version", older))
+        for file in left_out
+    ]
 
 
 def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[ScoreFile]:
-    """The score files that were asked for by name, of one truth.
+    """The score files that were asked for by name, of one truth and counted by one version.
 
     Args:
         paths: files, methods' folders, or folders of methods; a file named twice counts once.
         benchmark_sha256: of the truth; None if only the files know it, who must then agree.
 
     Raises:
-        SettingsError: one is missing, damaged, or was scored against another truth.
+        SettingsError: one is missing, damaged, or was scored against another truth or by another version.
         StorageError: the gallery beside one is damaged.
     """
-    files = []
+    files: list[ScoreFile] = []
     for path in {path.resolve(): path for path in find_scores(paths)}.values():
         file = ScoreFile(path, read_named(path), read_gallery(path))
         found = file.table.benchmark_sha256
@@ -73,12 +83,17 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
                 f"{path}: scored against benchmark {found[:12]}, the page is of "
                 f"{benchmark_sha256[:12]}; score it against that one or leave it out"
             )
+        if files and file.version != files[0].version:
+            raise SettingsError(
+                f"{path}: counted by {file.table.counted_by}, {files[0].path} by "
+                f"{files[0].table.counted_by}; score both again or leave one out"
+            )
         files.append(file)
     return files
 
 
 def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
-    """The baselines that `score` kept beside score files, of the same truth; one of each name.
+    """The baselines that `score` kept beside score files, of the same truth, counted alike; one of each name.
 
     One that was scored as a method is not shown twice.
 
@@ -89,13 +104,13 @@ def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
         StorageError: a file is damaged.
     """
     shown = {file.table.method for file in files}
-    truths = {file.table.benchmark_sha256 for file in files}
+    truths = {(file.table.benchmark_sha256, file.table.counted_by) for file in files}
     folders = {folder: None for file in files for folder in (file.path.parent, file.path.parent.parent)}
     found: dict[str, ScoreFile] = {}
     for folder in folders:
         for path in sorted((folder / BASELINES_FOLDER).glob(f"*/{SCORES_JSON}")):
             file = _read(path)
-            same = file.table.baseline and file.table.benchmark_sha256 in truths
+            same = file.table.baseline and (file.table.benchmark_sha256, file.table.counted_by) in truths
             if same and file.table.method not in shown:
                 found.setdefault(file.table.method, file)
     return [*found.values()]
@@ -148,7 +163,8 @@ def page_of_benchmark(
     Args:
         settings: the benchmark.
         root: its folder.
-        scores: a folder, of which scores of another truth are left out, or files and folders by name.
+        scores: a folder, of which scores of another truth or version are left out, or files and folders by
+            name.
         progress: see `write_report`.
         out: the page; default: index.html in the folder of scores.
         baselines: whether those that lie beside the scores are shown too.
@@ -157,7 +173,7 @@ def page_of_benchmark(
         Its path, and a warning for each score file that was left out.
 
     Raises:
-        SettingsError: a score file that was named is missing, damaged or of another truth.
+        SettingsError: a score file that was named is missing, damaged or of another truth or version.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)

@@ -76,8 +76,8 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         protocol: "paper", "known" or "occluded".
 
     Raises:
-        SettingsError: fewer than two tables, another truth, an incomplete table, pairs that differ, or the
-            metric or protocol was not scored.
+        SettingsError: fewer than two tables, another truth, version or upsampling, an incomplete table, pairs
+            that differ, or the metric or protocol was not scored.
     """
     if metric not in METRICS:
         raise SettingsError(f"no metric '{metric}': choose among {', '.join(METRICS)}")
@@ -151,6 +151,11 @@ def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
             raise SettingsError(
                 f"{table.method}: scored against benchmark {table.benchmark_sha256[:12]}, {names[0]} against "
                 f"{tables[0].benchmark_sha256[:12]}; score both against one"
+            )
+        if table.counted_by != tables[0].counted_by:
+            raise SettingsError(
+                f"{table.method}: counted by {table.counted_by}, {names[0]} by {tables[0].counted_by}; "
+                "score both again, alike"
             )
         if not table.complete:
             raise SettingsError(f"{table.method}: some of its pairs are not scored; complete it first")

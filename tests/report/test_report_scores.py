@@ -12,7 +12,7 @@ from report_fake_build import parsed_tables, score
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.report import charts, tables
-from kinectbench.report.run import files_in, files_named, rank
+from kinectbench.report.run import baselines_of, files_in, files_named, rank
 from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.counts import THRESHOLDS
 
@@ -153,10 +153,10 @@ def test_best_and_worst_pairs() -> None:
     assert [pair.recording for pair in found["a"].worst] == ["chair_1", "chair_2", "chair_3"]
 
 
-def put(folder: Path, name: str, sha256: str = "ab" * 32) -> Path:
+def put(folder: Path, name: str, sha256: str = "ab" * 32, **more: object) -> Path:
     (folder / name).mkdir(parents=True)
     path = folder / name / "scores.json"
-    path.write_text(json.dumps(score(name, 0.4) | {"benchmark_sha256": sha256}))
+    path.write_text(json.dumps(score(name, 0.4) | {"benchmark_sha256": sha256} | more))
     return path
 
 
@@ -174,6 +174,29 @@ def test_named_files_are_of_one_truth(tmp_path: Path) -> None:
         files_named([first, other], None)
     found, warnings = files_in(tmp_path / "theirs", "ab" * 32)
     assert found == [] and len(warnings) == 1
+
+
+def test_scores_of_an_older_version_are_left_out_or_refused(tmp_path: Path) -> None:
+    scores = tmp_path / "scores"
+    unknown = put(scores, "a")
+    first, second = (put(scores, f"b{version}", settings={"score_version": version}) for version in (1, 2))
+    other = put(scores, "c", "cd" * 32, settings={"score_version": 3})
+    for version in (1, 2):
+        settings = {"score_version": version}
+        put(scores / "baselines", f"hull{version}", settings=settings, baseline=True)
+    files, warnings = files_in(scores, "ab" * 32)
+    assert [file.path for file in files] == [second]
+    assert warnings == [
+        f"{other}: scores of another benchmark, left out of the page; score again",
+        f"{unknown}: scores of an older version, left out of the page; score again",
+        f"{first}: scores of an older version, left out of the page; score again",
+    ]
+    assert [file.table.method for file in baselines_of(files)] == ["hull2"]
+    with pytest.raises(
+        SettingsError, match=r"b1/scores\.json: counted by score version 1, .*score both again"
+    ):
+        files_named([second, first], None)
+    assert [file.path for file in files_named([first], None)] == [first]
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b'{"method": "a", "x": NaN}', b"\xff"])

@@ -172,6 +172,14 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
         lambda t: t.model_copy(update={"benchmark_sha256": "b" * 64}),
         "score both against one",
     ),
+    "another version": (
+        lambda t: t.model_copy(update={"settings": ScoreSettings(protocols=("known",), score_version=2)}),
+        "bad: counted by score version 2, upsampling unknown, good by score version unknown, .*score both",
+    ),
+    "another upsampling": (
+        lambda t: t.model_copy(update={"settings": ScoreSettings(protocols=("known",), upsampling="other")}),
+        "bad: counted by score version unknown, upsampling other, good by .*; score both again, alike",
+    ),
     "incomplete": (lambda t: t.model_copy(update={"complete": False}), "some of its pairs are not scored"),
     "other pairs": (lambda t: t.model_copy(update={"rows": t.rows[1:]}), "other pairs than good"),
 }

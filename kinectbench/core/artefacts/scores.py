@@ -336,6 +336,15 @@ class ScoreTable(Stored):
         False, description="whether kinectbench made the predictions itself, to stand beside a method's"
     )
 
+    @property
+    def counted_by(self) -> str:
+        """How predictions were counted, in words: tables that differ in it are not compared.
+
+        `missing` is no part of it: with any choice a pair that is predicted has the same numbers.
+        """
+        version, upsampling = self.settings.score_version, self.settings.upsampling
+        return f"score version {version or 'unknown'}, upsampling {upsampling or 'unknown'}"
+
     def averages(self, protocol: str) -> dict[str, CategoryAverages | OverallAverages]:
         """The averages under a protocol by category, and over all categories under `OVERALL`."""
         found: dict[str, CategoryAverages | OverallAverages] = {**(self.by_category or {}).get(protocol, {})}
