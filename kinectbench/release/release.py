@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -34,7 +34,7 @@ class Release:
 
     folder: Path
     targets: tuple[Target, ...]
-    metadata: ReleaseInfo
+    metadata: ReleaseInfo = field(hash=False)  # it holds dicts
 
     @property
     def benchmark_sha256(self) -> str:

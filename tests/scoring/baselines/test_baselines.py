@@ -17,7 +17,7 @@ from kinectbench.scoring.baselines.hull import extruded, filled_hull, silhouette
 from kinectbench.scoring.baselines.inputs import Inputs, Training, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
 from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored
-from kinectbench.scoring.baselines.predict import possible_baselines, write_baselines
+from kinectbench.scoring.baselines.predict import BaselineTask, possible_baselines, predicted, write_baselines
 from kinectbench.scoring.baselines.registry import BASELINES, constant, empty, mean_shape, nearest, partial
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import check, split_methods
@@ -207,6 +207,11 @@ def test_baselines_that_learn(release: Release) -> None:
     given = replace(inputs(pairs[1]), training=training)
     np.testing.assert_allclose(mean_shape(given), np.mean(blocks, axis=0), atol=1e-3)
     np.testing.assert_array_equal(nearest(given), unpack(pairs[1].full))
+    task = BaselineTask(trained, next(t for t in targets if t.category == "chair"), 0.1, LEFT_OUT)
+    for name, prediction in predicted(task):
+        np.testing.assert_array_equal(
+            prediction, BASELINES[name](replace(inputs(pairs[0]), training=training))
+        )
 
 
 def plain_extruded(partial: np.ndarray, camera_cells: np.ndarray) -> np.ndarray:
