@@ -2,12 +2,19 @@
 
 The recording's bytes are the same on every machine, so that no simulation comes between. It is built
 with the poses that it brings. Without them it is tracked, and no further: what is fused along tracked poses
-differs more from one processor to the next than a tolerance should allow.
+differs more from one processor to the next than a tolerance should allow. With a box and masks only those
+stages are pinned that look at them. Baselines and scores are those of simple shapes by formula: a score's
+fingerprint holds no stage's version, so a stage's change may not hide one of theirs.
 """
 
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+import cv2
+import numpy as np
+from synthetic_release import Recordings, publish_synthetic
 
 from kinectbench.engine.pipeline import build_recording
 from kinectbench.engine.stages import STAGES, SUGGEST, Job
@@ -28,12 +35,32 @@ SETTINGS = {
     "recordings": [
         {"id": "given", "path": str(RECORDING), "category": "chair"},
         {"id": "tracked", "path": str(RECORDING), "category": "chair", "trajectory": "ignore"},
+        {"id": "refined", "path": str(RECORDING), "category": "chair", "trajectory": "refine"},
+        {
+            "id": "boxed",
+            "path": str(RECORDING),
+            "category": "chair",
+            "box": {"center_m": [0.0, 0.0, 0.45], "size_m": [0.7, 0.7, 0.95], "yaw_rad": -0.7},
+            "masks": "masks",
+        },
     ],
     "fusion": {"voxel_size_m": 0.01, "scene_voxel_size_m": 0.02},
     "views": {"count": 2},
 }
 SYNTHESIS = {"categories": ["chair"], "train": 1, "validation": 0, "test": 0, "sv_steps": 1, "image_px": 96}
-METHODS = ("hull", "mirror")
+# What is built of each recording, and pinned.
+BUILT = {
+    "given": tuple(stage.name for stage in (*STAGES, SUGGEST)),
+    "tracked": ("ingest", "track"),
+    "refined": ("track",),
+    "boxed": ("segment", "sample-views"),  # on what was made of "given"
+}
+# Of the release that is predicted and scored.
+FIXED: Recordings = (
+    ("chair_01", "chair", "red_chair", "test", 1),
+    ("chair_02", "chair", "val_chair", "validation", 1),
+    ("chair_03", "chair", "old_chair", "train", 1),
+)
 # Of the frames of a sequence so many are left out between two that are looked at.
 EVERY = 24
 # The releases' and builds' own bookkeeping, which follows from the rest.
@@ -47,7 +74,7 @@ class Written:
     """What one stage wrote, and the stages that it stands on.
 
     Attributes:
-        inputs: where one of these wrote something else, so may this one.
+        inputs: their fingerprints are in its own: where one of them wrote something else, so may this one.
         files: by a name that is the same on every machine.
     """
 
@@ -66,17 +93,45 @@ def jobs(root: Path) -> tuple[Job, ...]:
 
 def make_sample(root: Path) -> Sample:
     """Build, publish, synthesise, predict and score the sample in an empty folder; some 20 s on two cores."""
+    _draw_masks(root / "masks")
     for job in jobs(root):
-        for last in ("track",) if job.recording.id == "tracked" else ("pairs", SUGGEST.name):
+        stages = BUILT[job.recording.id]
+        if job.recording.id == "boxed":
+            shutil.copytree(root / "build" / "given", job.build)
+        for last in stages[-2:]:
             outcome = build_recording(job, last)
             assert outcome.error is None, outcome.error
     settings = jobs(root)[0].settings
     publish_if_stale(settings, root, [settings.recordings[0].id])
-    release = open_release(root / "benchmark")
-    write_baselines(release, root / "predictions", METHODS)
-    score_methods(release, root / "predictions", root / "scores")
+    publish_synthetic(root / "fixed", FIXED)
+    release = open_release(root / "fixed" / "benchmark")
+    write_baselines(release, root / "fixed" / "baselines")
+    _predict(root / "fixed" / "predictions")
+    score_methods(release, root / "fixed" / "predictions", root / "fixed" / "scores")
     synthesize(SynthesisSettings.model_validate(SYNTHESIS), root / "synthetic")
     return read_sample(root)
+
+
+def _draw_masks(folder: Path) -> None:
+    """Pixels that are added to the mask of one view, and taken from that of another."""
+    folder.mkdir()
+    block = np.zeros((240, 320), np.uint8)
+    block[100:140, 100:200] = 255
+    for name in ("000.exclude.png", "001.include.png"):
+        cv2.imwrite(str(folder / name), block)
+
+
+def _predict(folder: Path) -> None:
+    """A blurred ball of 64 cells a side, and a sharp one of 256, for every pair but those of training."""
+    for method, side in (("soft", 64), ("sharp", 256)):
+        axis = (np.arange(side) + 0.5) * (256 / side)
+        x, y, z = ((axis - centre) ** 2 for centre in (124, 126, 130))
+        value = np.clip((100 - np.sqrt(x[:, None, None] + y[:, None] + z)) / 40, 0, 1)
+        for recording, *_, split, _ in FIXED:
+            if split != "train":
+                path = folder / method / recording / "000.npy"
+                path.parent.mkdir(parents=True)
+                np.save(path, value.astype(np.float32) if method == "soft" else value > 0.4)
 
 
 def read_sample(root: Path) -> Sample:
@@ -87,6 +142,7 @@ def read_sample(root: Path) -> Sample:
             {
                 f"{job.recording.id}/{name}": path
                 for job in jobs(root)
+                if stage.name in BUILT[job.recording.id]
                 for name, path in _files(job.build / stage.folder, stage.folder)
             },
         )
@@ -97,8 +153,8 @@ def read_sample(root: Path) -> Sample:
     others = {
         "publish": (tuple(stage.name for stage in STAGES), _own(release)),
         "synthesize": ((), {name: path for name, path in synthetic.items() if name not in _own(synthetic)}),
-        "baselines": (("pairs",), dict(_files(root / "predictions", "predictions"))),
-        "score": (("pairs", "baselines"), dict(_files(root / "scores", "scores"))),
+        "baselines": ((), dict(_files(root / "fixed" / "baselines", "baselines"))),
+        "score": ((), dict(_files(root / "fixed" / "scores", "scores"))),
     }
     return built | {name: Written(*content) for name, content in others.items()}
 
