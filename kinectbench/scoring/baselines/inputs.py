@@ -1,15 +1,14 @@
 """What a baseline may look at: a pair's input, and truth of the training split."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.voxels.pair_file import Packed, PairInput, unpack
-from kinectbench.release.contents import strict_json
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import reduced
 from kinectbench.scoring.truth import read_grids
@@ -80,22 +79,14 @@ def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.
     Raises:
         ReleaseError: the floor's file is damaged.
     """
-    path = release.folder / "objects" / target.recording / "floor.json"
-    T_grid_world = np.linalg.inv(pair.T_world_grid[:3, :3])
+    folder = release.folder / "objects" / target.recording
     try:
-        text = path.read_text()
-    except OSError:
+        floor = FloorFile.read_if_there(folder)
+    except StorageError as error:
+        raise ReleaseError(f"{error}, or download the release again") from error
+    if floor is None:
         return UP_IN_CAMERA
-    content = strict_json(text, str(path))
-    plane = content.get("plane_world") if isinstance(content, dict) else None
-    if plane is None or not _is_plane(plane):
-        raise ReleaseError(f"{path}: 'plane_world' is not [a, b, c, d]; download the release again")
-    up = T_grid_world @ np.array(plane[:3], np.float64)
+    if not floor.plane_world[:3].any():
+        raise ReleaseError(f"{folder / FloorFile.FILE}: a plane without a normal; download the release again")
+    up = np.linalg.inv(pair.T_world_grid[:3, :3]) @ floor.plane_world[:3]
     return np.asarray(up / np.linalg.norm(up), dtype=np.float64)
-
-
-def _is_plane(plane: object) -> bool:
-    if not isinstance(plane, Sequence) or isinstance(plane, str) or len(plane) != 4:
-        return False
-    numbers = all(isinstance(value, int | float) for value in plane)
-    return numbers and bool(np.isfinite(plane[:3]).all()) and any(plane[:3])

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import ConvexHull
 from synthetic_release import ball, synthetic_pair
 
+from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import Pair, pack, read_pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
@@ -184,11 +185,15 @@ def test_up_is_away_from_the_floor(release: Release, tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     moved = Release(tmp_path, release.targets, release.metadata)
     np.testing.assert_array_equal(up_in_grid(moved, target, pair), UP)
-    (folder / "floor.json").write_text('{"plane_world": [0, 0, 2, -1]}')
+    floor = FloorFile(
+        plane_world=np.array([0, 0, 2, -1]), T_floor_world=np.eye(4), noise_m=0.001, inlier_share=0.5
+    )
+    floor.write(folder)
     np.testing.assert_allclose(
         pair.T_world_grid[:3, :3] @ up_in_grid(moved, target, pair), [0, 0, 1], atol=1e-12
     )
-    for text in ("[", "{}", '{"plane_world": [0, 0, 0, 1]}', '{"plane_world": ["a", 0, 1, 1]}'):
+    flat = floor.model_copy(update={"plane_world": np.array([0, 0, 0, 1.0])}).text()
+    for text in ("[", "{}", flat, flat.replace("0.0", '"a"', 1), flat.replace('"inlier_share"', '"other"')):
         (folder / "floor.json").write_text(text)
         with pytest.raises(ReleaseError, match="floor"):
             up_in_grid(moved, target, pair)
