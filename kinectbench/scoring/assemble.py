@@ -1,12 +1,11 @@
 """Put the table of one method together from what was counted."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-
-from pydantic import JsonValue
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.scores import (
     BaseRate,
     Failure,
@@ -20,7 +19,6 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.averages import (
-    TRUTH_KEYS,
     ObjectQuality,
     category_averages,
     extremes,
@@ -127,29 +125,31 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
     )
 
 
-def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, dict[str, JsonValue]]:
+def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFile]:
     """{recording: what the release says of its truth}."""
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})
-    return {name: recordings[name].quality.json_value() for name in names if name in recordings}
+    return {name: recordings[name].quality for name in names if name in recordings}
 
 
-def _by_object(
-    rows: Sequence[ScoreRow], quality: Mapping[str, Mapping[str, JsonValue]]
-) -> dict[str, ObjectQuality]:
+def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
     """{object: the figures of its recordings' truth that averages show}; the mean where it has several."""
     recordings: dict[str, set[str]] = {}
     for row in rows:
         recordings.setdefault(row.object, set()).add(row.recording)
-    return {name: {key: _mean_of(key, of, quality) for key in TRUTH_KEYS} for name, of in recordings.items()}
+    found = {}
+    for name, of in recordings.items():
+        parts = [quality.get(recording, QualityFile()) for recording in sorted(of)]
+        found[name] = ObjectQuality(
+            _mean([part.estimated_iou for part in parts]),
+            _mean([part.repeatability_iou for part in parts]),
+        )
+    return found
 
 
-def _mean_of(
-    key: str, recordings: Collection[str], quality: Mapping[str, Mapping[str, JsonValue]]
-) -> float | None:
-    """The mean of a figure of recordings' truth; None if one of them lacks it."""
-    values = [quality.get(recording, {}).get(key) for recording in sorted(recordings)]
-    known = [float(value) for value in values if isinstance(value, int | float)]
+def _mean(values: Sequence[float | None]) -> float | None:
+    """The mean of a figure; None if one of them is not known."""
+    known = [value for value in values if value is not None]
     return sum(known) / len(known) if len(known) == len(values) else None
 
 

@@ -24,11 +24,15 @@ from kinectbench.scoring.counts import THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
-# Of quality.json: an object's values of these are averaged as `truth_<key>`.
-TRUTH_KEYS = ("estimated_iou", "repeatability_iou")
 EXTREMES = 3
 
-ObjectQuality = Mapping[str, float | None]
+
+@dataclass(frozen=True)
+class ObjectQuality:
+    """How good an object's truth is: means over its recordings; None if one of these is not known."""
+
+    estimated_iou: float | None = None
+    repeatability_iou: float | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def category_averages(
     Args:
         means: see `object_means`.
         rates: base rate by category.
-        quality: {object: {key of `TRUTH_KEYS`: mean over its recordings' truth}}.
+        quality: of the truth of each object.
     """
     return {
         protocol: {
@@ -97,10 +101,8 @@ def category_averages(
                 objects=len(here.names),
                 base_rate_source=rates[category].source,
                 intervals=_intervals(student_interval(here.values, here.weights)),
-                **{
-                    f"truth_{key}": _known_mean([quality.get(name, {}).get(key) for name in here.names])
-                    for key in TRUTH_KEYS
-                },
+                truth_estimated_iou=_known_mean([quality[name].estimated_iou for name in here.names]),
+                truth_repeatability_iou=_known_mean([quality[name].repeatability_iou for name in here.names]),
             )
             for category, here in categories.items()
         }
@@ -113,7 +115,7 @@ def overall_averages(
     means: Mapping[str, Mapping[str, ObjectMeans]],
 ) -> dict[str, OverallAverages]:
     """{protocol: macro mean over the categories, its intervals, and sums of pairs and objects}."""
-    averaged = (*AVERAGED, *(f"truth_{key}" for key in TRUTH_KEYS))
+    averaged = (*AVERAGED, "truth_estimated_iou", "truth_repeatability_iou")
     return {
         protocol: OverallAverages(
             **{name: _known_mean([getattr(of, name) for of in categories.values()]) for name in averaged},

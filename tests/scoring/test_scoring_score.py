@@ -97,6 +97,7 @@ def test_files(release: Release, table: ScoreTable, tmp_path: Path) -> None:
     assert content["benchmark_sha256"] == release.benchmark_sha256
     assert content["method"] == "soft" and len(content["rows"]) == 12
     assert content["truth_quality"]["chair_01"] == {"repeatability_iou": 0.93}
+    assert ScoreTable.read(tmp_path / "scores").truth_quality["chair_01"].repeatability_iou == 0.93
     assert str(release.folder) not in json.dumps(content) and "tmp" not in json.dumps(content)
     with (tmp_path / "scores" / "scores.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
 from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
+from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.storage import replaced_file
 
@@ -321,7 +322,7 @@ class ScoreTable(Stored):
     overall: Annotated[dict[str, OverallAverages], BeforeValidator(_without_nulls)] | None = Field(
         None, description="protocol -> mean over the categories; null if not complete"
     )
-    truth_quality: dict[str, dict[str, JsonValue]] = Field(
+    truth_quality: dict[str, QualityFile] = Field(
         {}, description="recording -> what the release says of its truth"
     )
     failures: tuple[Failure, ...] = Field((), description="predictions that could not be scored")
