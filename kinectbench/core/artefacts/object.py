@@ -16,7 +16,7 @@ from pydantic import Field
 from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored, Vector4
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, OrientedBox
-from kinectbench.core.types import Bools
+from kinectbench.core.types import Bools, Split
 from kinectbench.core.voxels.npz import npz_bytes, read_npz
 
 Triple = tuple[float, float, float]
@@ -214,6 +214,24 @@ class SynthesisedQualityFile(Stored):
     source: str = Field(description="the mesh, or the seed it was made from")
     faces: int = Field(description="triangles of the mesh")
     warnings: tuple[str, ...] = Field(description="one line each")
+
+
+class MadeGroup(Part):
+    """What became of the views of a model that were synthesised together."""
+
+    views: tuple[str, ...] = Field(description="names of those that have a pair")
+    refused: tuple[str, ...] = Field(description="why each of the others has none")
+
+
+class MadeModel(Stored):
+    """made.json of a model's artefact while a benchmark is synthesised: what it adds to the report."""
+
+    FILE = "made.json"
+    ADVICE = "run the command again"
+
+    split: Split = Field(description="the part of the benchmark that it belongs to")
+    quality: SynthesisedQualityFile = Field(description="how its mesh was filled")
+    groups: dict[str, MadeGroup] = Field(description="name of a group of views -> what became of them")
 
 
 class CandidateRow(Part):

@@ -1,16 +1,14 @@
 """Everything that is written of one model: one artefact, which a killed run leaves whole or not at all."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-from kinectbench.core.artefacts.object import SynthesisedQualityFile
+from kinectbench.core.artefacts.object import MadeGroup, MadeModel, SynthesisedQualityFile
 from kinectbench.core.artefacts.views import Refused, SynthesisedCamera, ViewRow, ViewsFile
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.mesh import write_ply
-from kinectbench.core.storage import pretty_json, sha256_file, sha256_text, write_below
+from kinectbench.core.storage import sha256_file, sha256_text, write_below
 from kinectbench.core.types import Split
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import VERSIONS, Artefact
@@ -21,7 +19,6 @@ from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views,
 from kinectbench.release.exchange.layouts import recgan_path
 
 FILES = "files"
-MADE = "made.json"
 # What an artefact does not depend on: the rest of a run.
 ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "validation", "test"}
 
@@ -60,11 +57,6 @@ class Task:
         own = {"split": self.split, "category": self.model.category, "model": self.model.name}
         return Artefact(self.folder, "synthesize", VERSIONS["synthesize"], settings | own, {"mesh": source})
 
-    def made(self) -> dict[str, Any]:
-        """What `make_model` wrote of itself."""
-        content: dict[str, Any] = json.loads((self.folder / MADE).read_text())
-        return content
-
 
 def make_model(task: Task) -> None:
     """Write all pairs of one model into its artefact, unless they are there already.
@@ -85,8 +77,7 @@ def make_model(task: Task) -> None:
             pairs = ((view, *make_pair(checked, eye, view, settings)) for view in all_views(steps))
             write = _write_recgan if settings.layout == "recgan" else _write_release
             groups[name] = write(task, name, folder / FILES, checked, eye.camera, pairs)
-        made = {"split": task.split, "quality": _quality(task.model, checked).json_value(), "groups": groups}
-        (folder / MADE).write_text(pretty_json(made))
+        MadeModel(split=task.split, quality=_quality(task.model, checked), groups=groups).write(folder)
 
 
 def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:
@@ -105,7 +96,7 @@ Pairs = Iterator[tuple[ViewAngles, Pair, str | None]]
 
 def _write_release(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
-) -> dict[str, Any]:
+) -> MadeGroup:
     """Pairs, views and object of one recording; returns its views and refusals."""
     recording = f"{task.model.name}-{group}"
     for name in ("pairs", "views", "objects"):
@@ -128,12 +119,12 @@ def _write_release(
     ).write(files / "views" / recording)
     write_ply(checked.mesh, files / "objects" / recording / "mesh.ply")
     _quality(task.model, checked).write(files / "objects" / recording)
-    return {"views": [row.view for row in rows], "refused": [row.reason for row in refused]}
+    return MadeGroup(views=tuple(row.view for row in rows), refused=tuple(row.reason for row in refused))
 
 
 def _write_recgan(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
-) -> dict[str, Any]:
+) -> MadeGroup:
     """The authors' two files of each pair; returns the views and refusals."""
     model, names, refused = task.model, [], []
     for view, pair, reason in pairs:
@@ -144,4 +135,4 @@ def _write_recgan(
         for kind, content in zip(("25d", "3d"), recgan_bytes(pair), strict=True):
             write_below(files / recgan_path(kind, model.category, task.split, view.n**3, name), content)
         names.append(view.name)
-    return {"views": names, "refused": refused}
+    return MadeGroup(views=tuple(names), refused=tuple(refused))

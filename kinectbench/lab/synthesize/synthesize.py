@@ -12,7 +12,7 @@ from typing import Any
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
-from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.object import MadeModel, QualityFile
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError, ShapeError, StorageError
 from kinectbench.core.storage import pretty_json, replaced_folder, sha256_file
@@ -69,16 +69,18 @@ def assemble(
     with replaced_folder(out) as folder:
         for task in tasks:
             _link(task.folder / FILES, folder)
-        made = [task.made() for task in tasks]
-        pairs = sum(len(group["views"]) for content in made for group in content["groups"].values())
+        made = [MadeModel.read(task.folder) for task in tasks]
+        pairs = sum(len(group.views) for model in made for group in model.groups.values())
         if not pairs:
             first = next(
-                reason for content in made for g in content["groups"].values() for reason in g["refused"]
+                reason for model in made for group in model.groups.values() for reason in group.refused
             )
             raise PairError(f"{out}: every single pair was refused, the first because {first}")
         if settings["layout"] == "recgan":
             content = {"package_version": __version__, "settings": settings, "report": list(lines)}
-            content["models"] = {task.model.name: row for task, row in zip(tasks, made, strict=True)}
+            content["models"] = {
+                task.model.name: row.json_value() for task, row in zip(tasks, made, strict=True)
+            }
             (folder / SYNTHESIS_JSON).write_text(pretty_json(content))
             return pairs, ""
         return pairs, _complete(tasks, made, settings, folder, lines)
@@ -86,7 +88,7 @@ def assemble(
 
 def _complete(
     tasks: Sequence[Task],
-    made: Sequence[dict[str, Any]],
+    made: Sequence[MadeModel],
     settings: dict[str, Any],
     folder: Path,
     lines: Sequence[str],
@@ -95,9 +97,9 @@ def _complete(
     targets: list[Target] = []
     infos: dict[str, RecordingInfo] = {}
     for task, content in zip(tasks, made, strict=True):
-        for group, views in content["groups"].items():
+        for group, views in content.groups.items():
             recording = f"{task.model.name}-{group}"
-            files = {view: f"pairs/{recording}/{view}.npz" for view in views["views"]}
+            files = {view: f"pairs/{recording}/{view}.npz" for view in views.views}
             targets += [
                 Target(
                     recording=recording,
@@ -116,8 +118,8 @@ def _complete(
                     category=task.model.category,
                     split=task.split,
                     pairs=len(files),
-                    refused=len(views["refused"]),
-                    quality=QualityFile.model_validate(content["quality"]),
+                    refused=len(views.refused),
+                    quality=QualityFile.model_validate(content.quality.json_value()),
                 )
     pair_settings = PairSettings(min_containment=settings["min_containment"]).model_dump(mode="json")
     public = {"pairs": pair_settings, "synthesis": settings}
@@ -266,16 +268,16 @@ def _lines(
     settings: SynthesisSettings, dealt: dict[str, Dealt], tasks: Sequence[Task], left_out: Sequence[LeftOut]
 ) -> Iterator[str]:
     """The report."""
-    made = {task.model: task.made() for task in tasks}
+    made = {task.model: MadeModel.read(task.folder) for task in tasks}
     for category, models in dealt.items():
         counts = Counter(models.split_of.values())
-        rules = Counter(made[model]["quality"]["method"] for model in models.split_of)
+        rules = Counter(made[model].quality.method for model in models.split_of)
         pairs: Counter[str] = Counter()
         refused = 0
         for model, split in models.split_of.items():
-            for group in made[model]["groups"].values():
-                pairs[split] += len(group["views"])
-                refused += len(group["refused"])
+            for group in made[model].groups.values():
+                pairs[split] += len(group.views)
+                refused += len(group.refused)
         parts = [
             f"{sum(number.values())} {what} ({', '.join(f'{number[s]} {s}' for s in settings.wanted)})"
             for what, number in (("models", counts), ("pairs", pairs))
@@ -288,8 +290,8 @@ def _lines(
         if models.unused:
             yield f"{category}: {models.unused} more models were not needed"
     for task in tasks:
-        quality = made[task.model]["quality"]
-        if quality["method"] != "winding":
-            yield f"{task.model.label}: not watertight: filled by the rule {quality['method']}"
-        yield from (f"{task.model.label}: {note}" for note in quality["warnings"])
+        quality = made[task.model].quality
+        if quality.method != "winding":
+            yield f"{task.model.label}: not watertight: filled by the rule {quality.method}"
+        yield from (f"{task.model.label}: {note}" for note in quality.warnings)
     yield from (f"left out: {bad.model}: {bad.reason}" for bad in left_out)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from synthesis_shapes import write_shapenet
 
-from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.lab.synthesize import make
 from kinectbench.lab.synthesize.models import SynthesisSettings
@@ -135,6 +135,12 @@ def test_the_result_depends_on_neither_jobs_nor_interruptions(
         synthesize(tables, out)
     assert not out.exists() and len(list((tmp_path / "out.work").glob("*/made.json"))) == 2
     (tmp_path / "out.work" / ".t9.abc.part").mkdir()  # a leftover of a killed process
+    kept = next((tmp_path / "out.work").glob("*/made.json"))
+    whole = kept.read_bytes()
+    kept.write_bytes(b" " * len(whole))
+    with pytest.raises(StorageError, match=r"made\.json: not valid JSON .*; run the command again"):
+        synthesize(tables, out)
+    kept.write_bytes(whole)
     synthesize(tables, out)
     assert len(made) == 4  # only the third again
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
