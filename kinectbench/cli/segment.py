@@ -3,13 +3,16 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, run_stage
 from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import SettingsError
+
+if TYPE_CHECKING:
+    from kinectbench.core.artefacts.object import CandidatesFile
 
 
 @takes("config", "overrides", "jobs", "force", "as_json")
@@ -43,41 +46,40 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
     rows = build_recordings(common, ids, SUGGEST.name, (SUGGEST.name,) if common.force else ())
     listed = [None if row.error else _candidates(common.root, row.recording) for row in rows]
     if common.as_json:
-        both = zip(rows, listed, strict=True)
-        typer.echo(json.dumps([{**row.json_value(), "candidates": found} for row, found in both]))
+        found = [None if each is None else each.json_value() for each in listed]
+        both = zip(rows, found, strict=True)
+        typer.echo(json.dumps([{**row.json_value(), "candidates": boxes} for row, boxes in both]))
     else:
-        for row, found in zip(rows, listed, strict=True):
-            if found is not None:
-                _show(row.recording, found)
+        for row, each in zip(rows, listed, strict=True):
+            if each is not None:
+                _show(row.recording, each)
     return exit_status(rows)
 
 
-def _candidates(root: Path, recording: str) -> dict[str, Any]:
+def _candidates(root: Path, recording: str) -> "CandidatesFile":
     """What candidates.json says, pictures as paths from here."""
     from kinectbench.core.artefacts.object import CandidatesFile
     from kinectbench.engine.stages import SUGGEST
 
     folder = root / "build" / recording / SUGGEST.folder
-    content = CandidatesFile.read(folder).json_value()
-    for each in (content, *content["candidates"]):
-        key = "plan" if each is content else "picture"
-        each[key] = str(folder / each[key])
-    return content
+    listed = CandidatesFile.read(folder)
+    rows = [row.model_copy(update={"picture": str(folder / row.picture)}) for row in listed.candidates]
+    return listed.model_copy(update={"plan": str(folder / listed.plan), "candidates": tuple(rows)})
 
 
-def _show(recording: str, content: dict[str, Any]) -> None:
+def _show(recording: str, listed: "CandidatesFile") -> None:
     from kinectbench.settings.edit import box_line
 
-    typer.echo(f"{recording}: from above {content['plan']}")
-    if not content["floor_found"]:
+    typer.echo(f"{recording}: from above {listed.plan}")
+    if not listed.floor_found:
         typer.echo(
             "  no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
         )
-    for each in content["candidates"]:
-        size = " x ".join(f"{edge:.2f}" for edge in each["box"]["size_m"])
-        chosen = ", chosen without a box" if each["automatic"] else ""
-        typer.echo(f"  {each['number']}: {size} m{chosen}, {each['picture']}")
-        typer.echo(f"     {box_line(each['box'])}")
+    for each in listed.candidates:
+        size = " x ".join(f"{edge:.2f}" for edge in each.box.size_m)
+        chosen = ", chosen without a box" if each.automatic else ""
+        typer.echo(f"  {each.number}: {size} m{chosen}, {each.picture}")
+        typer.echo(f"     {box_line(each.box)}")
     typer.echo(f"`kinectbench segment {recording} --pick NUMBER` writes one to benchmark.yaml")
 
 

@@ -5,10 +5,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 from kinectbench.core.artefacts.manifest import Timing
-from kinectbench.core.artefacts.object import CandidatesFile
+from kinectbench.core.artefacts.object import BoxPart, CandidatesFile
 from kinectbench.core.errors import (
     KinectBenchError,
     SegmentationError,
@@ -120,7 +119,7 @@ def is_current(job: Job, upto: str) -> bool:
     return all(artefact.is_current() for artefact in artefacts.values())
 
 
-def listed_box(job: Job, number: int) -> dict[str, Any]:
+def listed_box(job: Job, number: int) -> BoxPart:
     """The box of that number, as `suggest` listed it for the recording as it is now.
 
     Raises:
@@ -133,7 +132,7 @@ def listed_box(job: Job, number: int) -> dict[str, Any]:
             f"run `kinectbench segment {name} --suggest` and look at the pictures first"
         )
     listed = CandidatesFile.read(job.build / SUGGEST.folder).candidates
-    boxes = {each.number: each.box.json_value() for each in listed}
+    boxes = {each.number: each.box for each in listed}
     if number not in boxes:
         raise SettingsError(f"segment --pick: {name} has boxes 1 to {len(boxes)}, none of number {number}")
     return boxes[number]

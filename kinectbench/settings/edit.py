@@ -1,24 +1,24 @@
 """Change a benchmark.yaml as text: comments and layout stay as they are."""
 
 import json
-from typing import Any
 
 import yaml
 
+from kinectbench.core.artefacts.object import BoxPart
 from kinectbench.core.errors import SettingsError
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import parse_benchmark
 from kinectbench.settings.models import BoxSettings
 
 
-def with_box(text: str, source: str, recording: str, box: dict[str, Any]) -> str:
+def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
     """The text of a benchmark.yaml in which a recording has this box, and nothing else is changed.
 
     Args:
         text: of the file, without errors.
         source: its name.
         recording: an id in it.
-        box: keys center_m, size_m and yaw_rad.
+        box: in the floor frame.
 
     Raises:
         SettingsError: the file is written in a way that cannot be changed safely; the line to paste is told.
@@ -29,7 +29,7 @@ def with_box(text: str, source: str, recording: str, box: dict[str, Any]) -> str
     wanted = parse_benchmark(text, source).model_dump()
     for row in wanted["recordings"]:
         if row["id"] == recording:
-            row["box"] = BoxSettings.model_validate(box).model_dump()
+            row["box"] = BoxSettings.model_validate(box.json_value()).model_dump()
     try:
         done = parse_benchmark(changed, source).model_dump() == wanted
     except SettingsError:
@@ -56,7 +56,7 @@ def _changed(text: str, entry: yaml.MappingNode, line: str) -> str:
     return f"{text[:end_of_line]}\n{' ' * entry.start_mark.column}{line}{text[end_of_line:]}"
 
 
-def box_line(box: dict[str, Any]) -> str:
+def box_line(box: BoxPart) -> str:
     """The line `box: {…}` of benchmark.yaml."""
-    inner = ", ".join(f"{key}: {json.dumps(value)}" for key, value in box.items())
+    inner = ", ".join(f"{key}: {json.dumps(value)}" for key, value in box.json_value().items())
     return f"box: {{{inner}}}"

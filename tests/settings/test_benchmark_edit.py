@@ -2,12 +2,13 @@
 
 import pytest
 
+from kinectbench.core.artefacts.object import BoxPart
 from kinectbench.core.errors import SettingsError
 from kinectbench.settings.edit import with_box
 from kinectbench.settings.file import parse_benchmark
 from kinectbench.settings.models import BoxSettings
 
-BOX = {"center_m": [0.1, -0.2, 0.3], "size_m": [0.5, 0.6, 0.7], "yaw_rad": -0.25}
+BOX = BoxPart(center_m=(0.1, -0.2, 0.3), size_m=(0.5, 0.6, 0.7), yaw_rad=-0.25)
 LINE = "box: {center_m: [0.1, -0.2, 0.3], size_m: [0.5, 0.6, 0.7], yaw_rad: -0.25}"
 BLOCK = """\
 # mine
@@ -32,7 +33,8 @@ recordings:
 @pytest.mark.parametrize("recording", ["a", "b"])
 def test_put_in(text, recording):
     changed = with_box(text, "x.yaml", recording, BOX)
-    assert parse_benchmark(changed, "x.yaml").recording(recording).box == BoxSettings.model_validate(BOX)
+    box = BoxSettings.model_validate(BOX.json_value())
+    assert parse_benchmark(changed, "x.yaml").recording(recording).box == box
     other = "b" if recording == "a" else "a"
     assert parse_benchmark(changed, "x.yaml").recording(other).box is None
     # Taken away again, the file is as before.
@@ -50,7 +52,7 @@ def test_replaced(old):
     text = BLOCK.replace("    path: rec/a\n", "    path: rec/a\n" + old)
     once = with_box(text, "x.yaml", "a", BOX)
     assert "9" not in once and "# mine" in once
-    assert parse_benchmark(once, "x.yaml").recording("a").box == BoxSettings.model_validate(BOX)
+    assert parse_benchmark(once, "x.yaml").recording("a").box == BoxSettings.model_validate(BOX.json_value())
     assert with_box(once, "x.yaml", "a", BOX) == once
     assert ("# by hand" in once) == ("# by hand" in old)
 

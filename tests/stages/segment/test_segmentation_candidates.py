@@ -109,17 +109,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_folder(folder: Path, tmp_path: Path):
-    content = CandidatesFile.read(folder).json_value()
-    rows = content["candidates"]
-    assert [row["number"] for row in rows] == list(range(1, len(found().candidates) + 1))
-    assert content["floor_found"] is True
-    for row, candidate in zip(rows, found().candidates, strict=True):
-        pasted = yaml.safe_load(box_line(row["box"]))["box"]
+    listed = CandidatesFile.read(folder)
+    assert [row.number for row in listed.candidates] == list(range(1, len(found().candidates) + 1))
+    assert listed.floor_found
+    for row, candidate in zip(listed.candidates, found().candidates, strict=True):
+        pasted = yaml.safe_load(box_line(row.box))["box"]
         given = BoxSettings.model_validate(pasted).box()
         np.testing.assert_allclose(given.center_m, candidate.box.center_m, atol=0.00051)
         np.testing.assert_allclose(given.size_m, candidate.box.size_m, atol=0.00051)
-        assert cv2.imread(str(folder / row["picture"])).shape == (240, 320, 3)
-    assert cv2.imread(str(folder / content["plan"])).std() > 10
+        assert cv2.imread(str(folder / row.picture)).shape == (240, 320, 3)
+    assert cv2.imread(str(folder / listed.plan)).std() > 10
     write_candidates(found(), three().sequence, three().trajectory, tmp_path)
     for path in folder.iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes()
