@@ -1,6 +1,7 @@
 """Builds whose errors are known: made from the truth itself, perfect or with chosen errors."""
 
 import json
+import shutil
 import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -27,6 +28,8 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
+from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.stages import STAGES, Job
 from kinectbench.lab.evaluate.build import Build
 from kinectbench.lab.simulate.render import sample_surface
 from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, mesh_occupancy
@@ -249,3 +252,24 @@ def write_build(known: Known, folder: Path) -> None:
     for name, pair in known.pairs.items():
         (folder / "pairs" / f"{name}.npz").write_bytes(pair_bytes(pair))
     PairsFile(pairs=tuple(PairRow(view=name) for name in known.pairs), refused=()).write(folder / "pairs")
+    write_manifests(folder)
+
+
+def write_manifests(folder: Path, job: Job | None = None) -> None:
+    """Make the stages' folders of `build/<recording>/` current up to the last that is there.
+
+    Folders that are missing between them are made empty.
+
+    Args:
+        folder: where they lie.
+        job: with whose settings they are made; None: with none.
+    """
+    fingerprints: dict[str, str] = {}
+    last = max(index for index, stage in enumerate(STAGES) if (folder / stage.folder).is_dir())
+    for stage in STAGES[: last + 1]:
+        here, inputs = folder / stage.folder, {name: fingerprints[name] for name in stage.inputs}
+        artefact = Artefact(here, stage.name, stage.version, stage.settings(job) if job else {}, inputs)
+        here.mkdir(exist_ok=True)
+        with artefact.write() as made:
+            shutil.copytree(here, made, dirs_exist_ok=True, ignore=shutil.ignore_patterns("manifest.json"))
+        fingerprints[stage.name] = artefact.fingerprint

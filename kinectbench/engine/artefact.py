@@ -69,13 +69,8 @@ class Artefact:
 
     def is_current(self) -> bool:
         """Whether the folder holds this very artefact, with every file present at its size."""
-        try:
-            manifest = Manifest.read(self.folder)
-            return manifest.fingerprint == self.fingerprint and all(
-                (self.folder / name).stat().st_size == size for name, size in manifest.files.items()
-            )
-        except (OSError, StorageError):
-            return False
+        manifest = whole_manifest(self.folder)
+        return manifest is not None and manifest.fingerprint == self.fingerprint
 
     @contextlib.contextmanager
     def write(self) -> Iterator[Path]:
@@ -101,6 +96,16 @@ class Artefact:
                 inputs=dict(self.inputs),
                 files=files,
             ).write(temporary)
+
+
+def whole_manifest(folder: Path) -> Manifest | None:
+    """The manifest of a folder that holds every file at its size; None if it does not."""
+    try:
+        manifest = Manifest.read(folder)
+        sizes = {name: (folder / name).stat().st_size for name in manifest.files}
+    except (OSError, StorageError):
+        return None
+    return manifest if sizes == manifest.files else None
 
 
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:

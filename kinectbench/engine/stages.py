@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.engine.artefact import VERSIONS, content_hash
+from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 
@@ -164,3 +164,28 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
         return (*stages_upto("fuse"), SUGGEST)
     names = [stage.name for stage in STAGES]
     return STAGES[: names.index(name) + 1]
+
+
+def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
+    """The folders of `build/<recording>/` by their stages, of those that are current there.
+
+    Such a folder is whole, and the stage's present version made it from what lies there now of the stages
+    that it stands on. Whether the recording itself changed since is not looked at.
+
+    Args:
+        build: where the stages' folders lie.
+        job: with whose settings they must be made; None: with any.
+    """
+    folders: dict[str, Path] = {}
+    fingerprints: dict[str, str] = {}
+    for stage in STAGES:
+        folder = build / stage.folder
+        manifest = whole_manifest(folder)
+        if manifest is None or any(
+            manifest.inputs.get(name) != fingerprints.get(name, "") for name in stage.inputs
+        ):
+            continue
+        settings = stage.settings(job) if job else manifest.settings
+        if manifest.fingerprint == fingerprint(stage.name, stage.version, settings, manifest.inputs):
+            folders[stage.name], fingerprints[stage.name] = folder, manifest.fingerprint
+    return folders

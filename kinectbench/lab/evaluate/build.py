@@ -1,6 +1,5 @@
 """What was built of one recording, and how it lies to the truth: which frame is which, world to world."""
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,14 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.images import read_gray
 from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
 from kinectbench.core.voxels.pair_file import Pair, read_pair
-from kinectbench.engine.stages import STAGES
+from kinectbench.engine.stages import current_stages
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 from kinectbench.stages.sample_views.views import View, read_views
@@ -50,14 +48,14 @@ class Build:
 def read_build(folder: Path) -> Build:
     """Open `build/<recording>/`; images and pairs are read when asked for.
 
-    A stage that was made from an earlier version of what it stands on counts as not built: it may be left
-    over from a run with other settings.
+    A stage that is not current (see `current_stages`) counts as not built: it may be left over from a run
+    with other settings, or be another version's.
 
     Raises:
         StorageError: nothing was built there, or an artefact is damaged.
     """
-    current = _current_folders(folder)
-    if "sequence" not in current:
+    current = current_stages(folder)
+    if "ingest" not in current:
         raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
     stamps_ns = read_sequence(folder / "sequence").stamps_ns
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
@@ -72,30 +70,13 @@ def read_build(folder: Path) -> Build:
 
     return Build(
         stamps_ns=stamps_ns,
-        trajectory=read_trajectory(folder / "trajectory", stamps_ns) if "trajectory" in current else None,
-        model=read_object(folder / "object") if "object" in current else None,
-        views=tuple(read_views(folder / "views")) if "views" in current else None,
+        trajectory=read_trajectory(folder / "trajectory", stamps_ns) if "track" in current else None,
+        model=read_object(folder / "object") if "segment" in current else None,
+        views=tuple(read_views(folder / "views")) if "sample-views" in current else None,
         valid_depth=valid_depth,
         pair_names=names if "pairs" in current else None,
         pair=lambda name: read_pair(folder / "pairs" / f"{name}.npz"),
     )
-
-
-def _current_folders(build: Path) -> set[str]:
-    """Folders of the stages whose manifests name the inputs that lie there now (if they have manifests)."""
-    fingerprints: dict[str, str | None] = {}
-    current = set()
-    for stage in STAGES:
-        folder, manifest = build / stage.folder, None
-        with contextlib.suppress(StorageError):
-            manifest = Manifest.read_if_there(folder)
-        if folder.is_dir() and (
-            manifest is None
-            or all(manifest.inputs.get(name) == fingerprints.get(name, "") for name in stage.inputs)
-        ):
-            current.add(stage.folder)
-            fingerprints[stage.name] = manifest.fingerprint if manifest else None
-    return current
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from known_builds import Known, write_build
 from rich.console import Console
 
 from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.lab.evaluate.build import read_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
 from kinectbench.lab.evaluate.run import evaluate_recording
@@ -97,7 +98,7 @@ def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, P
 @pytest.mark.parametrize("built", range(len(STAGES)))
 def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tmp_path: Path):
     build, truth = folders
-    for stage in ("sequence", *STAGES[:built]):
+    for stage in ("sequence", "reconstruction", *STAGES[:built]):
         shutil.copytree(build / stage, tmp_path / stage)
     evaluation = evaluate(read_build(tmp_path), read_truth(truth))
     found = evaluation_json(evaluation)
@@ -107,6 +108,23 @@ def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tmp
     missing = [section.title for section in sections(evaluation) if not section.rows]
     assert len(missing) == [6, 5, 2, 1][built]
     assert printed(evaluation).count("not built") == len(missing)
+
+
+def test_what_is_not_current_is_not_evaluated(
+    folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    shutil.copytree(folders[0], tmp_path / "build")
+    whole = read_build(tmp_path / "build")
+    assert whole.trajectory and whole.model and whole.views and whole.pair_names
+    depth = tmp_path / "build" / "views" / "002.depth.png"
+    depth.write_bytes(depth.read_bytes()[:-1])
+    cut = read_build(tmp_path / "build")
+    assert cut.trajectory and cut.model and cut.views is cut.pair_names is None
+    monkeypatch.setitem(VERSIONS, "segment", VERSIONS["segment"] + 1)
+    other = read_build(folders[0])
+    assert other.trajectory and other.model is other.views is other.pair_names is None
+    (tmp_path / "build" / "trajectory" / "manifest.json").unlink()
+    assert read_build(tmp_path / "build").trajectory is None
 
 
 def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Path):
@@ -145,7 +163,8 @@ def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path):
         (StorageError, tmp_path / "nowhere", truth, "nothing was built there"),
         (RecordingError, build, tmp_path / "nowhere", "no readable truth"),
     ]
-    (tmp_path / "build" / "views" / "002.depth.png").unlink()
+    depth = tmp_path / "build" / "views" / "002.depth.png"
+    depth.write_bytes(b" " * depth.stat().st_size)
     cases.append((StorageError, tmp_path / "build", truth, "002.depth.png"))
     for error, built, true, words in cases:
         with pytest.raises(error, match=words) as caught:
