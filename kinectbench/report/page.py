@@ -14,6 +14,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import NamedProgress
+from kinectbench.engine.stages import Job
 from kinectbench.report import charts, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
@@ -58,8 +59,8 @@ def write_report(
 
     Args:
         settings: the benchmark.
-        build: folder that holds a folder for each recording; what is not built yet is noted on the page.
-            None shows no recordings.
+        build: folder that holds a folder for each recording; what is not built yet, or not with these
+            settings, is noted on the page. None shows no recordings.
         scores: a table for each method; may be empty. Methods of one name are told apart as `net`, `net #2`.
         out: the HTML file to write, in whole or not at all.
         progress: told (recording, done, total) before each recording, and ("", total, total) at the end.
@@ -104,7 +105,7 @@ def _recordings(
     parts = []
     for done, recording in enumerate(settings.recordings):
         report(recording.id, done, total)
-        parts.append(collect(recording, build / recording.id))
+        parts.append(collect(Job(settings, recording, build.parent), build / recording.id))
     report("", total, total)
     return parts
 

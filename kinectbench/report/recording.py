@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from markupsafe import Markup
@@ -10,16 +11,20 @@ from markupsafe import Markup
 from kinectbench.core import images
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
+from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
 from kinectbench.core.geometry.mesh import read_ply
-from kinectbench.core.trajectory.trajectory import TRAJECTORY_TXT, read_poses
+from kinectbench.core.trajectory.trajectory import read_poses
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import read_pair
+from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.report import looks
 from kinectbench.report.figures import Figures, health_figures, per_cent, quality_figures, text_of
 from kinectbench.report.plan import draw_plan
 from kinectbench.settings.models import RecordingSettings
+
+File = TypeVar("File", bound=Stored)
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,7 @@ class RecordingPart:
         refused: (view, frame, reason) of every frame refused as a view ("" for the view), and refused pair.
         containment: median over the pairs, as text.
         residual: median over the pairs, as text.
-        missing: what is not built yet.
+        missing: what is not built yet, or is there of another version, other settings or inputs.
         failed: at which stage its last build failed and why, one line, or "".
     """
 
@@ -66,42 +71,49 @@ class RecordingPart:
     failed: str = ""
 
 
-def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
-    """Collect what the stages made of one recording so far.
+def collect(job: Job, folder: Path) -> RecordingPart:
+    """Collect what the stages made of one recording so far; what is not current is missing.
+
+    Args:
+        job: the recording, and the settings that it must be built with.
+        folder: `build/<recording>/`.
 
     Raises:
         StorageError: a file is damaged.
         PairError: a pair file is missing or damaged.
     """
-    health = TrajectoryHealth.read_if_there(folder / "trajectory")
-    posed = (folder / "trajectory" / TRAJECTORY_TXT).is_file()
-    cameras_world = read_poses(folder / "trajectory").T_world_camera if posed else None
-    floor = FloorFile.read_if_there(folder / "object")
+    current = current_stages(folder, job)
+
+    def read(stage: str, model: type[File]) -> File | None:
+        """A stage's file; None if it is not current or has none."""
+        return model.read_if_there(current[stage]) if stage in current else None
+
+    health, floor = read("track", TrajectoryHealth), read("segment", FloorFile)
+    cameras_world = read_poses(current["track"]).T_world_camera if "track" in current else None
     T_floor_world = None if floor is None else floor.T_floor_world
-    quality = QualityFile.read_if_there(folder / "object")
-    ply, mesh = folder / "object" / "mesh.ply", None
-    if T_floor_world is not None and ply.exists():
-        mesh = read_ply(ply).transformed(T_floor_world)
+    quality, mesh = read("segment", QualityFile), None
+    if T_floor_world is not None:
+        mesh = read_ply(current["segment"] / "mesh.ply").transformed(T_floor_world)
     plan = None
     if cameras_world is not None and T_floor_world is not None:
         cameras_floor = T_floor_world @ cameras_world
         left_out_floor = _left_out(cameras_floor, health)
         plan = draw_plan(cameras_floor, left_out_floor, looks.outlines(mesh) if mesh else [])
-    views = ViewsFile.read_if_there(folder / "views")
+    views, pairs = read("sample-views", ViewsFile), read("pairs", PairsFile)
     frames = () if views is None else looks.frame_pictures(folder / "views", views)
-    pairs = PairsFile.read_if_there(folder / "pairs")
     rows = () if pairs is None else pairs.pairs
     refused = (*(views.refused if views else ()), *(pairs.refused if pairs else ()))
     failed = Failed.read_if_there(folder)
-    missing = {
-        "trajectory": cameras_world is None,
-        "floor": T_floor_world is None,
-        "object": mesh is None,
-        "views": not frames,
-        "pairs": pairs is None,
-    }
+    missing = (
+        ("trajectory", "track", cameras_world is None),
+        ("floor", "segment", T_floor_world is None),
+        ("object", "segment", mesh is None),
+        ("views", "sample-views", not frames),
+        ("pairs", "pairs", pairs is None),
+    )
+    old = {s.name for s in STAGES if s.name not in current and (folder / s.folder).is_dir()}
     return RecordingPart(
-        settings=settings,
+        settings=job.recording,
         health=None if health is None else health_figures(health),
         quality=None if quality is None else quality_figures(quality),
         plan=plan,
@@ -111,7 +123,9 @@ def collect(settings: RecordingSettings, folder: Path) -> RecordingPart:
         refused=tuple((row.view or "", text_of(row.frame), row.reason) for row in refused),
         containment=per_cent(_median(row.containment for row in rows)),
         residual=_millimetres(_median(row.residual_m for row in rows)),
-        missing=tuple(name for name, absent in missing.items() if absent),
+        missing=tuple(
+            f"{name} (out of date)" if stage in old else name for name, stage, absent in missing if absent
+        ),
         failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",
     )
 

@@ -15,7 +15,7 @@ from kinectbench.core.storage import pretty_json
 from kinectbench.core.voxels.npz import load_arrays, npz_bytes
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.pipeline import build_recording
-from kinectbench.engine.stages import STAGES, SUGGEST
+from kinectbench.engine.stages import STAGES, SUGGEST, current_stages
 from kinectbench.lab.synthesize.make import Task
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.release.publish.current import publish_if_stale
@@ -197,6 +197,15 @@ def test_another_version_makes_a_stage_and_what_stands_on_it_again(
     assert (outcome.error, outcome.made) == (None, again)
     manifest = json.loads((job.build / STAGES[-1].folder / "manifest.json").read_text())
     assert manifest["stage_version"] == VERSIONS["pairs"] and manifest["package_version"] == "99.0.0"
+
+
+def test_another_version_is_not_current(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job, boxed = jobs(root)[0], jobs(root)[3]
+    names = [stage.name for stage in STAGES]
+    assert [*current_stages(job.build, job)] == [*current_stages(job.build)] == names
+    assert [*current_stages(job.build, boxed)] == names[:3]  # it has another box
+    monkeypatch.setitem(VERSIONS, "fuse", VERSIONS["fuse"] + 1)
+    assert [*current_stages(job.build)] == names[:2]
 
 
 def test_another_version_publishes_again(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,21 +3,14 @@
 from pathlib import Path
 
 import pytest
-from report_fake_build import write_build
+from report_fake_build import SETTINGS, write_build
 
 from kinectbench.settings.models import BenchmarkSettings
 
 
 @pytest.fixture(scope="session")
 def settings() -> BenchmarkSettings:
-    recordings = [
-        {"id": "chair_01", "path": "recordings/chair_01", "category": "chair", "object": "red_chair"},
-        {"id": "table_01", "path": "recordings/table_01", "category": "table"},
-        {"id": "bench_01", "path": "recordings/bench_01", "category": "bench"},
-    ]
-    return BenchmarkSettings.model_validate(
-        {"name": "furniture", "license": "CC-BY-4.0", "recordings": recordings}
-    )
+    return SETTINGS
 
 
 @pytest.fixture(scope="session")

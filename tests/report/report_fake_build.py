@@ -4,12 +4,26 @@ import json
 from pathlib import Path
 
 import numpy as np
+from known_builds import write_manifests
 
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.geometry import invert_rigid, quaternion_xyzw_from_rotation, rigid
 from kinectbench.core.pictures import look_along
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes
+from kinectbench.engine.stages import Job
+from kinectbench.settings.models import BenchmarkSettings
 
+SETTINGS = BenchmarkSettings.model_validate(
+    {
+        "name": "furniture",
+        "license": "CC-BY-4.0",
+        "recordings": [
+            {"id": "chair_01", "path": "recordings/chair_01", "category": "chair", "object": "red_chair"},
+            {"id": "table_01", "path": "recordings/table_01", "category": "table"},
+            {"id": "bench_01", "path": "recordings/bench_01", "category": "bench"},
+        ],
+    }
+)
 N_FRAMES = 40
 # The world is the first camera's; the floor's z is the world's -y.
 T_FLOOR_WORLD = rigid([[1, 0, 0], [0, 0, 1], [0, -1, 0]], [0, -1.2, 1.0])
@@ -189,3 +203,5 @@ def write_build(build: Path, n_pairs: int) -> None:
     write_pairs(build / "chair_01" / "pairs", n_pairs)
     write_trajectory(build / "table_01" / "trajectory", left_out=[])
     write_views(build / "table_01" / "views", registered=False, n_views=3)
+    for recording in SETTINGS.recordings[:2]:
+        write_manifests(build / recording.id, Job(SETTINGS, recording, build.parent))

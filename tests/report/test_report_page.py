@@ -11,16 +11,18 @@ import cv2
 import numpy as np
 import pytest
 from analytic_scenes import health_of
-from report_fake_build import parsed_tables, score, write_build, write_pairs
+from known_builds import write_manifests
+from report_fake_build import parsed_tables, score, write_build, write_pairs, write_trajectory
 from rich.console import Console
 
 from kinectbench.cli.console import summary_table
 from kinectbench.core.errors import KinectBenchError, StorageError
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
 from kinectbench.engine.summary import summary
 from kinectbench.report import write_report
-from kinectbench.report.recording import collect
+from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -112,9 +114,12 @@ def test_the_console_gives_the_same_figures_of_pairs(settings: BenchmarkSettings
     ):
         row.update(containment=containment, residual_m=residual_m)
     (folder / "pairs" / "pairs.json").write_text(json.dumps(listed))
-    part = collect(recording, folder)
+    write_trajectory(folder / "trajectory", left_out=[])
+    job = Job(settings, recording, tmp_path)
+    write_manifests(folder, job)
+    part = collect(job, folder)
     assert (part.containment, part.residual) == ("99.1 %", "5.3 mm")
-    row = summary(Job(settings, recording, tmp_path), Outcome("chair_01", (), ("pairs",), None, 0.0))
+    row = summary(job, Outcome("chair_01", (), ("pairs",), None, 0.0))
     console = Console(width=160, record=True, file=io.StringIO())
     console.print(summary_table([row], ("pairs",)))
     told = console.export_text()
@@ -223,14 +228,36 @@ def test_a_damaged_file_is_one_line(
     path = small / "chair_01" / name
     kept = path.read_bytes()
     path.write_bytes(content)
+    job = Job(settings, settings.recordings[0], small.parent)
+    write_manifests(small / "chair_01", job)
     try:
         with pytest.raises(KinectBenchError, match=re.escape(words)) as caught:
             write_report(settings, small, [], tmp_path / "x.html")
     finally:
         path.write_bytes(kept)
+        write_manifests(small / "chair_01", job)
     assert "\n" not in str(caught.value)
     assert path.parent.name in str(caught.value)
     assert capfd.readouterr().out == ""
+
+
+def test_what_is_out_of_date_is_not_shown(
+    settings: BenchmarkSettings, build: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shown(settings: BenchmarkSettings) -> RecordingPart:
+        return collect(Job(settings, settings.recordings[0], build.parent), build / "chair_01")
+
+    whole = shown(settings)
+    assert whole.missing == () and whole.health and whole.quality and whole.plan and whole.frames
+    framed = settings.pairs.model_copy(update={"framing": "view"})
+    pairs = shown(settings.model_copy(update={"pairs": framed}))
+    assert pairs.missing == ("pairs (out of date)",) and pairs.tiles == () and pairs.frames == whole.frames
+    monkeypatch.setitem(VERSIONS, "segment", VERSIONS["segment"] + 1)
+    part = shown(settings)
+    after = ("floor", "object", "views", "pairs")
+    assert part.missing == tuple(f"{name} (out of date)" for name in after)
+    assert part.health == whole.health and part.quality is part.plan is None
+    assert part.object_pictures == part.frames == part.tiles == part.refused == ()
 
 
 def test_pairs_failures_and_thresholds_are_shown_as_text(settings: BenchmarkSettings, tmp_path: Path) -> None:
