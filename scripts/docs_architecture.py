@@ -165,9 +165,26 @@ def _bus(
     return drawn
 
 
+# Files whose owner is no model in core/artefacts: name, what it holds, and what writes and reads it.
+OTHER_FILES = (
+    ("<view>.npz", "a pair of `pairs/`: a view's input and its truth", "Pair", "core/voxels/pair_file.py"),
+    (
+        "volume.npz",
+        "`reconstruction/`: the scene's TSDF",
+        "write_reconstruction",
+        "stages/fuse/reconstruction.py",
+    ),
+    ("trajectory.txt", "the poses, as TUM text", "write_trajectory", "core/trajectory/trajectory.py"),
+    ("<view>.mask.png", "the object in a view", "write_views", "stages/sample_views/views.py"),
+    ("mesh.ply", "a surface, as binary PLY", "write_ply", "core/geometry/mesh.py"),
+    ("gallery.npz", "some predictions at 64^3", "Gallery", "core/artefacts/gallery.py"),
+    ("targets.csv", "the pairs of a release", "Target", "core/artefacts/targets.py"),
+)
+
+
 def files_table() -> str:
-    """A line for each class in core/artefacts that is a file: its name, what it holds, and the class."""
-    lines = ["| file | what it holds | model |", "|---|---|---|"]
+    """A line for each class in core/artefacts that is a file, and each other file: name, content, owner."""
+    lines = ["| file | what it holds | owner |", "|---|---|---|"]
     folder = PACKAGE / "core" / "artefacts"
     for module in sorted(info.name for info in pkgutil.iter_modules([str(folder)])):
         held = vars(import_module(f"kinectbench.core.artefacts.{module}")).values()
@@ -176,6 +193,9 @@ def files_table() -> str:
                 says = str(kind.__doc__).splitlines()[0].rstrip(".").removeprefix(f"{vars(kind)['FILE']}: ")
                 where = f"`{kind.__name__}` in `kinectbench/core/artefacts/{module}.py`"
                 lines.append(f"| `{vars(kind)['FILE']}` | {says} | {where} |")
+    lines += [
+        f"| `{name}` | {says} | `{owner}` in `kinectbench/{of}` |" for name, says, owner, of in OTHER_FILES
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -1,7 +1,6 @@
 """The gallery of a page: some pairs and their predictions at 64^3, as text that a browser unpacks."""
 
 import base64
-import io
 import json
 import zlib
 from collections import Counter
@@ -19,7 +18,6 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import StorageError
 from kinectbench.core.pictures import block_density
 from kinectbench.core.types import Float64, Progress
-from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
@@ -122,18 +120,17 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
         ReleaseError: the pair file is missing, or not the published one.
     """
     path = release.pair_path(target)
-    partial, full, known = read_grids(path, target.sha256, ("partial", "full", "known"))
-    up = _up_grid(release.folder / "objects" / target.recording / "floor.json", path)
+    names = ("partial", "full", "known", "T_world_grid")
+    partial, full, known, T_world_grid = read_grids(path, target.sha256, names)
+    up = _up_grid(release.folder / "objects" / target.recording, T_world_grid)
     return PairTruth(target.category, target.object, up, partial, reduced(full), _sampled(known))
 
 
-def _up_grid(floor: Path, pair: Path) -> Float64:
-    """Where up is in the grid of a pair; what was up in the view, if the floor is not known."""
+def _up_grid(folder: Path, T_world_grid: Float64) -> Float64:
+    """Where up is in a grid, by the floor in a folder; what was up in the view, if the floor is not known."""
     try:
-        with np.load(io.BytesIO(pair.read_bytes()), allow_pickle=False) as archive:
-            R_world_grid = np.asarray(archive["T_world_grid"], np.float64)[:3, :3]
-        up = FloorFile.read_file(floor).T_floor_world[2, :3] @ R_world_grid
-    except (StorageError, *UNREADABLE):  # it only turns a picture
+        up = FloorFile.read(folder).T_floor_world[2, :3] @ T_world_grid[:3, :3]
+    except StorageError:  # it only turns a picture
         up = np.zeros(3)
     length = float(np.linalg.norm(up))
     return up / length if length > 0 and np.isfinite(length) else np.array([0.0, -1, 0])

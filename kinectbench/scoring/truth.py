@@ -1,18 +1,16 @@
 """The truth of a pair as scoring reads it: three of the pair file's grids, still packed."""
 
 import hashlib
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.core.voxels.pair_file import NUMBERS, Packed, fault_in
+from kinectbench.core.voxels.pair_file import NUMBERS, Packed, pair_parts
 
 GRIDS = ("full", "known", "seen")
 
@@ -78,10 +76,6 @@ def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[An
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ReleaseError(f"{path}: not the file that was published (SHA-256 differs); download it again")
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            values = {name: np.asarray(archive[name], order="C") for name in names}
-        if fault := fault_in(values, names):
-            raise ValueError(fault)
+        return pair_parts(content, names)
     except UNREADABLE as error:
         raise ReleaseError(f"{path}: not a pair file ({error}); was it published whole?") from error
-    return list(values.values())

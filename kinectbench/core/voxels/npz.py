@@ -7,7 +7,7 @@ import io
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -62,8 +62,8 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
         return arrays_of(file)
 
 
-def arrays_of(file: IO[bytes]) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an open npz; no pickles.
+def arrays_of(file: IO[bytes], names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Read the named arrays of an open npz, by default all, in C order; no pickles.
 
     Raises:
         UNREADABLE: one of these exceptions, if it is damaged or no npz.
@@ -71,7 +71,7 @@ def arrays_of(file: IO[bytes]) -> dict[str, NDArray[Any]]:
     archive = np.load(file, allow_pickle=False)
     if not isinstance(archive, np.lib.npyio.NpzFile):
         raise ValueError("it is a single array, not an npz")
-    return {name: np.asarray(archive[name]) for name in archive.files}
+    return {name: np.asarray(archive[name], order="C") for name in names or archive.files}
 
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:

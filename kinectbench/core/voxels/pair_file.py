@@ -7,7 +7,7 @@ and what a public part publishes.
 import io
 import zipfile
 from collections.abc import Collection, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,48 +33,40 @@ PACKED_SHAPES = {
     "partial": (PARTIAL_CELLS, PARTIAL_CELLS, PARTIAL_CELLS // 8),
     **dict.fromkeys(PACKED_256, (FULL_CELLS, FULL_CELLS, FULL_CELLS // 8)),
 }
+MATRIX_SIDES = {"T_world_grid": 4, "T_world_camera": 4, "K": 3}
 NUMBERS = ("voxel_size_m", "surface_sigma_m")
 TEXTS = ("framing", "partial_rule", "occupancy_rule")
 
 
 @dataclass(frozen=True)
 class Pair:
-    """One single-view completion problem and its truth. Grid axes are the view's optical axes.
+    """One single-view completion problem and its truth; the keys are described with the fields.
 
-    Attributes:
-        partial: (64, 64, 8) uint8, packed; the view's depth on the object, the input.
-        partial_256: (256, 256, 32) uint8, packed; the same before reduction.
-        full: (256, 256, 32) packed; the solid shape.
-        shell: (256, 256, 32) packed; the surface of `full` only.
-        known: (256, 256, 32) packed; the truth is trusted there.
-        seen: (256, 256, 32) packed; in the view's frustum and not behind its depth.
-        T_world_grid: (4, 4) float64; cell (i, j, k) of `full` has its centre at
-            `T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)`.
-        T_world_camera: (4, 4) float64, the view's camera.
-        K: (3, 3) float64, its intrinsics in pixels.
-        voxel_size_m: edge of a cell of the 256-grid, metres.
-        surface_sigma_m: standard deviation of the truth's surface, metres.
-        framing: "object" or "view".
-        partial_rule: "any" or "majority".
-        occupancy_rule: what makes a cell of `full` occupied: "winding" (its centre is inside a closed
-            mesh) or "six-rays" (the authors' rule for meshes that are not watertight); files without
-            the key are "winding".
+    Grid axes are the view's optical axes. Packed grids are uint8, (64, 64, 8) of `partial` and (256, 256, 32)
+    of the others; matrices are float64. By "winding" a cell of `full` is occupied if its centre is inside a
+    closed mesh; "six-rays" is the authors' rule for meshes that are not watertight.
     """
 
-    partial: Packed
-    partial_256: Packed
-    full: Packed
-    shell: Packed
-    known: Packed
-    seen: Packed
-    T_world_grid: Float64
-    T_world_camera: Float64
-    K: Float64
-    voxel_size_m: float
-    surface_sigma_m: float
-    framing: str
-    partial_rule: str
-    occupancy_rule: str = "winding"
+    partial: Packed = field(
+        metadata={"is": "the view's depth on the object, the input: partial_256 reduced by partial_rule"}
+    )
+    partial_256: Packed = field(metadata={"is": "the same before reduction"})
+    full: Packed = field(metadata={"is": "the solid shape, the truth"})
+    shell: Packed = field(metadata={"is": "its surface only"})
+    known: Packed = field(metadata={"is": "the truth is trusted there"})
+    seen: Packed = field(metadata={"is": "in the view's frustum and not behind its depth"})
+    T_world_grid: Float64 = field(
+        metadata={"is": "cell (i, j, k) has its centre at T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)"}
+    )
+    T_world_camera: Float64 = field(metadata={"is": "camera to world, metres"})
+    K: Float64 = field(metadata={"is": "intrinsics, pixels; pixel centres are integers"})
+    voxel_size_m: float = field(metadata={"is": "edge of a cell of the 256^3 grid, metres"})
+    surface_sigma_m: float = field(metadata={"is": "standard deviation of the truth's surface, metres"})
+    framing: str = field(metadata={"is": "object or view"})
+    partial_rule: str = field(metadata={"is": "any or majority"})
+    occupancy_rule: str = field(
+        default="winding", metadata={"is": "winding or six-rays; files without it: winding"}
+    )
 
     @property
     def grid(self) -> Grid:
@@ -84,19 +76,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class PairInput:
-    """What a view gives; the attributes are those of `Pair`.
-
-    Attributes:
-        partial: (64, 64, 8) uint8, packed.
-        partial_256: (256, 256, 32) uint8, packed.
-        seen: (256, 256, 32) uint8, packed.
-        T_world_grid: (4, 4) float64.
-        T_world_camera: (4, 4) float64.
-        K: (3, 3) float64, pixels.
-        voxel_size_m: edge of a cell of the 256-grid, metres.
-        framing: "object" or "view".
-        partial_rule: "any" or "majority".
-    """
+    """What a view gives: the same without the truth; the fields are those of `Pair`."""
 
     partial: Packed
     partial_256: Packed
@@ -173,6 +153,18 @@ def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
         raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
 
 
+def pair_parts(content: bytes, names: Collection[str]) -> list[NDArray[Any]]:
+    """Some arrays of a pair file's bytes, checked, in the order of `names`; the others are not unpacked.
+
+    Raises:
+        UNREADABLE: one of these exceptions, if it is damaged, or one of the arrays is missing or wrong.
+    """
+    values = arrays_of(io.BytesIO(content), names)
+    if fault := _fault_in(values, names):
+        raise ValueError(fault)
+    return list(values.values())
+
+
 def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where: str) -> AnyPair:
     """The values of a pair file as a pair or an input; every key, shape and dtype is checked.
 
@@ -188,19 +180,19 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
     version = values.get("format_version", np.asarray(0))
     if version.shape != () or version.item() != FORMAT_VERSION:
         raise PairError(f"{where}: written in another format version; this package reads {FORMAT_VERSION}")
-    if fault := fault_in(values, names):
+    if fault := _fault_in(values, names):
         raise PairError(f"{where}: {fault}")
     scalars = (*NUMBERS, *TEXTS)
     checked: dict[str, Any] = {n: values[n].item() if n in scalars else values[n] for n in names}
     return kind(**checked)
 
 
-def fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
+def _fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
     """What is wrong with some values of a pair file, all of them there, or None."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"
-    for name, side in {"T_world_grid": 4, "T_world_camera": 4, "K": 3}.items():
+    for name, side in MATRIX_SIDES.items():
         if name in names and (values[name].shape != (side, side) or not _finite(values[name])):
             return f"'{name}' is not a finite {side}x{side} matrix"
     for name in NUMBERS:

@@ -1,6 +1,5 @@
 """A release as a BOP data set: a scene and an object model per recording, in millimetres."""
 
-import io
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import pair_parts
 from kinectbench.release.exchange.bop_object import (
     MM_PER_M,
     BopModel,
@@ -190,10 +190,10 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 def _camera(release: Release, target: Target) -> tuple[Float64, Float64]:
     """K and T_world_camera of a pair; its grids are not unpacked."""
     try:
-        with np.load(io.BytesIO(release.content(target.file)), allow_pickle=False) as pair:
-            return pair["K"].reshape(3, 3), pair["T_world_camera"].reshape(4, 4)
+        K, T_world_camera = pair_parts(release.content(target.file), ("K", "T_world_camera"))
     except UNREADABLE as error:
         raise ReleaseError(f"{release.pair_path(target)}: cannot be read as a pair ({error})") from error
+    return K, T_world_camera
 
 
 def _color_registered(release: Release, recording: str) -> bool:

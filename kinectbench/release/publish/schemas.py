@@ -23,7 +23,15 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import COLUMNS, SPLITS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.storage import pretty_json
-from kinectbench.core.voxels.pair_file import INPUT_KEYS, NUMBERS, PACKED_SHAPES, TEXTS, Pair
+from kinectbench.core.voxels.pair_file import (
+    FORMAT_VERSION,
+    INPUT_KEYS,
+    MATRIX_SIDES,
+    NUMBERS,
+    PACKED_SHAPES,
+    TEXTS,
+    Pair,
+)
 from kinectbench.release.contents import SCHEMAS
 
 # Schema's name → (files of the release, model).
@@ -41,25 +49,7 @@ TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
 SCORES_SCHEMA = "scores.schema.json"
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MATRIX_SIDES = {"T_world_grid": 4, "T_world_camera": 4, "K": 3}
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
-ABOUT = {
-    "partial": "the view's depth on the object, the input: partial_256 reduced by partial_rule",
-    "partial_256": "the same before reduction",
-    "full": "the solid shape, the truth",
-    "shell": "its surface only",
-    "known": "the truth is trusted there",
-    "seen": "in the view's frustum and not behind its depth",
-    "T_world_grid": "cell (i, j, k) has its centre at T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)",
-    "T_world_camera": "camera to world, metres",
-    "K": "intrinsics, pixels; pixel centres are integers",
-    "voxel_size_m": "edge of a cell of the 256^3 grid, metres",
-    "surface_sigma_m": "standard deviation of the truth's surface, metres",
-    "framing": "object or view",
-    "partial_rule": "any or majority",
-    "occupancy_rule": "winding or six-rays; files without it: winding",
-    "format_version": "1",
-}
 
 
 def schema_texts() -> dict[str, str]:
@@ -117,7 +107,9 @@ def _table() -> dict[str, Any]:
 def _pair() -> dict[str, Any]:
     """The keys of a pair file."""
     keys = []
-    for name in (*(field.name for field in fields(Pair)), "format_version"):
+    about = {field.name: field.metadata["is"] for field in fields(Pair)}
+    about["format_version"] = str(FORMAT_VERSION)
+    for name in about:
         row: dict[str, Any] = {"name": name, "input": name in (*INPUT_KEYS, "format_version")}
         if name in PACKED_SHAPES:
             row |= {"dtype": "uint8", "shape": list(PACKED_SHAPES[name]), "packed": True}
@@ -126,11 +118,11 @@ def _pair() -> dict[str, Any]:
         else:
             dtype = "float64" if name in NUMBERS else "text" if name in TEXTS else "integer"
             row |= {"dtype": dtype, "shape": []}
-        keys.append(row | {"description": ABOUT[name]})
-    about = "bits along the last axis, most significant first: numpy.unpackbits(array, axis=-1)"
+        keys.append(row | {"description": about[name]})
+    packed = "bits along the last axis, most significant first: numpy.unpackbits(array, axis=-1)"
     return {
         "$comment": "pairs/*/*.npz; of held-back splits the keys with input only",
-        "packed": about,
+        "packed": packed,
         "keys": keys,
     }
 

@@ -12,7 +12,7 @@ from references import shell_of
 from kinectbench.core.errors import PairError, StorageError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes, read_npz
-from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, read_pair, unpack
+from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, pair_parts, read_pair, unpack
 
 
 @pytest.fixture(scope="module")
@@ -206,3 +206,14 @@ def test_packed_npz_is_a_sound_zip_that_numpy_opens(value: int | None):
 def test_npz_level_counts():
     values = {"a": np.random.default_rng(0).integers(0, 3, 40000).astype(np.uint8)}
     assert len(npz_bytes(values, level=9)) < len(npz_bytes(values, level=1))
+
+
+def test_parts_of_a_pair_are_checked_like_the_whole(pair: Pair) -> None:
+    content = pair_bytes(pair)
+    K, partial = pair_parts(content, ("K", "partial"))
+    np.testing.assert_array_equal(K, pair.K)
+    np.testing.assert_array_equal(partial, pair.partial)
+    with pytest.raises(KeyError):
+        pair_parts(content, ("depth",))
+    with pytest.raises(ValueError, match="'K' is not a finite 3x3 matrix"):
+        pair_parts(npz_bytes({"K": np.full((3, 3), np.nan)}), ("K",))
