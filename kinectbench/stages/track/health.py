@@ -1,10 +1,10 @@
 """The health of a trajectory without a truth: what health.json holds, from what the tracker found."""
 
 from collections import Counter
+from collections.abc import Iterable
 from collections.abc import Sequence as Rows
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -59,6 +59,9 @@ def health(
         given: of the given trajectory, if there is one; trust needs it.
     """
     case = _Case(sequence, source, tracked, given)
+    shifts_m = case.shift_m[case.posed & np.isfinite(case.shift_m)]
+    steps_m, closed = _steps(case)
+    kinds: Counter[str] = Counter(tie.kind for tie in tracked.ties)
     figures = TrajectoryHealth(
         source=source,
         verdict="",
@@ -74,9 +77,18 @@ def health(
         degenerate=_indices(tracked.degenerate),
         unchecked=int((case.posed & ~case.checked).sum()),
         keyframes=tuple(tracked.keyframes.tolist()),
-        **_residual_figures(case),
-        **_path_figures(case),
-        **_tie_figures(case),
+        median_shift_m=known(median(shifts_m)),
+        max_shift_m=known(shifts_m.max()) if len(shifts_m) else None,
+        median_residual_m=known(median(case.residual_m[case.posed])),
+        held_out_residual_m=known(median(case.residual_m[case.held_out])),
+        sensor_noise_m=known(median(tracked.noise_m[case.held_out])),
+        path_length_m=round(float(steps_m.sum()), 3),
+        open_path_m=round(float(steps_m[~closed].sum()), 3),
+        arc_rad=covered_arc_rad(tracked.T_world_camera[case.posed]),
+        ties=ConstraintCounts(**kinds, refused=len(tracked.refused)),
+        loop_correction_m=_rms_m(each.shift_m for each in case.loops if each.believed),
+        loops=tuple(_loop(each) for each in case.loops),
+        refused_loops=tuple(_loop(each) for each in case.refused_loops),
         given=None if given is None else given.figures,
         covisibility=_covisibility(case),
         per_frame=_frame_rows(case),
@@ -130,6 +142,10 @@ class _Case:
         return [each for each in self.kept if each.tie.kind == "loop"]
 
     @property
+    def refused_loops(self) -> list[TieCorrection]:
+        return self.corrections(tuple(tie for tie in self.tracked.refused if tie.kind == "loop"))
+
+    @property
     def trusted(self) -> GivenCheck | None:
         """The check that speaks for the poses: only if they are the given ones."""
         return self.given if self.source == "trust" else None
@@ -144,6 +160,13 @@ class _Case:
     @property
     def residual_m(self) -> Float64:
         return self.trusted.frames.residual_m if self.trusted else self.tracked.residual_m
+
+    @cached_property
+    def held_out(self) -> Bools:
+        """Frames with a pose, no keyframes: these take part in the model that others are compared with."""
+        others = self.posed.copy()
+        others[self.tracked.keyframes] = False
+        return others if np.isfinite(self.residual_m[others]).any() else self.posed
 
     @property
     def checked(self) -> Bools:
@@ -188,48 +211,26 @@ def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
     )
 
 
-def _residual_figures(case: _Case) -> dict[str, Any]:
-    """Residuals of the frames with a pose. Keyframes take part in the model that others are compared with."""
-    others = case.posed.copy()
-    others[case.tracked.keyframes] = False
-    held_out = others if np.isfinite(case.residual_m[others]).any() else case.posed
-    shifts_m = case.shift_m[case.posed & np.isfinite(case.shift_m)]
-    return {
-        "median_shift_m": known(median(shifts_m)),
-        "max_shift_m": known(shifts_m.max()) if len(shifts_m) else None,
-        "median_residual_m": known(median(case.residual_m[case.posed])),
-        "held_out_residual_m": known(median(case.residual_m[held_out])),
-        "sensor_noise_m": known(median(case.tracked.noise_m[held_out])),
-    }
+def _steps(case: _Case) -> tuple[Float64, Bools]:
+    """How long each step from a pose to the next is, metres, and whether a believed loop closes it.
 
-
-def _path_figures(case: _Case) -> dict[str, Any]:
+    Such a loop holds together what lies before and behind the step.
+    """
     frames = np.flatnonzero(case.posed)
-    T = case.tracked.T_world_camera[frames]
-    steps_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    # A step is closed if a believed loop holds together what lies before and behind it.
+    positions = case.tracked.T_world_camera[frames][:, :3, 3]
+    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     closed = np.zeros(len(steps_m), dtype=bool)
     for each in case.loops:
         if each.believed:
             first, last = sorted((each.tie.a, each.tie.b))
             closed |= (frames[:-1] >= first) & (frames[1:] <= last)
-    return {
-        "path_length_m": round(float(steps_m.sum()), 3),
-        "open_path_m": round(float(steps_m[~closed].sum()), 3),
-        "arc_rad": covered_arc_rad(T),
-    }
+    return steps_m, closed
 
 
-def _tie_figures(case: _Case) -> dict[str, Any]:
-    counts: Counter[str] = Counter(tie.kind for tie in case.tracked.ties)
-    believed_m = [each.shift_m for each in case.loops if each.believed and np.isfinite(each.shift_m)]
-    refused = case.corrections(tuple(tie for tie in case.tracked.refused if tie.kind == "loop"))
-    return {
-        "ties": ConstraintCounts(**counts, refused=len(case.tracked.refused)),
-        "loop_correction_m": known(np.sqrt(np.mean(np.square(believed_m)))) if believed_m else None,
-        "loops": [_loop(each) for each in case.loops],
-        "refused_loops": [_loop(each) for each in refused],
-    }
+def _rms_m(shifts_m: Iterable[float]) -> float | None:
+    """The root mean square of those that are known; None if there is none."""
+    finite = [shift_m for shift_m in shifts_m if np.isfinite(shift_m)]
+    return known(np.sqrt(np.mean(np.square(finite)))) if finite else None
 
 
 def _loop(each: TieCorrection) -> LoopClosure:
