@@ -54,3 +54,64 @@ def test_no_function_is_over_60_lines() -> None:
     found = [(path, *function) for path, text in FILES.items() for function in functions(text)]
     assert len(found) > 1000
     assert [one for one in found if one[2] > 60] == []
+
+
+# Where JSON and npz are read or written as such: files of others, what is printed, and owners of other files.
+RAW = {
+    "core/storage.py": "the functions themselves",
+    "core/voxels/npz.py": "the functions themselves",
+    "core/voxels/pair_file.py": "owner of the pair file",
+    "core/voxels/recgan_file.py": "files of the 3D-RecGAN authors",
+    "cli/": "tables that are printed",
+    "stages/ingest/intrinsics.py": "intrinsics as cameras' programs write them",
+    "stages/fuse/reconstruction.py": "owner of reconstruction/volume.npz",
+    "lab/simulate/writers/": "recordings as other programs write them",
+    "lab/simulate/truth.py": "owner of a simulated recording's truth",
+    "lab/evaluate/run.py": "settings of one recording, and figures that are written once",
+    "lab/synthesize/synthesize.py": "synthesis.json, which has no model yet",
+    "release/contents.py": "JSON whose damage is told in one line",
+    "release/check/": "a stranger's files, Croissant among them",
+    "release/exchange/": "layouts of other programs",
+    "release/publish/privacy.py": "any model's content, scrubbed",
+    "release/publish/schemas.py": "JSON schemas",
+    "release/publish/small_files.py": "Croissant",
+    "report/gallery.py": "text in the page",
+    "scoring/baselines/predict.py": "predictions, as any method's",
+    "settings/edit.py": "values of YAML",
+}
+RAW_CALLS = {
+    *(
+        "json.load",
+        "json.loads",
+        "json.dump",
+        "json.dumps",
+        "strict_json",
+        "storage.strict_json",
+        "pretty_json",
+    ),
+    *(
+        "np.load",
+        "np.savez",
+        "np.savez_compressed",
+        "load_arrays",
+        "arrays_of",
+        "npz_bytes",
+        "packed_npz_bytes",
+    ),
+}
+
+
+def raw_calls(text: str) -> set[str]:
+    calls = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call))
+    return {ast.unparse(call.func) for call in calls} & RAW_CALLS
+
+
+def test_a_file_is_read_and_written_by_its_owner_only() -> None:
+    """All other files have a model in core/artefacts, as docs/architecture.md says."""
+    raw = {name for name, text in FILES.items() if raw_calls(text) and not name.startswith("core/artefacts/")}
+    assert {name for name in raw if not name.startswith(tuple(RAW))} == set()
+    assert [place for place in RAW if not any(name.startswith(place) for name in raw)] == []
+
+
+def test_raw_calls_are_found() -> None:
+    assert raw_calls("x = np.load(path)\njson.loads(f(text))\nloads(text)\n") == {"np.load", "json.loads"}
