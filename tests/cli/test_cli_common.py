@@ -1,5 +1,6 @@
 """The common options, the groups of `kinectbench --help`, and what a shell completes."""
 
+import inspect
 import os
 import re
 import subprocess
@@ -11,8 +12,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from kinectbench.cli import score
 from kinectbench.cli.common import Common, takes
 from kinectbench.cli.main import PANELS
+from kinectbench.core.voxels.resample import HALF_PIXEL
+from kinectbench.scoring.compare import compare
 
 YAML = """\
 name: three
@@ -158,3 +162,10 @@ def test_completion_is_shown_for_bash(tmp_path: Path) -> None:
     )
     found = subprocess.run(["bash", "-c", asked], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert (found.stdout, found.stderr) == ("verify\n", "")
+
+
+def test_defaults_that_the_command_line_repeats_are_those_of_scoring() -> None:
+    """It spells them out: their modules are imported late, for a fast --help."""
+    shown, own = (inspect.signature(function).parameters for function in (score.compare, compare))
+    assert all(shown[name].default == own[name].default for name in ("metric", "protocol"))
+    assert inspect.signature(score.score).parameters["upsampling"].default == HALF_PIXEL
