@@ -9,15 +9,20 @@ from typing import Annotated, Any, cast
 import typer
 
 from kinectbench._version import __version__
+from kinectbench.cli.baseline import baseline, check
 from kinectbench.cli.build import BUILD
 from kinectbench.cli.common import Command
-from kinectbench.cli.lab import evaluate, simulate, synthesize
-from kinectbench.cli.publish import export, import_, publish, verify
+from kinectbench.cli.evaluate import evaluate
+from kinectbench.cli.exchange import export, import_
+from kinectbench.cli.publish import publish
 from kinectbench.cli.recordings import formats, init, inspect
 from kinectbench.cli.report import report
-from kinectbench.cli.score import baseline, check, compare, score
+from kinectbench.cli.score import compare, score
 from kinectbench.cli.segment import segment
+from kinectbench.cli.simulate import simulate
+from kinectbench.cli.synthesize import synthesize
 from kinectbench.cli.track import track
+from kinectbench.cli.verify import verify
 from kinectbench.core.errors import KinectBenchError, internal_error
 from kinectbench.engine.interrupts import (
     check_interrupt,

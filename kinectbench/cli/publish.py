@@ -1,25 +1,20 @@
-"""The commands around releases: published, checked, made again, and exchanged with other layouts."""
+"""The command `publish`."""
 
-import tempfile
 from collections.abc import Sequence
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.cli.build import build_jobs, build_recordings, exit_status, find_release, need_some
-from kinectbench.cli.common import CANNOT_BE_USED, Common, Ids, takes
+from kinectbench.cli.build import build_recordings, exit_status, need_some
+from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.settings.models import BenchmarkSettings
-
-# Each is a room `release/exchange/<layout>.py` with a function `export_<layout>`.
-Layout = Literal["recgan", "bop", "webdataset"]
 
 
 @takes("config", "overrides", "jobs", "force", "wait", "as_json")
@@ -117,81 +112,3 @@ def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> No
     lines += summary.removed
     lines += [f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives]
     common.tell(result, lines)
-
-
-@takes("jobs", "as_json")
-def verify(
-    common: Common,
-    release: Annotated[
-        Path, typer.Argument(help="the release's folder, or its .zip, .tar or .tar.gz")
-    ] = Path("benchmark"),
-    rebuild: Annotated[
-        Path | None,
-        typer.Option(help="make the pairs again from here: a benchmark.yaml, or a folder of recordings"),
-    ] = None,
-    work: Annotated[
-        Path | None, typer.Option(help="with --rebuild: build here and keep it; default: a temporary folder")
-    ] = None,
-) -> int:
-    """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
-    from kinectbench.cli import console
-    from kinectbench.release.check.verify import verify as find_problems
-
-    with console.bar("verify") as progress:
-        problems = find_problems(release, progress)
-    if rebuild is not None and not problems:
-        problems = _rebuild(release, rebuild, work, common.workers)
-    common.tell_problems(problems, f"{release}: all well")
-    return CANNOT_BE_USED if problems else 0
-
-
-def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int) -> list[str]:
-    """Build the release's recordings anew and say what differs; only a sound release comes here."""
-    from kinectbench.cli import console
-    from kinectbench.engine.stages import Job
-    from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan
-    from kinectbench.release.opening import open_contents
-
-    sources = find_sources(recordings)
-    with ExitStack() as stack:
-        contents = stack.enter_context(open_contents(release))
-        plan = rebuild_plan(contents, sources)
-        console.lines("note", plan.notes, "yellow")
-        root = work or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-rebuild-")))
-        chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]
-        build_jobs(chosen, "pairs", processes)
-        return list(differences(contents, plan, root / "build"))
-
-
-@takes("benchmark", "config", "overrides", "jobs", "as_json")
-def export(
-    common: Common,
-    out: Annotated[Path, typer.Argument(help="a new folder")],
-    layout: Annotated[Layout, typer.Option(help="the paper's authors', BOP's, or WebDataset's")] = "recgan",
-) -> int:
-    """Write a release in another layout: `recgan`, the paper authors' files and axes; `bop`; `webdataset`."""
-    from importlib import import_module
-
-    from kinectbench.cli import console
-
-    write = getattr(import_module(f"kinectbench.release.exchange.{layout}"), f"export_{layout}")
-    release, rows = find_release(common)
-    with console.bar("export") as progress:
-        pairs = write(release, out, progress)
-    common.tell({"folder": str(out), "pairs": pairs}, [f"exported {pairs} pairs: {out}"])
-    return exit_status(rows)
-
-
-@takes("as_json")
-def import_(
-    common: Common,
-    folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/")],
-    out: Annotated[Path, typer.Argument(help="the release: a new folder")],
-) -> None:
-    """Make a release of files in the layout of the paper's authors."""
-    from kinectbench.cli import console
-    from kinectbench.release.exchange.recgan import import_recgan
-
-    with console.bar("import") as progress:
-        pairs = import_recgan(folder, out, progress)
-    common.tell({"folder": str(out), "pairs": pairs}, [f"imported {pairs} pairs: {out}"])

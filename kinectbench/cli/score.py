@@ -1,4 +1,4 @@
-"""The commands around methods: simple ones to begin with, predictions checked and scored, scores compared."""
+"""The commands `score` and `compare`."""
 
 import json
 from collections.abc import Sequence
@@ -16,82 +16,8 @@ if TYPE_CHECKING:
     from kinectbench.core.artefacts.scores import ScoreTable
     from kinectbench.release.release import Release
 
+
 SHOWN_FAILURES = 20
-
-
-def _known_baselines(incomplete: str) -> list[str]:
-    """Names for the shell to complete."""
-    from kinectbench.scoring.baselines.registry import BASELINES
-
-    return [name for name in BASELINES if name.startswith(incomplete)]
-
-
-@takes("benchmark", "config", "overrides", "jobs", "as_json")
-def baseline(
-    common: Common,
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[NAME]...", help="default: all", autocompletion=_known_baselines),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="folder of methods; default: predictions/ beside the benchmark")
-    ] = None,
-) -> int:
-    """Write predictions of simple methods: empty, base-rate, partial, hull, mirror, silhouette.
-
-    Where there are training pairs of every category, mean-shape and nearest too.
-    """
-    from kinectbench.cli import console
-    from kinectbench.scoring.baselines.predict import check_names, write_baselines
-
-    check_names(names or ())
-    release, rows = find_release(common)
-    folder = out or common.beside("predictions")
-    with console.bar("baseline") as progress:
-        written = write_baselines(release, folder, names, common.workers, progress)
-    common.tell_written(*(folder / name for name in written))
-    return exit_status(rows)
-
-
-@takes("benchmark", "config", "overrides", "jobs", "as_json")
-def check(common: Common, predictions: Predictions) -> int:
-    """Say everything that is wrong with a folder of predictions, without scoring."""
-    from kinectbench.cli import console
-    from kinectbench.scoring.predictions import check as find_problems
-    from kinectbench.scoring.predictions import split_methods
-
-    release, rows = find_release(common)
-    methods = split_methods(predictions, release.targets)
-    problems = []
-    for name, folder in methods.items():
-        with console.bar(f"check {name}") as progress:
-            found = find_problems(release, folder, progress)
-        problems += [f"{name}: {line}" if len(methods) > 1 else line for line in found]
-    common.tell_problems(problems, f"{predictions}: all well")
-    return SOME_FAILED if problems else exit_status(rows)
-
-
-@takes("as_json")
-def compare(
-    common: Common,
-    scores: Annotated[list[Path], typer.Argument(help="scores.json files, or folders that hold them")],
-    metric: Annotated[str, typer.Option(help="such as iou, ce, f1, chamfer_mm, surface_dice")] = "iou",
-    protocol: Annotated[str, typer.Option(help="paper, known, occluded")] = "known",
-) -> None:
-    """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
-    from kinectbench.cli import console
-    from kinectbench.scoring.compare import compare as compare_tables
-    from kinectbench.scoring.compare import find_scores, read_named
-    from kinectbench.scoring.terminal import comparison_tables
-
-    tables = [read_named(path) for path in find_scores(scores)]
-    found = compare_tables(tables, metric, protocol)
-    if common.as_json:
-        typer.echo(json.dumps(asdict(found)))
-        return
-    for table in comparison_tables(found):
-        console.out.print(table)
-    console.lines("note", found.notes, "yellow")
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
@@ -181,3 +107,26 @@ def _tell_problems(tables: "Sequence[ScoreTable]") -> None:
             more = f"and {len(reasons) - SHOWN_FAILURES} more; scores.json and `kinectbench check` list all"
             reasons = [*reasons[:SHOWN_FAILURES], more]
         console.lines(f"{table.method}: error", reasons, "red")
+
+
+@takes("as_json")
+def compare(
+    common: Common,
+    scores: Annotated[list[Path], typer.Argument(help="scores.json files, or folders that hold them")],
+    metric: Annotated[str, typer.Option(help="such as iou, ce, f1, chamfer_mm, surface_dice")] = "iou",
+    protocol: Annotated[str, typer.Option(help="paper, known, occluded")] = "known",
+) -> None:
+    """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.compare import compare as compare_tables
+    from kinectbench.scoring.compare import find_scores, read_named
+    from kinectbench.scoring.terminal import comparison_tables
+
+    tables = [read_named(path) for path in find_scores(scores)]
+    found = compare_tables(tables, metric, protocol)
+    if common.as_json:
+        typer.echo(json.dumps(asdict(found)))
+        return
+    for table in comparison_tables(found):
+        console.out.print(table)
+    console.lines("note", found.notes, "yellow")

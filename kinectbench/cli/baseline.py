@@ -1,0 +1,61 @@
+"""The commands `baseline` and `check`: predictions before they are scored."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinectbench.cli.build import exit_status, find_release
+from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
+
+
+def _known_baselines(incomplete: str) -> list[str]:
+    """Names for the shell to complete."""
+    from kinectbench.scoring.baselines.registry import BASELINES
+
+    return [name for name in BASELINES if name.startswith(incomplete)]
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def baseline(
+    common: Common,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="default: all", autocompletion=_known_baselines),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="folder of methods; default: predictions/ beside the benchmark")
+    ] = None,
+) -> int:
+    """Write predictions of simple methods: empty, base-rate, partial, hull, mirror, silhouette.
+
+    Where there are training pairs of every category, mean-shape and nearest too.
+    """
+    from kinectbench.cli import console
+    from kinectbench.scoring.baselines.predict import check_names, write_baselines
+
+    check_names(names or ())
+    release, rows = find_release(common)
+    folder = out or common.beside("predictions")
+    with console.bar("baseline") as progress:
+        written = write_baselines(release, folder, names, common.workers, progress)
+    common.tell_written(*(folder / name for name in written))
+    return exit_status(rows)
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def check(common: Common, predictions: Predictions) -> int:
+    """Say everything that is wrong with a folder of predictions, without scoring."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.predictions import check as find_problems
+    from kinectbench.scoring.predictions import split_methods
+
+    release, rows = find_release(common)
+    methods = split_methods(predictions, release.targets)
+    problems = []
+    for name, folder in methods.items():
+        with console.bar(f"check {name}") as progress:
+            found = find_problems(release, folder, progress)
+        problems += [f"{name}: {line}" if len(methods) > 1 else line for line in found]
+    common.tell_problems(problems, f"{predictions}: all well")
+    return SOME_FAILED if problems else exit_status(rows)

@@ -1,0 +1,44 @@
+"""The command `evaluate`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinectbench.cli.build import build_jobs, exit_status
+from kinectbench.cli.common import Common, takes
+
+
+@takes("config", "overrides", "as_json")
+def evaluate(
+    common: Common,
+    recording: Annotated[
+        str, typer.Argument(help="a recording's id, a simulated recording, or the folder one was built in")
+    ],
+    truth: Annotated[
+        Path | None, typer.Argument(help="its truth; default: <recording>.truth beside the recording")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="default: evaluation/<recording>/ beside build/")] = None,
+    align: Annotated[bool, typer.Option(help="lay the build onto the truth by the trajectories")] = True,
+) -> int:
+    """Measure what is built of a simulated recording against its truth: a table, JSON, pictures, a page."""
+    from kinectbench.cli import console
+    from kinectbench.lab.evaluate.evaluation import evaluation_json
+    from kinectbench.lab.evaluate.run import evaluate_recording, find_built
+    from kinectbench.lab.evaluate.table import evaluation_table
+
+    found = find_built(recording, truth, common.config, common.overrides or ())
+    rows = build_jobs([found.job], "pairs", 1) if found.job else []
+    status = exit_status(rows)
+    if status and not (found.build / "sequence").is_dir():
+        return status
+    target = out or found.build.parent.parent / "evaluation" / found.build.name
+    with console.bar("evaluate") as progress:
+        result = evaluate_recording(found.build, found.truth, target, align=align, progress=progress)
+    if common.as_json:
+        typer.echo(json.dumps(evaluation_json(result)))
+    else:
+        console.out.print(evaluation_table(result))
+        typer.echo(f"page: {(target / 'index.html').resolve()}")
+    return status

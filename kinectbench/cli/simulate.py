@@ -1,0 +1,67 @@
+"""The command `simulate`."""
+
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+from kinectbench.cli.common import Common, takes
+from kinectbench.core.errors import SettingsError
+from kinectbench.lab.simulate import Format
+
+
+@takes("overrides", "as_json")
+def simulate(
+    common: Common,
+    out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
+    object_name: Annotated[str | None, typer.Option("--object", help="such as chair:seed=3")] = None,
+    mesh: Annotated[Path | None, typer.Option(help="a mesh file in metres, instead of an object")] = None,
+    preset: Annotated[str, typer.Option(help="see --presets")] = "orbit-v1",
+    frames: Annotated[int | None, typer.Option(min=1, help="number of frames")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="draws everything but the object")] = None,
+    form: Annotated[str | None, typer.Option("--format", help=", ".join(get_args(Format)))] = None,
+    presets: Annotated[bool, typer.Option("--presets", help="list the presets")] = False,
+    contact_sheets: Annotated[
+        Path | None, typer.Option(help="draw twelve objects of each family into this folder")
+    ] = None,
+    samples: Annotated[Path | None, typer.Option(help="write the sample recordings here")] = None,
+    demo: Annotated[Path | None, typer.Option(help="write the demo's further recordings here")] = None,
+) -> None:
+    """Write a simulated recording, with the exact truth beside it in <name>.truth/."""
+    from kinectbench.cli import console
+    from kinectbench.lab.simulate.presets import PRESETS, simulate_named
+    from kinectbench.lab.simulate.truth import is_truth, read_truth, truth_folder
+
+    if presets:
+        width = max(map(len, PRESETS))
+        rows = {name: text for name, (text, _) in PRESETS.items()}
+        common.tell(rows, (f"{name:<{width}}  {text}" for name, text in rows.items()))
+        return
+    if mesh is not None and object_name is not None:
+        raise SettingsError("simulate: give --object or --mesh, not both")
+    if contact_sheets is not None:
+        from kinectbench.lab.simulate.objects.furniture import write_contact_sheets
+
+        common.tell_written(*write_contact_sheets(contact_sheets))
+        return
+    given = {"object": object_name, "mesh": None if mesh is None else str(mesh), "seed": seed, "format": form}
+    changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    if frames is not None:
+        changes["path"] = {"frames": frames}
+    if out is not None and is_truth(truth_folder(out)):
+        console.lines("note", [f"{out}: replaces the simulated recording that is there"], "yellow")
+    with console.recording_bars() as progress:
+        written = simulate_named(
+            out,
+            preset,
+            changes,
+            common.overrides or (),
+            samples,
+            demo,
+            lambda name, *done: progress(name, "simulate", *done),
+        )
+    if mesh is not None:
+        console.lines(
+            "note", [f"{mesh}: {read_truth(truth_folder(path)).origin}" for path in written], "yellow"
+        )
+    common.tell_written(*written)

@@ -1,0 +1,55 @@
+"""The command `verify`."""
+
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinectbench.cli.build import build_jobs
+from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
+
+
+@takes("jobs", "as_json")
+def verify(
+    common: Common,
+    release: Annotated[
+        Path, typer.Argument(help="the release's folder, or its .zip, .tar or .tar.gz")
+    ] = Path("benchmark"),
+    rebuild: Annotated[
+        Path | None,
+        typer.Option(help="make the pairs again from here: a benchmark.yaml, or a folder of recordings"),
+    ] = None,
+    work: Annotated[
+        Path | None, typer.Option(help="with --rebuild: build here and keep it; default: a temporary folder")
+    ] = None,
+) -> int:
+    """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
+    from kinectbench.cli import console
+    from kinectbench.release.check.verify import verify as find_problems
+
+    with console.bar("verify") as progress:
+        problems = find_problems(release, progress)
+    if rebuild is not None and not problems:
+        problems = _rebuild(release, rebuild, work, common.workers)
+    common.tell_problems(problems, f"{release}: all well")
+    return CANNOT_BE_USED if problems else 0
+
+
+def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int) -> list[str]:
+    """Build the release's recordings anew and say what differs; only a sound release comes here."""
+    from kinectbench.cli import console
+    from kinectbench.engine.stages import Job
+    from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan
+    from kinectbench.release.opening import open_contents
+
+    sources = find_sources(recordings)
+    with ExitStack() as stack:
+        contents = stack.enter_context(open_contents(release))
+        plan = rebuild_plan(contents, sources)
+        console.lines("note", plan.notes, "yellow")
+        root = work or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-rebuild-")))
+        chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]
+        build_jobs(chosen, "pairs", processes)
+        return list(differences(contents, plan, root / "build"))
