@@ -23,7 +23,7 @@ from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import object_cube, partial_grids
-from kinectbench.lab.simulate.objects.furniture import FAMILIES, make_object
+from kinectbench.lab.simulate.objects import FAMILIES, make_object
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.pair import VOXELIZERS, make_pair, recgan_bytes

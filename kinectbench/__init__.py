@@ -1,4 +1,14 @@
-"""kinectbench: real RGB-D recordings in, a benchmark for single-view shape completion out."""
+"""kinectbench: real RGB-D recordings in, a benchmark for single-view shape completion out.
+
+The command `kinectbench` makes benchmarks and scores predictions. A network is scored from Python, too:
+
+    dataset = kinectbench.load("benchmark")
+    scorer = kinectbench.Scorer(dataset)
+    for split in ("validation", "test"):
+        for pair in dataset.split(split):
+            scorer.update(pair["pair_id"], predict(pair["partial"]))
+    table = scorer.result()
+"""
 
 import sys
 from types import ModuleType

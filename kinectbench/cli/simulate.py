@@ -40,7 +40,7 @@ def simulate(
     if mesh is not None and object_name is not None:
         raise SettingsError("simulate: give --object or --mesh, not both")
     if contact_sheets is not None:
-        from kinectbench.lab.simulate.objects.furniture import write_contact_sheets
+        from kinectbench.lab.simulate.objects.contact_sheets import write_contact_sheets
 
         common.tell_written(*write_contact_sheets(contact_sheets))
         return

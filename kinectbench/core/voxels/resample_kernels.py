@@ -8,7 +8,17 @@ from kinectbench.core.types import Float64, Int64
 
 @njit(cache=True, error_model="numpy")
 def expand_rows(plane: Float64, lower: Int64, upper: Int64, weight: Float64) -> Float64:
-    """Interpolate a plane (n, n) along its last axis to (n, side); taps and weights (side,)."""
+    """Interpolate a plane along its last axis.
+
+    Args:
+        plane: (n, m) values.
+        lower: (side,) the first of the two columns that each new one lies between.
+        upper: (side,) the second.
+        weight: (side,) of the second, in [0, 1].
+
+    Returns:
+        (n, side).
+    """
     n, side = plane.shape[0], len(lower)
     rows = np.empty((n, side))
     for i in range(n):
@@ -22,7 +32,17 @@ def expand_rows(plane: Float64, lower: Int64, upper: Int64, weight: Float64) -> 
 def plane_between(
     first: Float64, second: Float64, share: float, lower: Int64, upper: Int64, weight: Float64, out: Float64
 ) -> None:
-    """Interpolate between two planes of rows (n, side), then between rows, to `out` (side, side)."""
+    """Interpolate between two planes of rows, and then between the rows.
+
+    Args:
+        first: (n, side), as `expand_rows` makes them.
+        second: likewise, of the next plane.
+        share: of the second plane, in [0, 1].
+        lower: (side,) of the rows, as for `expand_rows`.
+        upper: likewise.
+        weight: likewise.
+        out: (side, side), set.
+    """
     rows = np.empty(first.shape)
     for i in range(len(rows)):
         _blend(first[i], second[i], share, rows[i])

@@ -14,7 +14,7 @@ from kinectbench.core.types import Float64, Progress
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import Device, draw_device, measure
-from kinectbench.lab.simulate.objects.furniture import make_object, parse_object
+from kinectbench.lab.simulate.objects import make_object, parse_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames

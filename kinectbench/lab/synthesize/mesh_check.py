@@ -33,7 +33,7 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
         ShapeError: why it cannot be used, in a few words without its name.
     """
     if not model.path:
-        from kinectbench.lab.simulate.objects.furniture import make_object
+        from kinectbench.lab.simulate.objects import make_object
 
         return check_mesh(make_object(model.category, model.seed).mesh, max_faces)
     path = Path(model.path)

@@ -101,7 +101,7 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
     Raises:
         SettingsError: there is no such family.
     """
-    from kinectbench.lab.simulate.objects.furniture import FAMILIES, check_family
+    from kinectbench.lab.simulate.objects import FAMILIES, check_family
 
     names = sorted(check_family(name) for name in categories or FAMILIES)
     return tuple(Model(name, f"{name}-{seed:05d}", seed=seed) for name in names for seed in range(count))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.storage import canonical_json, sha256_text
-from kinectbench.lab.simulate.objects.furniture import FAMILIES, make_object
+from kinectbench.lab.simulate.objects import FAMILIES, make_object
 from kinectbench.lab.simulate.presets import PRESETS, preset_spec
 from kinectbench.lab.simulate.simulate import prepare, record
 

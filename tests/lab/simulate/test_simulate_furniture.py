@@ -12,14 +12,8 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from kinectbench.core.errors import SettingsError, StorageError
-from kinectbench.lab.simulate.objects import shapes
-from kinectbench.lab.simulate.objects.furniture import (
-    FAMILIES,
-    contact_sheet,
-    make_object,
-    parse_object,
-    write_contact_sheets,
-)
+from kinectbench.lab.simulate.objects import FAMILIES, make_object, parse_object, shapes
+from kinectbench.lab.simulate.objects.contact_sheets import contact_sheet, write_contact_sheets
 from kinectbench.lab.simulate.objects.shapes import Subject
 
 SEEDS = range(15)

@@ -1,1 +1,68 @@
-"""What is recorded: parametric furniture, and objects from mesh files."""
+"""What is recorded: objects from mesh files, and furniture drawn by a seed, each family in its own file."""
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.lab.simulate.objects.benches import bench
+from kinectbench.lab.simulate.objects.chairs import chair
+from kinectbench.lab.simulate.objects.couches import couch
+from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
+from kinectbench.lab.simulate.objects.shapes import Subject
+from kinectbench.lab.simulate.objects.tables import table
+from kinectbench.settings.words import listed, near_miss
+
+FAMILIES: dict[str, Callable[[Draw], Parts]] = {
+    "chair": chair,
+    "table": table,
+    "bench": bench,
+    "couch": couch,
+}
+
+
+class ObjectName(NamedTuple):
+    """A piece of furniture: its family and the seed that draws it."""
+
+    family: str
+    seed: int
+
+
+def check_family(family: str) -> str:
+    """Accept the name of a family of furniture.
+
+    Raises:
+        SettingsError: there is no such family; the nearest name is suggested.
+    """
+    if family in FAMILIES:
+        return family
+    hint = f"{near_miss(family, list(FAMILIES))} choose one of {listed(FAMILIES)}".lstrip()
+    raise SettingsError(f"object family '{family}': unknown; {hint}")
+
+
+def parse_object(text: str) -> ObjectName:
+    """Read `chair` or `chair:seed=3`.
+
+    Raises:
+        SettingsError: the text is not of this form, or there is no such family.
+    """
+    match = re.fullmatch(r"([^:]+)(?::seed=(\d{1,9}))?", text.strip())
+    if not match:
+        raise SettingsError(f"object '{text}': write the family and its seed, such as chair:seed=3")
+    return ObjectName(check_family(match[1]), int(match[2] or 0))
+
+
+def make_object(family: str, seed: int) -> Subject:
+    """Draw a piece of furniture in its object frame: z up, on z = 0, centred at x = y = 0.
+
+    Chairs, benches and couches face +y. Nothing is thinner than 15 mm. Its mesh is the union of its pieces.
+    Same family and seed, same vertices. The proportions are own choices.
+
+    Raises:
+        SettingsError: there is no such family.
+    """
+    rng = np.random.default_rng([*check_family(family).encode(), seed])
+    name = f"{family}:seed={seed}"
+    return assemble(name, FAMILIES[family](Draw(rng)), "parametric furniture: exact union of its pieces")

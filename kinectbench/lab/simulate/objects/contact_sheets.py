@@ -1,81 +1,23 @@
-"""Parametric furniture drawn by a seed: a registry of families, each in its own file, and their pictures."""
+"""Pictures of furniture: single ones, and contact sheets of a family."""
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry.mesh import join
 from kinectbench.core.images import shrunk
 from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along
-from kinectbench.lab.simulate.objects.benches import bench
-from kinectbench.lab.simulate.objects.chairs import chair
-from kinectbench.lab.simulate.objects.couches import couch
-from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
+from kinectbench.lab.simulate.objects import FAMILIES, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
-from kinectbench.lab.simulate.objects.tables import table
-from kinectbench.settings.words import listed, near_miss
 
-FAMILIES: dict[str, Callable[[Draw], Parts]] = {
-    "chair": chair,
-    "table": table,
-    "bench": bench,
-    "couch": couch,
-}
 COLUMNS = 4
 LABEL_PX = 22
 SUPERSAMPLING = 2
 # From the front, the right and above.
 FORWARD = np.array([-0.55, -0.8, -0.42])
-
-
-class ObjectName(NamedTuple):
-    """A piece of furniture: its family and the seed that draws it."""
-
-    family: str
-    seed: int
-
-
-def check_family(family: str) -> str:
-    """Accept the name of a family of furniture.
-
-    Raises:
-        SettingsError: there is no such family; the nearest name is suggested.
-    """
-    if family in FAMILIES:
-        return family
-    hint = f"{near_miss(family, list(FAMILIES))} choose one of {listed(FAMILIES)}".lstrip()
-    raise SettingsError(f"object family '{family}': unknown; {hint}")
-
-
-def parse_object(text: str) -> ObjectName:
-    """Read `chair` or `chair:seed=3`.
-
-    Raises:
-        SettingsError: the text is not of this form, or there is no such family.
-    """
-    match = re.fullmatch(r"([^:]+)(?::seed=(\d{1,9}))?", text.strip())
-    if not match:
-        raise SettingsError(f"object '{text}': write the family and its seed, such as chair:seed=3")
-    return ObjectName(check_family(match[1]), int(match[2] or 0))
-
-
-def make_object(family: str, seed: int) -> Subject:
-    """Draw a piece of furniture in its object frame: z up, on z = 0, centred at x = y = 0.
-
-    Chairs, benches and couches face +y. Nothing is thinner than 15 mm. Its mesh is the union of its pieces.
-    Same family and seed, same vertices. The proportions are own choices.
-
-    Raises:
-        SettingsError: there is no such family.
-    """
-    rng = np.random.default_rng([*check_family(family).encode(), seed])
-    name = f"{family}:seed={seed}"
-    return assemble(name, FAMILIES[family](Draw(rng)), "parametric furniture: exact union of its pieces")
 
 
 def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
