@@ -8,7 +8,8 @@ from builds import read_json
 from numpy.typing import NDArray
 from solid_recipes import RECIPES, poisson
 
-from kinectbench.core.artefacts.object import Label, QualityFile
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.mesh import read_ply

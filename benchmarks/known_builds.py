@@ -11,7 +11,8 @@ import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import BoxPart, Label, QualityFile
+from kinectbench.core.artefacts.object import BoxPart, QualityFile
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile
 from kinectbench.core.geometry import (

@@ -12,7 +12,7 @@ import numpy as np
 from figures import Figure, arguments, at_most, equals, run, told
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.geometry.depth import depth_sigma_m

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from kinectbench.core.artefacts.scores import OVERALL, ScoreRow, ScoreTable
+from kinectbench.core.artefacts.score_figures import ScoreRow
+from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
 from kinectbench.report.plan import svg_path

@@ -3,16 +3,8 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from kinectbench.core.artefacts.scores import (
-    OVERALL,
-    SHARES,
-    CategoryAverages,
-    Extremes,
-    OverallAverages,
-    ScoreTable,
-    SurfaceMetrics,
-    fields_of,
-)
+from kinectbench.core.artefacts.score_figures import SHARES, SurfaceMetrics, fields_of
+from kinectbench.core.artefacts.scores import OVERALL, CategoryAverages, Extremes, OverallAverages, ScoreTable
 from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED

@@ -6,15 +6,8 @@ from dataclasses import asdict
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.scores import (
-    BaseRate,
-    Failure,
-    Hashes,
-    ScoreRow,
-    ScoreSettings,
-    ScoreTable,
-    SurfaceMetrics,
-)
+from kinectbench.core.artefacts.score_figures import ScoreRow, SurfaceMetrics
+from kinectbench.core.artefacts.scores import BaseRate, Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target

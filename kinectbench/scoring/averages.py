@@ -7,16 +7,13 @@ from statistics import fmean
 import numpy as np
 
 from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES, ScoreRow
 from kinectbench.core.artefacts.scores import (
-    AVERAGED,
-    METRICS,
-    SHARES,
     BaseRate,
     CategoryAverages,
     ExtremePair,
     Extremes,
     OverallAverages,
-    ScoreRow,
 )
 from kinectbench.core.types import Float64
 from kinectbench.release.release import Target

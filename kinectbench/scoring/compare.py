@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.artefacts.scores import AVERAGED, METRICS, SCORES_JSON, SHARES, ScoreTable
+from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES
+from kinectbench.core.artefacts.scores import SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY

@@ -6,7 +6,7 @@ stated at each function.
 
 import numpy as np
 
-from kinectbench.core.artefacts.scores import VoxelMetrics
+from kinectbench.core.artefacts.score_figures import VoxelMetrics
 from kinectbench.core.types import Float64
 from kinectbench.scoring.counts import CE_CLIP, ProtocolCounts
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from kinectbench.core.artefacts.counted import JOURNAL, CountedPair, PairResult
-from kinectbench.core.artefacts.scores import SurfaceMetrics
+from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
 from kinectbench.core.voxels.pair_file import FULL_CELLS

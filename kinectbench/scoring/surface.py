@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.artefacts.scores import SurfaceMetrics
+from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed
 from kinectbench.scoring.truth import Truth

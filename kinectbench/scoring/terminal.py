@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from kinectbench.core.artefacts.scores import OVERALL, SHARES, ScoreTable
+from kinectbench.core.artefacts.score_figures import SHARES
+from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.scoring.compare import Comparison
 from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.artefacts.stored import known
 from kinectbench.core.artefacts.views import PairRow, PairsFile, Refused
 from kinectbench.core.geometry import TriangleMesh

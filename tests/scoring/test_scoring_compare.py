@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kinectbench.core.artefacts.scores import AVERAGED, ScoreRow, ScoreSettings, ScoreTable
+from kinectbench.core.artefacts.score_figures import AVERAGED, ScoreRow
+from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import object_means
 from kinectbench.scoring.compare import compare, find_scores

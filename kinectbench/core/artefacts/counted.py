@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from kinectbench.core.artefacts.scores import SurfaceMetrics
+from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.artefacts.stored import Part, array_in_file
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.types import Float64, Int64

@@ -1,10 +1,4 @@
-"""scores.json and scores.csv: everything known of one method's scores.
-
-Each metric is declared once, as a field of `VoxelMetrics` or `SurfaceMetrics`, with its meaning, unit, range,
-and whether more is better. Rows, averages, the JSON schema and the page's tables are made from these fields.
-
-The bases of a class are read from the right: the fields of the last base come first in the file.
-"""
+"""scores.json and scores.csv: everything known of one method's scores."""
 
 import csv
 import io
@@ -12,11 +6,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
-from pydantic.fields import FieldInfo
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.score_figures import (
+    FINITE,
+    IN_UNIT_RANGE,
+    SURFACE_METRICS,
+    Averages,
+    OptionalUnitRange,
+    Resolution,
+    ScoreRow,
+    UnitRange,
+    fields_of,
+)
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.storage import replaced_file
 
@@ -25,146 +29,8 @@ SCORES_CSV = "scores.csv"
 OVERALL = "overall"
 BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to every table
 
-IN_UNIT_RANGE: dict[str, JsonValue] = {"minimum": 0, "maximum": 1}
-SHARE: dict[str, JsonValue] = {**IN_UNIT_RANGE, "better": "higher"}
-UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
-OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
 Sha256 = Annotated[str, Field(json_schema_extra={"pattern": "^[0-9a-f]{64}$"})]
 
-
-# Rows and averages are dataclasses: of a hundred thousand rows, models would take twice the memory.
-FINITE = ConfigDict(allow_inf_nan=False)
-
-
-def _share(heading: str | None, meaning: str) -> Any:
-    """A metric in [0, 1], the higher the better.
-
-    Args:
-        heading: of its column on the page; None keeps it off the page.
-        meaning: in one sentence.
-    """
-    return Field(None, title=heading, description=meaning, json_schema_extra=SHARE)
-
-
-def _loss(heading: str | None, meaning: str, unit: str) -> Any:
-    """A metric from 0 on, the lower the better; arguments as those of `_share`."""
-    extra: dict[str, JsonValue] = {"minimum": 0, "unit": unit, "better": "lower"}
-    return Field(None, title=heading, description=meaning, json_schema_extra=extra)
-
-
-@dataclass(frozen=True, config=FINITE)
-class VoxelMetrics:
-    """Metrics of voxels; precision, recall, F1 and IoU are at the row's threshold."""
-
-    iou: float | None = _share("IoU", "intersection over union")
-    ce: float | None = _loss("CE", "mean cross-entropy", "nats a voxel")
-    precision: float | None = _share("precision", "share of the predicted voxels that are occupied")
-    recall: float | None = _share("recall", "share of the occupied voxels that are predicted")
-    f1: float | None = _share("F1", "harmonic mean of precision and recall")
-
-
-@dataclass(frozen=True, config=FINITE)
-class SurfaceMetrics:
-    """Metrics of surfaces at the row's threshold; None if they were not asked for."""
-
-    chamfer_mm: float | None = _loss(
-        "Chamfer, mm", "mean of the mean distances from each surface to the other", "mm"
-    )
-    f_score_1pct: float | None = _share("F-score 1 %", "F-score at 1 % of the diagonal of the shape's box")
-    f_score_2pct: float | None = _share(None, "F-score at 2 % of the diagonal of the shape's box")
-    f_score_10mm: float | None = _share(None, "F-score at 10 mm")
-    f_score_20mm: float | None = _share(None, "F-score at 20 mm")
-    surface_dice: float | None = _share(
-        "surface Dice", "share of both surfaces within 2 sigma of the truth's surface of each other"
-    )
-    normal_consistency: float | None = _share(
-        "normals", "mean |cosine| between the normals of nearest cells, both ways"
-    )
-
-
-def fields_of(kind: type) -> dict[str, FieldInfo]:
-    """The fields of a class of figures, in file order."""
-    found: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
-    return found
-
-
-VOXEL_METRICS = tuple(fields_of(VoxelMetrics))
-SURFACE_METRICS = tuple(fields_of(SurfaceMetrics))
-METRICS = (*VOXEL_METRICS, *SURFACE_METRICS)
-# Metrics in [0, 1], of which more is better; of the others less is.
-SHARES = frozenset(
-    name
-    for kind in (VoxelMetrics, SurfaceMetrics)
-    for name, field in fields_of(kind).items()
-    if field.json_schema_extra == SHARE
-)
-
-
-@dataclass(frozen=True, config=FINITE)
-class Context:
-    """What the metrics of a pair, or their averages, are to be read beside."""
-
-    base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = Field(
-        default=None, description="cross-entropy of the category's base-rate constant, nats a voxel"
-    )
-    coverage_voxels: OptionalUnitRange = Field(
-        default=None, description="share of the 256^3 voxels that the protocol counts"
-    )
-    coverage_shape: OptionalUnitRange = Field(
-        default=None, description="share of the shape's voxels that it counts"
-    )
-
-
-@dataclass(frozen=True, config=FINITE)
-class Pair:
-    """The pair of a row, and how it was scored."""
-
-    recording: str = Field(description="id of the recording")
-    object: str = Field(description="the thing recorded")
-    view: str = Field(description="zero-padded index", json_schema_extra={"pattern": "^[0-9]{3,6}$"})
-    category: str = Field(description='such as "chair"')
-    protocol: str = Field(
-        description="which voxels are counted", json_schema_extra={"enum": ["paper", "known", "occluded"]}
-    )
-    threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")
-
-
-@dataclass(frozen=True, config=FINITE)
-class Resolution:
-    """The resolution of a prediction, and what it allows."""
-
-    cells: int = Field(
-        default=256,
-        description="side of the prediction as it was submitted; 0 if it is missing and scored as empty",
-        json_schema_extra={"minimum": 0, "maximum": 512},
-    )
-    ceiling_iou: UnitRange = Field(
-        default=1.0, description="IoU of the truth itself, reduced to that side and brought back"
-    )
-
-
-@dataclass(frozen=True, config=FINITE)
-class ScoreRow(SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
-    """One pair under one protocol."""
-
-    @property
-    def pair(self) -> str:
-        """`<recording>/<view>`."""
-        return f"{self.recording}/{self.view}"
-
-
-@dataclass(frozen=True, config=FINITE)
-class Averages(Context, SurfaceMetrics, VoxelMetrics):
-    """Means of the rows' figures; one that is not known of every row is None."""
-
-    ceiling_iou: OptionalUnitRange = Field(default=None, description="mean of the rows' ceilings")
-
-    def __getitem__(self, key: str) -> Any:
-        """A figure by its key in the file, such as "iou"."""
-        return getattr(self, key)
-
-
-AVERAGED = tuple(fields_of(Averages))
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Intervals = Annotated[

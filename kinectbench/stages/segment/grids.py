@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, Grid, OrientedBox, rigid, transform_points
 from kinectbench.core.geometry.boxes import yaw_rotation

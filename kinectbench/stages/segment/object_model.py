@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import FloorFile, ObjectVolume, QualityFile, Surround
+from kinectbench.core.artefacts.object import FloorFile, QualityFile
+from kinectbench.core.artefacts.object_grids import ObjectVolume, Surround
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, OrientedBox

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import BoxPart, Label, LabelCounts, QualityFile
+from kinectbench.core.artefacts.object import BoxPart, LabelCounts, QualityFile
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import Curve, Label, RuleProbabilities, SolidMethod
+from kinectbench.core.artefacts.object import Curve, RuleProbabilities, SolidMethod
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import isosurface

@@ -9,12 +9,11 @@ import pytest
 from kinectbench.core.artefacts.object import (
     BoxPart,
     FloorFile,
-    ObjectVolume,
     QualityFile,
-    Surround,
     SynthesisedQualityFile,
     UnseenSidePart,
 )
+from kinectbench.core.artefacts.object_grids import ObjectVolume, Surround
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import StorageError

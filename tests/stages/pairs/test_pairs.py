@@ -10,7 +10,7 @@ from chair_model import chair as make_chair
 from references import shell_of
 from scipy import ndimage
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m

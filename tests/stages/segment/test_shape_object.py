@@ -10,7 +10,7 @@ from chair_model import FUSION, Chair
 from chair_model import chair as make_chair
 from same_fields import assert_same_fields
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.stages.segment.floor import Floor, floor_frame

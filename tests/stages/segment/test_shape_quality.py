@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, TriangleMesh
 from kinectbench.stages.segment.quality import _unsupported, estimated_iou, expected_iou, volume_share_per_mm
 from kinectbench.stages.segment.solid import SolidShape

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from kinectbench.core.artefacts.object import Label
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.observation import Observation

@@ -1,0 +1,106 @@
+"""What `object/` holds as arrays on a grid: the solid with its labels, and the space around it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.stored import Stored
+from kinectbench.core.errors import StorageError
+from kinectbench.core.geometry import Grid
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.npz import npz_bytes, read_npz
+
+
+class Label(IntEnum):
+    """What is known about a voxel, stored as uint8; all but UNKNOWN count as known."""
+
+    FREE = 0
+    """Seen through: empty."""
+    OTHER = 1
+    """Not the object: observed, but floor, neighbour, outside a given box, or below the floor; or never seen
+    and inferred to be empty (a hollow behind an apron, a shadow under the object)."""
+    SURFACE = 2
+    """Measured on the object: occupied."""
+    INTERIOR = 3
+    """Enclosed by its surface: occupied."""
+    UNKNOWN = 4
+    """Never in a frustum, or never decided: occupied by probability, not trusted."""
+
+
+@dataclass(frozen=True)
+class OnGrid:
+    """Arrays of a grid's shape, each by its field's name in one npz with the grid itself.
+
+    Attributes:
+        FILE: its name.
+        VERSION: what the file holds of its format.
+        grid: `voxel_size_m` and `T_world_grid` in the file.
+    """
+
+    FILE: ClassVar[str]
+    VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {}
+
+    grid: Grid
+
+    def write(self, folder: Path) -> None:
+        """Write the file into a folder that is there."""
+        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "grid"}
+        grid = {"voxel_size_m": np.asarray(self.grid.voxel_size_m), "T_world_grid": self.grid.T_world_grid}
+        (folder / self.FILE).write_bytes(npz_bytes({**self.VERSION, **arrays, **grid}, level=1))
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read the file in a folder.
+
+        Raises:
+            StorageError: it is missing or damaged, or its arrays are not of one shape.
+        """
+        path = folder / cls.FILE
+        stored = read_npz(path)
+        try:
+            arrays = {field.name: stored[field.name] for field in fields(cls) if field.name != "grid"}
+            nx, ny, nz = next(iter(arrays.values())).shape
+            grid = Grid((nx, ny, nz), float(stored["voxel_size_m"]), stored["T_world_grid"].reshape(4, 4))
+        except (ValueError, KeyError, TypeError) as error:
+            raise StorageError(f"{path}: damaged ({error}); {Stored.ADVICE}") from error
+        if any(array.shape != grid.shape for array in arrays.values()):
+            raise StorageError(f"{path}: damaged (its arrays have different shapes); {Stored.ADVICE}")
+        return cls(grid, **arrays)
+
+
+@dataclass(frozen=True)
+class ObjectVolume(OnGrid):
+    """volume.npz: the object on a fine grid around it; all arrays have the grid's shape.
+
+    Attributes:
+        grid: upright, cells aligned with the floor; its voxel size in metres.
+        solid: bool, occupied.
+        labels: uint8, see `Label`.
+        probability: float16, in [0, 1], that the voxel is occupied.
+    """
+
+    FILE: ClassVar[str] = "volume.npz"
+    VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {"format_version": np.asarray(1)}
+
+    solid: Bools
+    labels: NDArray[np.uint8]
+    probability: NDArray[np.float16]
+
+
+@dataclass(frozen=True)
+class Surround(OnGrid):
+    """surround.npz: what is known of the space around the object, on a coarse grid.
+
+    Attributes:
+        grid: as far as any pair's cube can reach; its voxel size in metres.
+        labels: uint8 of the grid's shape: FREE, OTHER or UNKNOWN.
+    """
+
+    FILE: ClassVar[str] = "surround.npz"
+
+    labels: NDArray[np.uint8]
