@@ -103,7 +103,7 @@ def speed_figures(sequence: Sequence, truth: Truth) -> list[Figure]:
     volume = empty_volume(unique_blocks(np.concatenate(found).astype(np.int64)), VOXEL_M, np.eye(4))
     plain, colored = (VoxelBlockGrid(sequence, with_color=with_color) for with_color in (False, True))
     clock = Clock()
-    posed = [DepthFrame(d, T_world_camera[i]) for d, i in zip(depths_m, frames, strict=True)]
+    posed = [DepthFrame(d, T_world_camera[i], 0.0, 0.0) for d, i in zip(depths_m, frames, strict=True)]
     _warm_up(sequence, volume, posed[0], truncation_m)
     for start in range(0, len(posed), BATCH_FRAMES):
         batch = posed[start : start + BATCH_FRAMES]

@@ -27,8 +27,8 @@ FORMAT_VERSION = 1
 VERSIONS: dict[str, int] = {
     "ingest": 1,
     "track": 1,
-    "fuse": 1,
-    "segment": 1,
+    "fuse": 2,
+    "segment": 2,
     "sample-views": 1,
     "pairs": 1,
     "suggest": 1,

@@ -40,12 +40,14 @@ class DepthFrame:
     Attributes:
         depth_m: (height, width) float32, metres along z, 0 = none.
         T_world_camera: (4, 4).
-        pose_sigma_m: by how much the pose may be off, metres.
+        pose_sigma_m: by how much the pose may be off, metres: it lowers the frame's weight.
+        vote_sigma_m: what of it widens the `surface` vote, metres.
     """
 
     depth_m: Float32
     T_world_camera: Float64
-    pose_sigma_m: float = 0.0
+    pose_sigma_m: float
+    vote_sigma_m: float
 
 
 def integrate(
@@ -77,10 +79,10 @@ def integrate(
     pixels = np.zeros((BATCH_FRAMES, *padded, 2), np.float32)
     slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
     while batch := list(islice(remaining, BATCH_FRAMES)):
-        noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.pose_sigma_m) for frame in batch])
-        for values, frame, noise in zip(pixels, batch, noise_m, strict=False):
-            _set_pixels(values, frame.depth_m, slope, noise, np.float32(farthest_m))
-        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m, noise_m)
+        for values, frame in zip(pixels, batch, strict=False):
+            noise_m = _noise_m(volume.voxel_size_m, frame.pose_sigma_m)
+            _set_pixels(values, frame.depth_m, slope, noise_m, np.float32(farthest_m))
+        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
 
 
 def _integrate_batch(
@@ -89,7 +91,6 @@ def _integrate_batch(
     pixels: Float32,
     camera: Camera,
     truncation_m: float,
-    noise_m: Float32,
 ) -> None:
     T_camera_grid = [invert_rigid(frame.T_world_camera) @ volume.T_world_grid for frame in batch]
     posed = list(zip(batch, T_camera_grid, strict=True))
@@ -98,6 +99,7 @@ def _integrate_batch(
     # fraction, round to the nearest pixel.
     to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
     middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
+    noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.vote_sigma_m) for frame in batch])
     tsdf, weight, votes = (
         values.reshape(-1, BLOCK_CELLS)
         for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))

@@ -155,15 +155,16 @@ def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionS
     return max(settings.truncation_voxels * voxel_size_m, pose_reach_m(trajectory.usual_pose_sigma_m))
 
 
-def _pose_sigma_m(trajectory: Trajectory, frame: int) -> float:
-    """What a frame's weight and votes hold of its pose, metres: unchecked, the largest plausible error.
+def _vote_sigma_m(trajectory: Trajectory, frame: int) -> float:
+    """How far a frame's pose widens its `surface` votes, metres; unchecked, as far as a usual checked one.
 
-    Where no pose was checked no frame is better than another, and all are fused by their depth alone. The
-    largest error for all would cancel the votes near the surface. With 25 mm, on three simulated recordings,
-    mean F at 5 mm is 0.979 instead of 0.987 with right poses, 0.971 instead of 0.980 with all poses off by
-    5 mm, 0.931 instead of 0.922 by 10 mm, and 0.655 instead of 0.337 by 20 mm.
+    The largest plausible error, by which an unchecked frame weighs, would cancel the votes near the surface.
     """
-    return 0.0 if trajectory.usual_pose_sigma_m is None else trajectory.assumed_pose_sigma_m(frame)
+    usual_m = trajectory.usual_pose_sigma_m
+    if trajectory.pose_sigma_m is None or usual_m is None:
+        return 0.0
+    sigma_m = float(trajectory.pose_sigma_m[frame])
+    return usual_m if np.isnan(sigma_m) else sigma_m
 
 
 def _integrate_frames(
@@ -181,7 +182,9 @@ def _integrate_frames(
     def read() -> Iterator[DepthFrame]:
         for done, index in enumerate(chosen, start=1):
             depth_m = usable_depth_m(sequence, index, settings, far)
-            yield DepthFrame(depth_m, trajectory.T_world_camera[index], _pose_sigma_m(trajectory, index))
+            pose_sigma_m = trajectory.assumed_pose_sigma_m(index)
+            vote_sigma_m = _vote_sigma_m(trajectory, index)
+            yield DepthFrame(depth_m, trajectory.T_world_camera[index], pose_sigma_m, vote_sigma_m)
             if progress:
                 progress(done, len(chosen))
 

@@ -9,7 +9,6 @@ from kinectbench.core.geometry import Camera, rotation_angle_rad, transform_poin
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.rigid import rigid_from_twist
-from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M
 from kinectbench.core.types import Float32, Float64
 
 MAX_DEPTH_M = 3.5
@@ -151,7 +150,7 @@ def align_view(
     camera: Camera,
     T_world_camera: Float64,
     renderer: DepthRenderer,
-    pose_sigma_m: float = UNCHECKED_POSE_SIGMA_M,
+    pose_sigma_m: float,
 ) -> Alignment:
     """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
 

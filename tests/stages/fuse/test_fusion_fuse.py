@@ -110,7 +110,7 @@ def test_slats_are_no_thicker_than_they_are():
     centers = np.array([[0, 0, -0.04], [0, 0, 0.04]])
     boxes = [box(tuple(c - half), tuple(c + half)) for c in centers]
     fused = fuse(*scene_of(boxes, ring(24, 0.9, elevations_rad=(0.2, -0.3, 0.8, -0.9))), SETTINGS)
-    mesh = extract_mesh(fused.volume, min_weight=0.01, trust=1.0)
+    mesh = extract_mesh(fused.volume, min_weight=0.0, trust=1.0)
     nearest = np.where(mesh.vertices[:, 2:] < 0, centers[0], centers[1])
     beyond_m = np.abs(mesh.vertices - nearest) - half
     outside_mm = 1000 * np.linalg.norm(np.maximum(beyond_m, 0), axis=1)
@@ -193,7 +193,7 @@ def test_uncertain_poses_weigh_less_and_widen_the_band(ball):
     sequence, trajectory = ball
     unsure = replace(trajectory, pose_sigma_m=np.array([0.0, 0.009] + 18 * [np.nan]))
     assert [unsure.assumed_pose_sigma_m(frame) for frame in range(4)] == [0.0, 0.009, 0.02, 0.02]
-    sure_seen = observe(sequence, trajectory, [1], GRID, SETTINGS)
+    sure_seen = observe(sequence, replace(trajectory, pose_sigma_m=np.zeros(20)), [1], GRID, SETTINGS)
     unsure_seen = observe(sequence, unsure, [1], GRID, SETTINGS)
     both = (sure_seen.weight > 0) & (unsure_seen.weight > 0)
     ratio = np.median(unsure_seen.weight[both] / sure_seen.weight[both])
@@ -205,7 +205,7 @@ def test_uncertain_poses_weigh_less_and_widen_the_band(ball):
 
 
 def test_an_unchecked_pose_weighs_as_the_largest_plausible_error(ball):
-    """A frame without a figure has 20 mm, less than what leaves a checked one out, and widens nothing."""
+    """A frame without a figure weighs as 20 mm; its votes and the truncation are those of a usual frame."""
     sequence, trajectory = ball
     assert UNCHECKED_POSE_SIGMA_M * 1000 == 20 and TrackingSettings().max_disagreement_m > 0.02
     sigma_m = np.where(np.arange(20) == 1, np.nan, 0.002)
@@ -216,6 +216,9 @@ def test_an_unchecked_pose_weighs_as_the_largest_plausible_error(ball):
     )
     np.testing.assert_array_equal(seen.weight, as_largest.weight)
     np.testing.assert_array_equal(seen.tsdf, as_largest.tsdf)
+    as_usual = observe(sequence, replace(trajectory, pose_sigma_m=np.full(20, 0.002)), [1], GRID, SETTINGS)
+    np.testing.assert_array_equal(seen.free, as_usual.free)
+    assert (seen.free > 0).sum() > (as_largest.free > 0).sum()
     checked = observe(sequence, replace(trajectory, pose_sigma_m=sigma_m), [2], GRID, SETTINGS)
     assert 0 < seen.weight.max() < checked.weight.max() / 20
 
@@ -227,10 +230,13 @@ def test_usual_pose_error_is_of_checked_poses(ball):
     assert replace(trajectory, pose_sigma_m=sigma_m).usual_pose_sigma_m == pytest.approx(0.004)
     unchecked = replace(trajectory, pose_sigma_m=np.full(20, np.nan))
     assert unchecked.usual_pose_sigma_m is None
-    # No frame is better than another: their depth alone weighs, and the truncation stays four voxels.
-    exact = replace(trajectory, pose_sigma_m=np.zeros(20))
-    seen, of_exact = (observe(sequence, each, [1], GRID, SETTINGS) for each in (unchecked, exact))
-    np.testing.assert_array_equal(seen.weight, of_exact.weight)
+    # Each weighs as the largest plausible error, and the truncation stays four voxels.
+    largest, exact = (replace(trajectory, pose_sigma_m=np.full(20, each_m)) for each_m in (0.02, 0.0))
+    seen, of_largest, of_exact = (
+        observe(sequence, each, [1], GRID, SETTINGS) for each in (unchecked, largest, exact)
+    )
+    assert seen.weight.max() == of_largest.weight.max() < of_exact.weight.max()
+    np.testing.assert_array_equal(seen.free, of_exact.free)
     assert seen.tsdf.min() == pytest.approx(-0.02, abs=0.001)
 
 

@@ -102,7 +102,9 @@ def random_frames(count: int) -> list:
 def fused(frames, farthest_m=np.inf) -> BlockVolume:
     blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
     volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
-    posed = [DepthFrame(depth_m, T_world_camera, POSE_SIGMA_M) for depth_m, T_world_camera in frames]
+    posed = [
+        DepthFrame(depth_m, T_world_camera, POSE_SIGMA_M, POSE_SIGMA_M) for depth_m, T_world_camera in frames
+    ]
     integrate(volume, posed, SMALL, TRUNCATION_M, farthest_m)
     return volume
 
@@ -139,7 +141,7 @@ def test_weight_of_a_slanted_plane(slant_deg):
     depth_m = depth_of([plane(normal, 1.0 * normal[2])], camera, np.eye(4))
     grid = Grid((16, 16, 16), 0.004, rigid(np.eye(3), [-0.03, -0.03, 0.97]))
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
-    integrate(volume, [DepthFrame(depth_m, np.eye(4))], camera, 0.02)
+    integrate(volume, [DepthFrame(depth_m, np.eye(4), 0.0, 0.0)], camera, 0.02)
     weight = volume.weight[0, 7, 7, 7]  # the centre lies on the optical axis at 1 m
     sigma_mm = 1000 * depth_sigma_m(1.0)
     assert weight == pytest.approx((normal[2] / sigma_mm) ** 2, rel=0.02)
@@ -188,7 +190,7 @@ def test_open3d_agrees(seed):
         unique_blocks(index // BLOCK_VOXELS), voxel_m, rigid(np.eye(3), np.full(3, -voxel_m / 2))
     )
     fused_depth_m = np.where(depth_m < 2.5, depth_m, np.float32(0))
-    integrate(ours, [DepthFrame(fused_depth_m, T_world_camera)], CAMERA, 4 * voxel_m)
+    integrate(ours, [DepthFrame(fused_depth_m, T_world_camera, 0.0, 0.0)], CAMERA, 4 * voxel_m)
     row = {tuple(block): n for n, block in enumerate(ours.blocks.tolist())}
     b = np.array([row[tuple(block)] for block in (index // BLOCK_VOXELS).tolist()])
     at = (b, *(index % BLOCK_VOXELS).T)

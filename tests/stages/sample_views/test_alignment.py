@@ -17,6 +17,7 @@ from kinectbench.core.geometry import (
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.rigid import rigid_from_twist
+from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M as UNCHECKED_M
 from kinectbench.stages.sample_views.alignment import (
     HUBER_SIGMAS,
     OUTLIER_M,
@@ -167,7 +168,7 @@ def test_a_right_pose_stays(chair, renderer, frame):
     alignment = align_view(sequence.depth_m(frame), sequence.camera, truth, renderer, pose_sigma_m=0.0005)
     np.testing.assert_array_equal(alignment.T_world_camera, truth)
     assert alignment.moved_m == alignment.turned_rad == 0
-    unchecked = align_view(sequence.depth_m(frame), sequence.camera, truth, renderer)
+    unchecked = align_view(sequence.depth_m(frame), sequence.camera, truth, renderer, UNCHECKED_M)
     assert error_m(chair, frame, unchecked.T_world_camera) < 0.002
     assert unchecked.moved_m < 0.002 and np.degrees(unchecked.turned_rad) < 0.3
 
@@ -195,7 +196,7 @@ def test_a_wrong_pose_is_corrected(chair, renderer, frame, shift_m, turn_deg):
     else:
         wrong = displaced(truth, shift_m, turn_deg)  # about the camera: 0.8 degrees move the object by 17 mm
     before = error_m(chair, frame, wrong)
-    alignment = align_view(sequence.depth_m(frame), sequence.camera, wrong, renderer)
+    alignment = align_view(sequence.depth_m(frame), sequence.camera, wrong, renderer, UNCHECKED_M)
     after = error_m(chair, frame, alignment.T_world_camera)
     assert before > 0.01
     assert after < 0.003
@@ -211,7 +212,7 @@ def test_too_little_to_align_by(chair, renderer):
         (np.zeros_like(sequence.depth_m(0)), truth),
         (sequence.depth_m(0), truth @ rigid(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))),  # looks away
     ):
-        alignment = align_view(depth_m, sequence.camera, pose, renderer)
+        alignment = align_view(depth_m, sequence.camera, pose, renderer, UNCHECKED_M)
         np.testing.assert_array_equal(alignment.T_world_camera, pose)
         assert alignment.moved_m == 0 and alignment.turned_rad == 0
 
@@ -221,7 +222,7 @@ def test_never_farther_than_allowed(chair, renderer):
     sequence = chair.recorded.sequence
     for frame in FRAMES:
         wrong = displaced(chair.recorded.simulation.T_world_camera[frame], (0.06, 0.06, 0.0), 4.0)
-        alignment = align_view(sequence.depth_m(frame), sequence.camera, wrong, renderer)
+        alignment = align_view(sequence.depth_m(frame), sequence.camera, wrong, renderer, UNCHECKED_M)
         assert alignment.moved_m <= 0.05 and alignment.turned_rad <= 0.05
         if alignment.moved_m == 0:
             np.testing.assert_array_equal(alignment.T_world_camera, wrong)
