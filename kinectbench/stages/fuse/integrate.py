@@ -41,7 +41,7 @@ class DepthFrame:
         depth_m: (height, width) float32, metres along z, 0 = none.
         T_world_camera: (4, 4).
         pose_sigma_m: by how much the pose may be off, metres: it lowers the frame's weight.
-        vote_sigma_m: what of it widens the `surface` vote, metres.
+        vote_sigma_m: the pose's part in the width of the `surface` vote, metres.
     """
 
     depth_m: Float32
