@@ -28,11 +28,6 @@ class ScoreFile:
     table: ScoreTable
     gallery: Gallery | None
 
-    @property
-    def version(self) -> int:
-        """Of what counted it; 0 if it does not say."""
-        return self.table.settings.score_version or 0
-
 
 def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile], list[str]]:
     """The scores.json in a folder and in its subfolders, sorted.
@@ -52,8 +47,8 @@ def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile
     paths = [*sorted(folder.glob(SCORES_JSON)), *sorted(folder.glob(f"*/{SCORES_JSON}"))]
     found = [_read(path) for path in paths]
     others = [file for file in found if benchmark_sha256 not in (None, file.table.benchmark_sha256)]
-    newest = max((file.version for file in found if file not in others), default=0)
-    older = [file for file in found if file not in others and file.version != newest]
+    newest = max((file.table.score_version for file in found if file not in others), default=0)
+    older = [file for file in found if file not in others and file.table.score_version != newest]
     files = [file for file in found if file not in (*others, *older)]
     return files, [
         f"{file.path}: scores of {what}, left out of the page; score again"
@@ -83,7 +78,7 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
                 f"{path}: scored against benchmark {found[:12]}, the page is of "
                 f"{benchmark_sha256[:12]}; score it against that one or leave it out"
             )
-        if files and file.version != files[0].version:
+        if files and file.table.score_version != files[0].table.score_version:
             raise SettingsError(
                 f"{path}: counted by {file.table.counted_by}, {files[0].path} by "
                 f"{files[0].table.counted_by}; score both again or leave one out"

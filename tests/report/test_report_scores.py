@@ -196,7 +196,7 @@ def test_scores_of_an_older_version_are_left_out_or_refused(tmp_path: Path) -> N
         SettingsError, match=r"b1/scores\.json: counted by score version 1, .*score both again"
     ):
         files_named([second, first], None)
-    assert [file.path for file in files_named([first], None)] == [first]
+    assert [file.path for file in files_named([first, unknown], None)] == [first, unknown]
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b'{"method": "a", "x": NaN}', b"\xff"])

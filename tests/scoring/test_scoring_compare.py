@@ -175,11 +175,11 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
     ),
     "another version": (
         lambda t: t.model_copy(update={"settings": ScoreSettings(protocols=("known",), score_version=2)}),
-        "bad: counted by score version 2, upsampling unknown, good by score version unknown, .*score both",
+        "bad: counted by score version 2, upsampling unknown, good by score version 1, .*score both",
     ),
     "another upsampling": (
         lambda t: t.model_copy(update={"settings": ScoreSettings(protocols=("known",), upsampling="other")}),
-        "bad: counted by score version unknown, upsampling other, good by .*; score both again, alike",
+        "bad: counted by score version 1, upsampling other, good by .*; score both again, alike",
     ),
     "incomplete": (lambda t: t.model_copy(update={"complete": False}), "some of its pairs are not scored"),
     "other pairs": (lambda t: t.model_copy(update={"rows": t.rows[1:]}), "other pairs than good"),

@@ -209,8 +209,12 @@ class ScoreTable(Stored):
 
         `missing` is no part of it: with any choice a pair that is predicted has the same numbers.
         """
-        version, upsampling = self.settings.score_version, self.settings.upsampling
-        return f"score version {version or 'unknown'}, upsampling {upsampling or 'unknown'}"
+        return f"score version {self.score_version}, upsampling {self.settings.upsampling or 'unknown'}"
+
+    @property
+    def score_version(self) -> int:
+        """The version of `score` that counted; 1 where a table does not say it, as none did at first."""
+        return self.settings.score_version or 1
 
     def averages(self, protocol: str) -> dict[str, CategoryAverages | OverallAverages]:
         """The averages under a protocol by category, and over all categories under `OVERALL`."""
