@@ -193,8 +193,12 @@ def test_the_journal_keeps_every_bit_and_no_damaged_line(release: Release, tmp_p
     for name, values in vars(result.tally).items():
         again = getattr(read.result.tally, name)
         assert again.dtype == values.dtype and np.array_equal(again, values)
-    short = {**plain["result"], "tally": tally | {"voxels": [1, 2, 3]}}
-    for damaged in ({}, [], plain | {"result": short}, plain | {"result": {**plain["result"], "cells": "8"}}):
+    results = [
+        plain["result"] | {"tally": tally | {"voxels": voxels}}
+        for voxels in ([1, 2, 3], None, ["1"] * 8, [0.5] * 8, [10**30] * 8)
+    ]
+    results.append(plain["result"] | {"cells": "8"})
+    for damaged in ({}, [], *(plain | {"result": result} for result in results)):
         (tmp_path / JOURNAL).write_text(json.dumps(damaged) + "\n")
         assert Journal(tmp_path).earlier(target.name) is None
 

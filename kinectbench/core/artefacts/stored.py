@@ -7,6 +7,7 @@ holds in memory; its model is a `ScaledPart`, which makes the key: `shift_m: Mil
 
 import math
 import re
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
@@ -219,11 +220,20 @@ class ScaledPart(Part):
 
 def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[Any, ...]:
     """Annotations of a numpy array of this shape and type, finite; nested lists in the file."""
+    number_type = Integral if np.issubdtype(dtype, np.integer) else Real
 
     def checked(value: Any) -> NDArray[Any]:
-        array: NDArray[Any] = np.array(value, dtype=dtype)
+        refusal = ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
+        # Numpy would take texts and booleans for numbers.
+        given = np.array(value, dtype=object)
+        if any(not isinstance(one, number_type) or isinstance(one, bool) for one in given.flat):
+            raise refusal
+        try:
+            array: NDArray[Any] = given.astype(dtype)
+        except OverflowError as error:
+            raise refusal from error
         if array.shape != shape or not np.isfinite(array).all():
-            raise ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
+            raise refusal
         array.flags.writeable = False
         return array
 

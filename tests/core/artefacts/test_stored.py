@@ -5,6 +5,7 @@ import json
 import pytest
 from pydantic import ValidationError
 
+from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.trajectory import FrameHealth, TrajectoryHealth
 from kinectbench.core.errors import StorageError
 
@@ -33,7 +34,7 @@ def test_a_file_is_in_its_own_units_and_keeps_what_it_does_not_know() -> None:
 def test_rows_are_of_the_frames_and_none_twice() -> None:
     for frames in ([7], [-1], [0, 0]):
         content = {**HEAD, "per_frame": [{"frame": frame} for frame in frames]}
-        with pytest.raises(StorageError, match=r"here: 'per_frame' has a row twice, or one of none"):
+        with pytest.raises(StorageError, match=r"here: 'per_frame' names a frame twice, or one"):
             TrajectoryHealth.parse(json.dumps(content), "here")
 
 
@@ -43,3 +44,25 @@ def test_what_a_file_does_not_say_is_not_known() -> None:
     assert (health.unchecked, health.path_length_m, health.open_path_m) == (None, None, None)
     assert (health.lost_stretches[0].from_s, health.lost_stretches[0].to_s) == (None, None)
     assert not {"unchecked", "path_length_m", "open_path_m"} & set(health.json_value())
+
+
+@pytest.mark.parametrize(
+    "plane",
+    [
+        None,
+        {"a": 1},
+        ["0", "0", "1", "0"],
+        [False, False, True, False],
+        [0.0, 0.0, True, 0.0],
+        [0.0, 0.0, None, 0.0],
+        [[0.0], 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.0, 0.0, 10**400, 0.0],
+    ],
+)
+def test_an_array_is_of_numbers_alone(plane: object) -> None:
+    content = {"plane_world": plane, "T_floor_world": [[0] * 4] * 4, "noise_m": 0.0, "inlier_share": 0.5}
+    with pytest.raises(StorageError, match=r"^here: 'plane_world': must be 4 finite numbers"):
+        FloorFile.parse(json.dumps(content), "here")
+    sound = FloorFile.parse(json.dumps(content | {"plane_world": [0, 0.0, 1, 10**30]}), "here")
+    assert sound.plane_world.tolist() == [0.0, 0.0, 1.0, 1e30]
