@@ -68,9 +68,9 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     """
     if rejected_share > REJECTED_SHARE[1] or checked_share < 1 - UNCHECKED_SHARE[0]:
         return "ignore"
-    drift_m = near_m = given.median_shift_m
-    if near_m is not None and given.distant_shift_m is not None:
-        drift_m = given.distant_shift_m - TIMES_NEAR * near_m
+    near_m, distant_m = given.median_shift_m, given.distant_shift_m
+    # Where near frames could not be compared, nothing speaks against a distant shift: all of it is drift.
+    drift_m = near_m if distant_m is None else distant_m - TIMES_NEAR * (near_m or 0.0)
     signs = (
         (drift_m, SHIFT_M[0]),
         (rejected_share, REJECTED_SHARE[0]),

@@ -495,6 +495,8 @@ SOUND = GivenFigures(median_shift_m=0.002, distant_shift_m=0.004, distant_unmatc
         (0.4, 1.0, 0.002, "refine"),  # drift alone is no reason to ignore it
         (0.0, None, 0.002, "trust"),
         (0.0, None, 0.006, "refine"),
+        (0.0, 0.004, None, "trust"),
+        (0.0, 0.006, None, "refine"),
         (0.0, None, None, "trust"),
     ],
 )
