@@ -168,7 +168,9 @@ class TrajectoryHealth(ScaledPart, Stored):
     def _rows_of_its_frames(self) -> Self:
         frames = [row.frame for row in self.per_frame]
         if len(set(frames)) < len(frames) or any(not 0 <= frame < self.frames for frame in frames):
-            raise ValueError(f"'per_frame' has a row twice, or one of none of the {self.frames} frames")
+            raise ValueError(
+                f"'per_frame' names a frame twice, or one that is not among the {self.frames} frames"
+            )
         return self
 
     def pose_sigma_m(self) -> Float64:

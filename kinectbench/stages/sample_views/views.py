@@ -223,7 +223,9 @@ def _view(row: ViewRow, folder: Path) -> View:
     if row.frame is None or row.stamp_ns is None or row.reason is None or row.T_world_camera is None:
         raise StorageError(f"{folder / ViewsFile.FILE}: view {row.view} has no frame; {ViewsFile.ADVICE}")
     if row.pixels is None:
-        raise StorageError(f"{folder / ViewsFile.FILE}: view {row.view} has no pixels; {ViewsFile.ADVICE}")
+        raise StorageError(
+            f"{folder / ViewsFile.FILE}: 'pixels' of view {row.view} is missing; {ViewsFile.ADVICE}"
+        )
     path = folder / f"{row.view}.mask.png"
     mask = _read_mask(path)
     if mask is None:

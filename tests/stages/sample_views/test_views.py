@@ -170,6 +170,10 @@ def test_folder_round_trip(chair, views, tmp_path: Path):
     (tmp_path / "001.mask.png").write_bytes(b"no")
     with pytest.raises(StorageError, match=r"001\.mask\.png"):
         read_views(tmp_path)
+    stored["views"][0].pop("pixels")
+    (tmp_path / "views.json").write_text(json.dumps(stored))
+    with pytest.raises(StorageError, match=r"'pixels' of view 000 is missing"):
+        read_views(tmp_path)
     (tmp_path / "views.json").write_text("{}")
     with pytest.raises(StorageError, match="--force"):
         read_views(tmp_path)
