@@ -177,6 +177,12 @@ OTHER_FILES = (
     ("trajectory.txt", "the poses, as TUM text", "write_trajectory", "core/trajectory/trajectory.py"),
     ("<view>.mask.png", "the object in a view", "write_views", "stages/sample_views/views.py"),
     ("mesh.ply", "a surface, as binary PLY", "write_ply", "core/geometry/mesh.py"),
+    (
+        ".counted.jsonl",
+        "what is counted of each pair while a method is scored",
+        "CountedPair",
+        "core/artefacts/counted.py",
+    ),
     ("gallery.npz", "some predictions at 64^3", "Gallery", "core/artefacts/gallery.py"),
     ("targets.csv", "the pairs of a release", "Target", "core/artefacts/targets.py"),
 )
