@@ -1,7 +1,7 @@
-"""Types that every room uses, and how the progress of a loop is told."""
+"""Types that every room uses."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Literal, TypeVar
+from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,3 @@ Split = Literal["train", "validation", "test"]
 # How the cube of a pair is placed, and how 4 x 4 x 4 of its cells become one.
 Framing = Literal["object", "view"]
 PartialRule = Literal["any", "majority"]
-
-Item = TypeVar("Item")
-
-
-def counted(items: Sequence[Item], progress: Progress | None) -> Iterator[Item]:
-    """The items one by one; when the loop's body is done with one, `progress` is called."""
-    for done, item in enumerate(items, start=1):
-        yield item
-        if progress:
-            progress(done, len(items))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.types import Progress, counted
+from kinectbench.core.types import Progress
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
@@ -158,12 +158,14 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in found.missing if target.split in required}
     problems = []
-    for target in counted(release.targets, progress):
+    for done, target in enumerate(release.targets, start=1):
         line = found.problems.get(target) or missing.get(target)
         if target in found.files:
             line = _file_problem(release, target, found.files[target])
         if line:
             problems.append(line)
+        if progress:
+            progress(done, len(release.targets))
     return problems + [stray_line(name, found.missing) for name in found.stray]
 
 

@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import PairError, SettingsError
 from kinectbench.core.storage import NAME, sha256_file, write_below
-from kinectbench.core.types import Progress, Split, counted
+from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
@@ -89,7 +89,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
     views = max(Counter(target.recording for target in release.targets).values())
     rows = []
     with new_folder(out) as folder:
-        for target in counted(release.targets, progress):
+        for done, target in enumerate(release.targets, start=1):
             values = pair_values(release.content(target.file), target.file)
             pair = checked_pair(Pair, values, target.file)
             files = {}
@@ -99,6 +99,8 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
                 write_below(folder / file, recgan_file_bytes(unpack(cells)))
                 files[f"file_{kind}"] = file
             rows.append(pair_row(target, pair, **files))
+            if progress:
+                progress(done, len(release.targets))
         write_export_json(folder, release, {"pairs": rows})
     return len(rows)
 
@@ -129,10 +131,12 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         if not found:
             raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
         targets = []
-        for one in counted(found, progress):
+        for done, one in enumerate(found, start=1):
             path = temporary / one.target.file
             write_below(path, pair_bytes(_pair(one)))
             targets.append(replace(one.target, sha256=sha256_file(path)))
+            if progress:
+                progress(done, len(found))
         first = found[0].values
         head = Head(
             content.get("name", folder.resolve().name or "imported"),
