@@ -87,7 +87,7 @@ def one_pair(rounds: int) -> list[Figure]:
     rng = np.random.default_rng(0)
     full = ball((120, 128, 130), 80)
     everything = np.full((SIDE, SIDE, SIDE // 8), 255, np.uint8)
-    truth = Truth(pack(full), everything, pack(ball((128, 128, 20), 120)))
+    truth = Truth(pack(full), everything, pack(ball((128, 128, 20), 120)), 0.004, 0.005)
     smooth = np.clip(0.6 * full + 0.5 * rng.random(full.shape) - 0.05, 0, 1)
     near = np.array(
         [np.nextafter(np.float32(p), np.float32(s)) for p in THRESHOLDS for s in (0, 1)], np.float32

@@ -25,7 +25,7 @@ from kinectbench.scoring.counts import PRIMARY, occupied
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import find_predictions
-from kinectbench.scoring.truth import read_grids, read_voxel_size
+from kinectbench.scoring.truth import read_parts, read_voxel_size
 
 # Of the text; the rest of a page is its pictures.
 MAX_BYTES = 4 << 20
@@ -121,7 +121,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
     """
     path = release.pair_path(target)
     names = ("partial", "full", "known", "T_world_grid")
-    partial, full, known, T_world_grid = read_grids(path, target.sha256, names)
+    partial, full, known, T_world_grid = read_parts(path, target.sha256, names)
     up = _up_grid(release.folder / "objects" / target.recording, T_world_grid)
     return PairTruth(target.category, target.object, up, partial, reduced(full), _sampled(known))
 

@@ -99,14 +99,14 @@ def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
         StorageError: a file is damaged.
     """
     shown = {file.table.method for file in files}
-    truths = {(file.table.benchmark_sha256, file.table.counted_by) for file in files}
+    counted_alike = {(file.table.benchmark_sha256, file.table.counted_by) for file in files}
     folders = {folder: None for file in files for folder in (file.path.parent, file.path.parent.parent)}
     found: dict[str, ScoreFile] = {}
     for folder in folders:
         for path in sorted((folder / BASELINES_FOLDER).glob(f"*/{SCORES_JSON}")):
             file = _read(path)
-            same = file.table.baseline and (file.table.benchmark_sha256, file.table.counted_by) in truths
-            if same and file.table.method not in shown:
+            alike = (file.table.benchmark_sha256, file.table.counted_by) in counted_alike
+            if alike and file.table.baseline and file.table.method not in shown:
                 found.setdefault(file.table.method, file)
     return [*found.values()]
 

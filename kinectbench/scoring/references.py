@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.truth import read_grids
+from kinectbench.scoring.truth import read_parts
 from kinectbench.scoring.workers import run_tasks
 
 # Truth that a method may have learnt from comes first; test truth makes an oracle.
@@ -55,7 +55,7 @@ def base_rates(
 
 def _occupied_share(task: tuple[Path, str]) -> float:
     """Share of a pair's voxels that is occupied."""
-    (full,) = read_grids(*task, ("full",))
+    (full,) = read_parts(*task, ("full",))
     return int(np.bitwise_count(full).sum()) / (8 * full.size)
 
 

@@ -24,14 +24,14 @@ class Truth:
         known: where the truth is trusted.
         seen: what the input view saw.
         voxel_size_m: edge of a cell, metres.
-        surface_sigma_m: standard deviation of the truth's surface, metres.
+        surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
     """
 
     full: Packed
     known: Packed
     seen: Packed
-    voxel_size_m: float = 1.0
-    surface_sigma_m: float = 0.0
+    voxel_size_m: float
+    surface_sigma_m: float
 
     def flat(self) -> tuple[Packed, Packed, Packed]:
         """`full`, `known` and `seen` as (v / 8,) bytes."""
@@ -48,7 +48,7 @@ def read_truth(path: Path, sha256: str) -> Truth:
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    full, known, seen, voxel_size_m, surface_sigma_m = read_grids(path, sha256, (*GRIDS, *NUMBERS))
+    full, known, seen, voxel_size_m, surface_sigma_m = read_parts(path, sha256, (*GRIDS, *NUMBERS))
     return Truth(full, known, seen, float(voxel_size_m), float(surface_sigma_m))
 
 
@@ -58,11 +58,13 @@ def read_voxel_size(path: Path, sha256: str) -> float:
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    return float(read_grids(path, sha256, ("voxel_size_m",))[0])
+    return float(read_parts(path, sha256, ("voxel_size_m",))[0])
 
 
-def read_grids(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[Any]]:
+def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[Any]]:
     """Read some packed grids or lengths of a published pair file, in the order of `names`, and no others.
+
+    Lengths are 0-d, float64, in metres.
 
     Raises:
         ReleaseError: the file is missing, or not the published one.

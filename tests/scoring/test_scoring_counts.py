@@ -27,7 +27,7 @@ def grids() -> tuple[Bools, Bools, Bools]:
 
 
 def truth_of(full: Bools, known: Bools, seen: Bools) -> Truth:
-    return Truth(pack(full), pack(known), pack(seen))
+    return Truth(pack(full), pack(known), pack(seen), 0.004, 0.005)
 
 
 def plain_metrics(y: NDArray[np.float64], full: Bools, mask: Bools, p: float) -> dict[str, float]:

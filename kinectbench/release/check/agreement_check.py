@@ -96,11 +96,11 @@ def _json_problems(contents: Contents, name: str) -> Iterator[str]:
 
 def _license(metadata: ReleaseInfo) -> str:
     """The licence of all recordings; one that does not say, as in earlier releases, has the benchmark's."""
-    said = {
+    infos = {
         name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
     }
-    return common_license(said, metadata.license)
+    return common_license(infos, metadata.license)
 
 
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:

@@ -36,7 +36,7 @@ def reasons_against_distribution(
     """
     reasons = []
     for key, word in (("license", "licence"), ("source", "source")):
-        silent = [name for name, said in sorted(recordings.items()) if getattr(said, key) == UNSPECIFIED]
+        silent = [name for name, info in sorted(recordings.items()) if getattr(info, key) == UNSPECIFIED]
         if silent:
             which = "every recording" if len(silent) == len(recordings) else ", ".join(silent)
             reasons.append(

@@ -11,7 +11,7 @@ from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.voxels.pair_file import Packed, PairInput, unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import reduced
-from kinectbench.scoring.truth import read_grids
+from kinectbench.scoring.truth import read_parts
 
 MEAN_CELLS = 64
 UP_IN_CAMERA = np.array([0.0, -1.0, 0.0])  # y is down in the image
@@ -67,7 +67,7 @@ def read_training(release: Release, category: str) -> Training | None:
     total = np.zeros((MEAN_CELLS,) * 3)
     partials: list[Packed] = []
     for path, sha256 in files:
-        partial, full = read_grids(path, sha256, ("partial", "full"))
+        partial, full = read_parts(path, sha256, ("partial", "full"))
         total += reduced(unpack(full), MEAN_CELLS)
         partials.append(partial)
     return Training((total / len(files)).astype(np.float32), np.stack(partials), files)

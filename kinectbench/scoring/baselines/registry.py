@@ -9,7 +9,7 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.scoring.baselines.hull import hull, silhouette
 from kinectbench.scoring.baselines.inputs import Inputs
 from kinectbench.scoring.baselines.mirror import mirror
-from kinectbench.scoring.truth import read_grids
+from kinectbench.scoring.truth import read_parts
 
 CONSTANT_CELLS = 16
 # float16 steps: a rate below the one would lose its digits, above the other would become 1
@@ -52,7 +52,7 @@ def nearest(inputs: Inputs) -> NDArray[np.bool_]:
         union = np.bitwise_count(other | inputs.pair.partial).sum(dtype=np.int64)
         shared = np.bitwise_count(other & inputs.pair.partial).sum(dtype=np.int64)
         ious.append(shared / union if union else 1.0)
-    (full,) = read_grids(*inputs.training.files[int(np.argmax(ious))], ("full",))
+    (full,) = read_parts(*inputs.training.files[int(np.argmax(ious))], ("full",))
     return unpack(full)
 
 
