@@ -32,7 +32,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 1,
     "pairs": 1,
     "suggest": 1,
-    "publish": 2,
+    "publish": 3,
     "synthesize": 1,
     "score": 1,
     "baselines": 1,

@@ -99,7 +99,11 @@ def test_their_own_files_become_a_release(tmp_path: Path):
     assert verify(tmp_path / "out") == []
     target = open_release(tmp_path / "out").targets[1]
     assert (target.recording, target.view, target.category, target.split) == ("m-125", "001", "bench", "test")
-    np.testing.assert_array_equal(unpack(read_pair(tmp_path / "out" / target.file).full), corner())
+    pair = read_pair(tmp_path / "out" / target.file)
+    np.testing.assert_array_equal(unpack(pair.full), corner())
+    card = " ".join((tmp_path / "out/README.md").read_text().split())
+    assert "`surface_sigma_m`, which is not known, is 0: do not use the surface Dice" in card
+    assert pair.surface_sigma_m == 0
     (tmp_path / "in/P1_02828884_bench/test_125_3d_vox256/m_0_2_0.npz").unlink()
     with pytest.raises(PairError, match=r"m_0_2_0\.npz: missing"):
         import_recgan(tmp_path / "in", tmp_path / "out2")

@@ -48,24 +48,33 @@ class Pair:
     """
 
     partial: Packed = field(
-        metadata={"is": "the view's depth on the object, the input: partial_256 reduced by partial_rule"}
+        metadata={
+            "description": "the view's depth on the object, the input: partial_256 reduced by partial_rule"
+        }
     )
-    partial_256: Packed = field(metadata={"is": "the same before reduction"})
-    full: Packed = field(metadata={"is": "the solid shape, the truth"})
-    shell: Packed = field(metadata={"is": "its surface only"})
-    known: Packed = field(metadata={"is": "the truth is trusted there"})
-    seen: Packed = field(metadata={"is": "in the view's frustum and not behind its depth"})
+    partial_256: Packed = field(metadata={"description": "the same before reduction"})
+    full: Packed = field(metadata={"description": "the solid shape, the truth"})
+    shell: Packed = field(metadata={"description": "its surface only"})
+    known: Packed = field(metadata={"description": "the truth is trusted there"})
+    seen: Packed = field(metadata={"description": "in the view's frustum and not behind its depth"})
     T_world_grid: Float64 = field(
-        metadata={"is": "cell (i, j, k) has its centre at T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)"}
+        metadata={
+            "description": "cell (i, j, k) of full has its centre at "
+            "T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)"
+        }
     )
-    T_world_camera: Float64 = field(metadata={"is": "camera to world, metres"})
-    K: Float64 = field(metadata={"is": "intrinsics, pixels; pixel centres are integers"})
-    voxel_size_m: float = field(metadata={"is": "edge of a cell of the 256^3 grid, metres"})
-    surface_sigma_m: float = field(metadata={"is": "standard deviation of the truth's surface, metres"})
-    framing: str = field(metadata={"is": "object or view"})
-    partial_rule: str = field(metadata={"is": "any or majority"})
+    T_world_camera: Float64 = field(metadata={"description": "camera to world, metres"})
+    K: Float64 = field(metadata={"description": "intrinsics, pixels; pixel centres are integers"})
+    voxel_size_m: float = field(metadata={"description": "edge of a cell of the 256^3 grid, metres"})
+    surface_sigma_m: float = field(
+        metadata={
+            "description": "standard deviation of the truth's surface, metres; 0 if it is exact or not known"
+        }
+    )
+    framing: str = field(metadata={"description": "object or view"})
+    partial_rule: str = field(metadata={"description": "any or majority"})
     occupancy_rule: str = field(
-        default="winding", metadata={"is": "winding or six-rays; files without it: winding"}
+        default="winding", metadata={"description": "winding or six-rays; files without it: winding"}
     )
 
     @property

@@ -52,7 +52,8 @@ TEXTS = CardTexts(
     "files of the authors of 3D-RecGAN++",
     "The files say nothing of what was\nseen or known: `known` is set everywhere, `seen` where the view "
     "measured a surface. Do not use the\nprotocols `known` and `occluded`. Where no transform was exported "
-    "with them, the cube's edge\nstands for a metre.",
+    "with them, the cube's edge\nstands for a metre, and `surface_sigma_m`, which is not known, is 0: do not "
+    "use the surface Dice.",
 )
 
 

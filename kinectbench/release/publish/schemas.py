@@ -107,7 +107,7 @@ def _table() -> dict[str, Any]:
 def _pair() -> dict[str, Any]:
     """The keys of a pair file."""
     keys = []
-    about = {field.name: field.metadata["is"] for field in fields(Pair)}
+    about = {field.name: field.metadata["description"] for field in fields(Pair)}
     about["format_version"] = str(FORMAT_VERSION)
     for name in about:
         row: dict[str, Any] = {"name": name, "input": name in (*INPUT_KEYS, "format_version")}
