@@ -95,7 +95,7 @@ class Chart:
 
 
 def _chart(title: str, label: str, x_name: str, axes: Axes, series: Sequence[Series]) -> Chart:
-    shown = {
+    content = {
         "label": f"{label}, {title}: {len(series)} methods",
         "x_name": x_name,
         "axes": axes,
@@ -106,7 +106,7 @@ def _chart(title: str, label: str, x_name: str, axes: Axes, series: Sequence[Ser
         "series": series,
         "series_class": series_class,
     }
-    return Chart(title, Markup(render_page("report/chart.svg", shown)))
+    return Chart(title, Markup(render_page("report/chart.svg", content)))
 
 
 def _ticks(low: float, high: float) -> list[float]:

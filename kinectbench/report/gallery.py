@@ -164,31 +164,31 @@ def gallery_json(
         for gallery in galleries
     ]
     holders = Counter(name for of in shown_by for name in of)
-    room, shown = MAX_BYTES, {}
+    room, kept = MAX_BYTES, {}
     for name in sorted(holders, key=lambda name: (-holders[name], name)):
         truth = _truth(truths[name])
         size = len(json.dumps({"truth": truth, "by": [of.get(name) for of in shown_by]}))
         if size <= room:
             room -= size
-            shown[name] = truth
-    if not shown:
+            kept[name] = truth
+    if not kept:
         return None, len(holders)
     methods = []
     for table, cells in zip(tables, shown_by, strict=True):
         rows = {row.pair: row for row in table.pairs(protocol)}
         pairs = {
             name: {"iou": rows[name].iou, "threshold": rows[name].threshold, "cells": cells[name]}
-            for name in sorted(shown)
+            for name in sorted(kept)
             if name in cells and name in rows
         }
         if pairs:
             methods.append({"name": table.method, "pairs": pairs})
     content = {
         "protocol": protocol,
-        "pairs": {name: shown[name] for name in sorted(shown)},
+        "pairs": {name: kept[name] for name in sorted(kept)},
         "methods": methods,
     }
-    return _inert(json.dumps(content, separators=(",", ":"), allow_nan=False)), len(holders) - len(shown)
+    return _inert(json.dumps(content, separators=(",", ":"), allow_nan=False)), len(holders) - len(kept)
 
 
 def _truth(truth: PairTruth) -> dict[str, Any]:

@@ -13,6 +13,7 @@ WIDTH_PX = 460
 MAX_HEIGHT_PX = 420
 MARGIN_PX = 30
 LEGEND_PX = 34
+TIME_BAR_X_PX = WIDTH_PX - 165
 MAX_PIECES = 48
 MAX_TICKS = 60
 TICK_PX = 13.0
@@ -68,8 +69,10 @@ def draw_plan(T_floor_camera: Float64, left_out_floor: Float64, outlines_floor: 
     chosen = np.unique(np.linspace(0, last, MAX_TICKS).astype(int)).tolist()
     ahead_px = (T_floor_camera[:, :2, 2] * [1, -1] * TICK_PX).tolist()
     bar_m = max((b for b in BAR_LENGTHS_M if b * px_per_m <= MAX_BAR_PX), default=BAR_LENGTHS_M[0])
-    shown = {
+    height_px = size_m[1] * px_per_m + 2 * MARGIN_PX + LEGEND_PX
+    content = {
         "width": WIDTH_PX,
+        "height": height_px,
         "margin": MARGIN_PX,
         "svg_path": svg_path,
         "time_color": time_color,
@@ -80,7 +83,8 @@ def draw_plan(T_floor_camera: Float64, left_out_floor: Float64, outlines_floor: 
         "start": path[0],
         "bar_m": bar_m,
         "bar_end": MARGIN_PX + bar_m * px_per_m,
-        "legend_y": size_m[1] * px_per_m + 2 * MARGIN_PX + LEGEND_PX / 2,
+        "time_x": TIME_BAR_X_PX,
+        "legend_y": height_px - LEGEND_PX / 2,
     }
     # Only numbers of our own making go into the drawing: it is safe as it is.
-    return Markup(render_page("report/plan.svg", shown))
+    return Markup(render_page("report/plan.svg", content))

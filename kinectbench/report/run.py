@@ -80,8 +80,8 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
             )
         if files and file.table.score_version != files[0].table.score_version:
             raise SettingsError(
-                f"{path}: counted by {file.table.counted_by}, {files[0].path} by "
-                f"{files[0].table.counted_by}; score both again or leave one out"
+                f"{path}: counted by score version {file.table.score_version}, {files[0].path} by "
+                f"score version {files[0].table.score_version}; score both again or leave one out"
             )
         files.append(file)
     return files

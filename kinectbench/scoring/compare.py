@@ -156,7 +156,7 @@ def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
         if table.counted_by != tables[0].counted_by:
             raise SettingsError(
                 f"{table.method}: counted by {table.counted_by}, {names[0]} by {tables[0].counted_by}; "
-                "score both again, alike"
+                "score both again with one version and one `--upsampling`"
             )
         if not table.complete:
             raise SettingsError(f"{table.method}: some of its pairs are not scored; complete it first")

@@ -193,7 +193,8 @@ def test_scores_of_an_older_version_are_left_out_or_refused(tmp_path: Path) -> N
     ]
     assert [file.table.method for file in baselines_of(files)] == ["hull2"]
     with pytest.raises(
-        SettingsError, match=r"b1/scores\.json: counted by score version 1, .*score both again"
+        SettingsError,
+        match=r"b1/scores\.json: counted by score version 1, .* by score version 2; score both again",
     ):
         files_named([second, first], None)
     assert [file.path for file in files_named([first, unknown], None)] == [first, unknown]

@@ -179,7 +179,7 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
     ),
     "another upsampling": (
         lambda t: t.model_copy(update={"settings": ScoreSettings(protocols=("known",), upsampling="other")}),
-        "bad: counted by score version 1, upsampling other, good by .*; score both again, alike",
+        "bad: counted by score version 1, upsampling other, good by .*; score both again with one version",
     ),
     "incomplete": (lambda t: t.model_copy(update={"complete": False}), "some of its pairs are not scored"),
     "other pairs": (lambda t: t.model_copy(update={"rows": t.rows[1:]}), "other pairs than good"),

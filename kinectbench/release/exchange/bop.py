@@ -1,7 +1,6 @@
 """A release as a BOP data set: a scene and an object model per recording, in millimetres."""
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +63,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
     """
     infos, scenes = dict[str, Any](), list[dict[str, Any]]()
     camera: Camera | None = None
-    exported = itertools.count(1)
-
-    def step() -> None:
-        done = next(exported)
-        if progress:
-            progress(done, len(release.targets))
-
+    done = 0
     with new_folder(out) as folder:
         (folder / "models").mkdir()
         for number, recording in enumerate(sorted({t.recording for t in release.targets}), start=1):
@@ -82,8 +75,8 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
                 (folder / "models" / f"obj_{number:06d}.ply").write_bytes(model_ply(mesh_mm))
                 infos[str(number)] = model_info(mesh_mm)
             scene = folder / split / f"{number:06d}"
-            last = write_scene(release, targets, scene, number, model, step)
-            camera = camera or last
+            last = write_scene(release, targets, scene, number, model, done, progress)
+            camera, done = camera or last, done + len(targets)
             scenes.append(
                 {
                     "scene_id": number,
@@ -129,7 +122,8 @@ def write_scene(
     folder: Path,
     obj_id: int,
     model: BopModel | None,
-    step: Callable[[], None],
+    before: int = 0,
+    progress: Progress | None = None,
 ) -> Camera:
     """Write one scene: depth/, rgb/ if colour lies on depth, masks, and its JSON files.
 
@@ -139,7 +133,8 @@ def write_scene(
         folder: of the scene, to be made.
         obj_id: of the recording's object.
         model: the object, or None if its truth is held back: then there is no ground truth.
-        step: called after each view.
+        before: number of views of the scenes before this one.
+        progress: called with (views done, views in all).
 
     Returns:
         The camera of the last view.
@@ -152,7 +147,7 @@ def write_scene(
     cameras: dict[str, Any] = {}
     poses: dict[str, Any] = {}
     infos: dict[str, Any] = {}
-    for target in targets:
+    for done, target in enumerate(targets, start=before + 1):
         image = int(target.view)
         source = f"views/{target.recording}/{target.view}"
         png = release.content(f"{source}.depth.png")
@@ -171,7 +166,8 @@ def write_scene(
             infos[str(image)] = [{key: getattr(seen, key) for key in GT_INFO}]
             for name, mask in (("mask", seen.mask), ("mask_visib", seen.mask_visib)):
                 write_below(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
-        step()
+        if progress:
+            progress(done, len(release.targets))
     (folder / "scene_camera.json").write_text(pretty_json(cameras))
     if model is not None:
         (folder / "scene_gt.json").write_text(pretty_json(poses))

@@ -41,7 +41,7 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
 
     Args:
         out: a new or an empty folder, or one that may be replaced.
-        known_by: a file of it that says so; default: that of an earlier export.
+        known_by: a file by which a folder that may be replaced is known; default: that of an earlier export.
 
     Raises:
         SettingsError: `out` holds something else.

@@ -36,11 +36,21 @@ class Undistortion:
         size = (camera.width, camera.height)
         self._maps = cv2.initUndistortRectifyMap(K, D, np.eye(3), K, size, cv2.CV_32FC1)
 
-    def __call__(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
-        """Undistort depth (height, width), which takes the nearest pixel's, or colour linearly; 0 outside."""
+    def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
+        """(height, width): the depth of the nearest pixel; 0 where the distorted image has none."""
         import cv2
 
-        interpolation = cv2.INTER_NEAREST if image.ndim == 2 else cv2.INTER_LINEAR
+        return self._map(image, cv2.INTER_NEAREST)
+
+    def color(self, bgr: NDArray[Pixel]) -> NDArray[Pixel]:
+        """(height, width, 3): colour between its four pixels; black where the distorted image has none."""
+        import cv2
+
+        return self._map(bgr, cv2.INTER_LINEAR)
+
+    def _map(self, image: NDArray[Pixel], interpolation: int) -> NDArray[Pixel]:
+        import cv2
+
         return np.asarray(cv2.remap(image, *self._maps, interpolation), image.dtype)
 
 
@@ -79,7 +89,7 @@ class ColorRegistration:
 
         if not depth_m.any():
             return np.zeros((*depth_m.shape, 3), np.uint8)
-        image = bgr if self._pinhole is None else self._pinhole(bgr)
+        image = bgr if self._pinhole is None else self._pinhole.color(bgr)
         u, v, z = self._project(_filled(depth_m))
         shape = int(self._color.height / self._shrink) + 2, int(self._color.width / self._shrink) + 2
         zbuffer = np.full(shape, np.inf, np.float32)

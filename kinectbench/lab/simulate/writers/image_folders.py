@@ -1,6 +1,6 @@
 """Folders of images: TUM RGB-D, 7-Scenes, plain ones as Open3D uses them, Redwood's scans, BOP scenes."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,14 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
     `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with depth_scale and what `color_json`
     says beside it, which Open3D passes over. `trajectory.log` is not there if no frame has a pose.
     """
-    _write_scan(folder, "color", frames, "trajectory.log", lambda n, ns: f"{n:06d}")
+    make_folders(folder, "depth", "color")
+    log: list[str] = []
+    for index, frame in enumerate(frames):
+        (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
+        (folder / "color" / f"{index:06d}.jpg").write_bytes(frame.color_jpeg())
+        log += _log_rows(index, frame)
+    if log:
+        write_lines(folder / "trajectory.log", log)
     camera = {
         "width": rig.depth.width,
         "height": rig.depth.height,
@@ -98,7 +105,15 @@ def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> No
     Depth is in mm. Frames are numbered from 1, depth and colour each with stamps of their own. The layout
     does not say its intrinsics; `camera.json` does, unlike in the data set.
     """
-    _write_scan(folder, "rgb", frames, "scan.log", lambda n, ns: f"{n + 1:07d}-{ns // 1000 % 10**12:012d}")
+    make_folders(folder, "depth", "rgb")
+    log: list[str] = []
+    for index, frame in enumerate(frames):
+        depth_us, color_us = (ns // 1000 % 10**12 for ns in (frame.stamp_ns, frame.color_stamp_ns))
+        (folder / "depth" / f"{index + 1:07d}-{depth_us:012d}.png").write_bytes(frame.depth_png())
+        (folder / "rgb" / f"{index + 1:07d}-{color_us:012d}.jpg").write_bytes(frame.color_jpeg())
+        log += _log_rows(index, frame)
+    if log:
+        write_lines(folder / "scan.log", log)
     (folder / "camera.json").write_text(pretty_json(asdict(rig.depth) | color_json(rig)))
 
 
@@ -146,24 +161,8 @@ def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: byte
     return f"{stamp} {name}/{file.name}"
 
 
-def _write_scan(
-    folder: Path, colors: str, frames: Iterable[RecordedFrame], log: str, name: Callable[[int, int], str]
-) -> None:
-    """Write depth, colour and Redwood's trajectory log.
-
-    Args:
-        folder: of the recording.
-        colors: name of the colour images' folder.
-        frames: what was recorded.
-        log: name of the log: `i i i+1` and four rows, camera to world, for each frame with a pose.
-        name: (index, stamp in nanoseconds) -> name of an image.
-    """
-    make_folders(folder, "depth", colors)
-    rows: list[str] = []
-    for index, frame in enumerate(frames):
-        (folder / "depth" / f"{name(index, frame.stamp_ns)}.png").write_bytes(frame.depth_png())
-        (folder / colors / f"{name(index, frame.color_stamp_ns)}.jpg").write_bytes(frame.color_jpeg())
-        if frame.T_world_camera is not None:
-            rows += [f"{index} {index} {index + 1}", *matrix_rows(frame.T_world_camera)]
-    if rows:
-        write_lines(folder / log, rows)
+def _log_rows(index: int, frame: RecordedFrame) -> list[str]:
+    """A frame in Redwood's log, `i i i+1` and camera to world in four rows; none for one without a pose."""
+    if frame.T_world_camera is None:
+        return []
+    return [f"{index} {index} {index + 1}", *matrix_rows(frame.T_world_camera)]

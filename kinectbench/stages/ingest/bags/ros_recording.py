@@ -163,7 +163,7 @@ class RosRecording(Recording):
         color = self._color(pair.color)
         # Frames of another size are left as they are: the checks refuse them.
         if self.undistortion is not None and depth.shape == self._shape:
-            depth = self.undistortion(depth)
+            depth = self.undistortion.depth(depth)
         return RawFrame(name, pair.stamp_ns, depth, color)
 
     def _color(self, index: int | None) -> tuple[str, bytes] | None:
@@ -175,7 +175,7 @@ class RosRecording(Recording):
         if self.undistortion is None or not self.color_registered:
             return color
         bgr = decode_color_bgr(color[1], name)
-        return (".png", encode_png(self.undistortion(bgr))) if bgr.shape[:2] == self._shape else color
+        return (".png", encode_png(self.undistortion.color(bgr))) if bgr.shape[:2] == self._shape else color
 
     @property
     def _shape(self) -> tuple[int, int]:

@@ -159,9 +159,18 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
         raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")
     if not (np.isfinite(shift) and shift > 0):
         raise RecordingError(f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged")
-    of_color, place_of_color, of_depth, place_of_depth = matrices
+    color_intrinsic, color_extrinsic, depth_intrinsic, depth_extrinsic = matrices
     return SensHead(
-        of_color, place_of_color, of_depth, place_of_depth, color, depth, color_px, depth_px, shift, frames
+        color_intrinsic=color_intrinsic,
+        color_extrinsic=color_extrinsic,
+        depth_intrinsic=depth_intrinsic,
+        depth_extrinsic=depth_extrinsic,
+        color_compression=color,
+        depth_compression=depth,
+        color_px=color_px,
+        depth_px=depth_px,
+        depth_shift=shift,
+        frames=frames,
     )
 
 
