@@ -48,8 +48,10 @@ def check(common: Common, predictions: Predictions) -> int:
     """Say everything that is wrong with a folder of predictions, without scoring."""
     from kinectbench.cli import console
     from kinectbench.scoring.predictions import check as find_problems
-    from kinectbench.scoring.predictions import split_methods
+    from kinectbench.scoring.predictions import check_folder, split_methods
 
+    if common.benchmark is None:
+        check_folder(predictions)  # before the benchmark is built
     release, rows = find_release(common)
     methods = split_methods(predictions, release.targets)
     problems = []

@@ -25,7 +25,11 @@ def report(
 ) -> int:
     """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
     from kinectbench.release.release import open_release
+    from kinectbench.scoring.compare import find_scores, read_named
 
+    if common.benchmark is None:  # before the benchmark is built
+        for path in find_scores(scores or ()):
+            read_named(path)
     release = None if common.benchmark is None else open_release(common.benchmark)
     rows = [] if release else build_recordings(common, ids, "pairs")
     page = write_page(common, release, scores or common.beside("scores"), out, baselines)

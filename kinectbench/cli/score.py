@@ -42,9 +42,11 @@ def score(
     """Score predictions; thresholds come from the validation split or a file."""
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
-    from kinectbench.scoring.score import score_methods
+    from kinectbench.scoring.score import check_request, score_methods
     from kinectbench.scoring.terminal import score_table
 
+    if common.benchmark is None:  # before the benchmark is built
+        check_request(predictions, protocol, thresholds, missing, upsampling)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     with console.bar("score") as progress:

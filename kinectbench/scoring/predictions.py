@@ -110,10 +110,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
     Raises:
         PredictionError: the folder is missing, holds neither, is a release, or a method is a link out of it.
     """
-    if not folder.is_dir():
-        raise PredictionError(f"{folder}: no such folder of predictions")
-    if any((path / BENCHMARK_JSON).is_file() for path in (folder, folder.resolve().parent)):
-        raise PredictionError(f"{folder}: belongs to a release; give the folder of your predictions")
+    check_folder(folder)
     recordings = {target.recording for target in targets}
     if _answers(folder, recordings):
         return {folder.resolve().name: folder}
@@ -127,6 +124,18 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         if not _inside(path, folder.resolve()):
             raise PredictionError(f"{path}: a link out of the folder; put the predictions themselves there")
     return {path.name: path for path in methods}
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse what cannot hold predictions of any release.
+
+    Raises:
+        PredictionError: the folder is missing, or is a release.
+    """
+    if not folder.is_dir():
+        raise PredictionError(f"{folder}: no such folder of predictions")
+    if any((path / BENCHMARK_JSON).is_file() for path in (folder, folder.resolve().parent)):
+        raise PredictionError(f"{folder}: belongs to a release; give the folder of your predictions")
 
 
 def _answers(folder: Path, recordings: Iterable[str]) -> bool:

@@ -17,9 +17,15 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
-from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line, split_methods
+from kinectbench.scoring.predictions import (
+    FoundPredictions,
+    check_folder,
+    find_predictions,
+    missing_line,
+    split_methods,
+)
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
+from kinectbench.scoring.thresholds import Thresholds, read_thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.workers import run_tasks
 
 Missing = Literal["error", "empty"]
@@ -208,8 +214,7 @@ def score_methods(
             or there are no thresholds to be saved.
         PredictionError: no predictions there.
     """
-    rule = _missing(missing)
-    check_words(protocols or tuple(PROTOCOLS), upsampling)
+    rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
     methods = _methods(release, predictions, method, save_thresholds)
     tables = []
     for name, folder in methods.items():
@@ -234,10 +239,25 @@ def score_methods(
     return tables
 
 
-def _missing(word: str) -> Missing:
-    if word not in get_args(Missing):
-        raise SettingsError(f"--missing {word}: choose error or empty")
-    return "empty" if word == "empty" else "error"
+def check_request(
+    predictions: Path,
+    protocols: Sequence[str] | None,
+    thresholds_file: Path | None,
+    missing: str,
+    upsampling: str,
+) -> Missing:
+    """Refuse what can be told to be wrong without the release; arguments and errors as of `score_methods`.
+
+    Returns:
+        What is to be done with a missing prediction.
+    """
+    if missing not in get_args(Missing):
+        raise SettingsError(f"--missing {missing}: choose error or empty")
+    check_words(protocols or tuple(PROTOCOLS), upsampling)
+    check_folder(predictions)
+    if thresholds_file is not None:
+        read_thresholds(thresholds_file, (), frozenset())
+    return "empty" if missing == "empty" else "error"
 
 
 def _methods(
