@@ -61,6 +61,11 @@ def main() -> None:
     dataset = kinectbench.load(options.benchmark)
     # A benchmark of a few recordings may have no training split: then learn on validation.
     training = dataset.split("train") if len(dataset.split("train")) else dataset.split("validation")
+    if not len(training):
+        parser.error(
+            "no train or validation pairs in this release; make some: "
+            "kinectbench synthesize chairs --category chair --train 4 --validation 1 --test 1"
+        )
     model = Model()
     for epoch in range(options.epochs):
         for item in training:

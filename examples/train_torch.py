@@ -1,6 +1,6 @@
 """A small 3-D network in PyTorch: trained on a release, scored after every epoch.
 
-    python examples/train_torch.py benchmark/ --epochs 5
+    python examples/train_torch.py benchmark/ --epochs 5      # needs: pip install torch
 
 It predicts occupancy at 64^3 from the partial view at 64^3; the scorer upsamples it to 256^3 and says what
 IoU this side could reach at most. It is made to be read and replaced, not to win.
@@ -83,6 +83,11 @@ def main() -> None:
     dataset = kinectbench.load(options.benchmark)
     # A benchmark of a few recordings may have no training split: then learn on validation.
     training = dataset.split("train") if len(dataset.split("train")) else dataset.split("validation")
+    if not len(training):
+        parser.error(
+            "no train or validation pairs in this release; make some: "
+            "kinectbench synthesize chairs --category chair --train 4 --validation 1 --test 1"
+        )
     context = "spawn" if options.workers else None
     loader = DataLoader(
         training, batch_size=None, shuffle=True, num_workers=options.workers, multiprocessing_context=context

@@ -33,6 +33,11 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'kinectbench' has no attribute '{name}'")
 
 
+def __dir__() -> list[str]:
+    """With the names that are imported when they are asked for."""
+    return sorted({*globals(), *__all__})
+
+
 class _MovedApi(ModuleType):
     """`kinectbench.api`, where `load`, `Dataset` and `Scorer` were at first: the same names still work."""
 

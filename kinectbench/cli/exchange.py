@@ -15,7 +15,7 @@ Layout = Literal["recgan", "bop", "webdataset"]
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def export(
     common: Common,
-    out: Annotated[Path, typer.Argument(help="a new folder")],
+    out: Annotated[Path, typer.Argument(help="a new folder, or an earlier export")],
     layout: Annotated[Layout, typer.Option(help="the paper's authors', BOP's, or WebDataset's")] = "recgan",
 ) -> int:
     """Write a release in another layout: `recgan`, the paper authors' files and axes; `bop`; `webdataset`."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kinectbench.core.artefacts.object import CandidatesFile
 
 
-@takes("config", "overrides", "jobs", "force", "as_json")
+@takes("config", "overrides", "jobs", "force", "wait", "as_json")
 def segment(
     common: Common,
     ids: Ids = None,

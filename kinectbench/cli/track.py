@@ -32,7 +32,7 @@ COMPARED = {
 SAME_M = 1e-6
 
 
-@takes("config", "overrides", "jobs", "force", "as_json")
+@takes("config", "overrides", "jobs", "force", "wait", "as_json")
 def track(
     common: Common,
     ids: Ids = None,

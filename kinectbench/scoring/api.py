@@ -1,5 +1,6 @@
 """For people who train: a release as a dataset, and a scorer that works from memory, batch by batch."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.targets import SPLITS
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.pair_file import Pair, PairInput, read_input, read_pair, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
@@ -48,6 +50,11 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.targets)
+
+    def __repr__(self) -> str:
+        there = Counter(target.split for target in self.targets)
+        told = ", ".join(f"{there[split]} {split}" for split in SPLITS if there[split])
+        return f"<Dataset {self.release.metadata.name}: {len(self)} pairs{f' ({told})' if told else ''}>"
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return (self[index] for index in range(len(self)))

@@ -117,7 +117,8 @@ def test_the_command(command: Callable[..., Run], tmp_path: Path) -> None:
     right = command(tmp_path, "inspect", str(CHAIR), "--page", "sheet.html")
     assert right.status == 0 and right.out.splitlines()[-2] == "verdict: usable"
     page = (tmp_path / "sheet.html").read_text()
-    assert page.count("data:image/jpeg") == 24 and "http" not in page.replace("http-equiv", "")
+    assert page.count("data:image/jpeg") == 24 and '<div class="sheet triples">' in page
+    assert "http" not in page.replace("http-equiv", "")
     wrong = command(tmp_path, "inspect", str(CHAIR), "--json", "--set", "depth_scale=500")
     said = json.loads(wrong.out)
     assert wrong.status == 1 and said["verdict"].startswith("not usable") and said["depth_scale"] == 500

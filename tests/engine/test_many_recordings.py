@@ -86,7 +86,7 @@ def test_a_killed_worker_costs_nothing(small: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "held", "status"),
-    [("build", "build/chair", 3), ("publish", "build", 1)],
+    [("build", "build/chair", 3), ("track", "build/chair", 3), ("publish", "build", 1)],
 )
 def test_a_second_run_that_does_not_wait_says_who_is_there(
     command: Command, small: Path, tmp_path: Path, name: str, held: str, status: int

@@ -1,6 +1,7 @@
 """What people who train use: the same numbers from memory as from files, and an example that runs."""
 
 import pickle
+import runpy
 import subprocess
 import sys
 from inspect import signature
@@ -25,6 +26,10 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def test_dataset(release: Release) -> None:
     dataset = kinectbench.load(release.folder)
     assert len(dataset) == len(release.targets) == 7 and len(dataset.split("train")) == 0
+    there = {name: len(dataset.split(name)) for name in ("validation", "test")}
+    told = ", ".join(f"{there[name]} {name}" for name in ("validation", "test"))
+    assert repr(dataset) == f"<Dataset {release.metadata.name}: 7 pairs ({told})>"
+    assert repr(dataset.split("train")).endswith(": 0 pairs>")
     item = dataset.split("test")[1]
     pair = read_pair(release.folder / "pairs" / "chair_01" / "001.npz")
     assert item["pair_id"] == "chair_01/001"
@@ -126,6 +131,24 @@ def test_importing_the_package_is_light() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="no attribute 'lod'"):
         _ = kinectbench.lod  # type: ignore[attr-defined]
+
+
+def test_the_package_lists_its_names() -> None:
+    assert {"Dataset", "Scorer", "load", "__version__"} <= {*dir(kinectbench)}
+
+
+@pytest.mark.parametrize("name", ["train.py", "train_torch.py"])
+def test_the_example_says_that_there_is_nothing_to_learn_from(
+    release: Release, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "torch" in name:
+        pytest.importorskip("torch")
+    only_test = kinectbench.load(release.folder).split("test")
+    monkeypatch.setattr(kinectbench, "load", lambda path: only_test, raising=False)
+    monkeypatch.setattr(sys, "argv", [name, str(release.folder)])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    assert "no train or validation pairs in this release; make some: kinectbench" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["train.py", "train_torch.py"])
