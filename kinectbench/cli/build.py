@@ -41,6 +41,8 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
+    if name == "build":
+        tell_unknown_categories(common, ids)
     rows = build_recordings(common, ids, upto, stages if common.force else ())
     if common.as_json:
         common.tell([row.json_value() for row in rows], ())
@@ -106,6 +108,19 @@ def _unused_masks(job: "Job") -> tuple[str, ...]:
         return ()
     name = job.recording.id
     return (f"{job.unused_masks}: not used; add `masks: masks/{name}` to {name} in benchmark.yaml to use it",)
+
+
+def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
+    """A warning if recordings have the category that `init` writes where it knows none."""
+    from kinectbench.cli import console
+    from kinectbench.settings.template import UNKNOWN_CATEGORY
+
+    chosen = [job.recording for job in chosen_jobs(common, ids)]
+    unknown = [recording.id for recording in chosen if recording.category == UNKNOWN_CATEGORY]
+    if unknown:
+        which = "every recording" if len(unknown) == len(chosen) > 1 else ", ".join(unknown)
+        line = f"no category is stated: set `category` in benchmark.yaml, such as chair or table ({which})"
+        console.lines("warning", [line], "yellow")
 
 
 def built(rows: "list[RecordingSummary]") -> list[str]:

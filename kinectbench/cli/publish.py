@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.cli.build import build_recordings, exit_status, need_some
+from kinectbench.cli.build import build_recordings, exit_status, need_some, tell_unknown_categories
 from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 
@@ -43,6 +43,7 @@ def publish(
     packed = archives or archives_to is not None
     if packed:
         refuse_unstated(settings, ids)
+    tell_unknown_categories(common, ids)
     rows = build_recordings(common, ids, "pairs")
     tell = partial(console.waiting, "publish")
     summary = publish_if_stale(

@@ -109,7 +109,7 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
     """The scores.json of each path: a file, one method's folder, or a folder of methods.
 
     Raises:
-        SettingsError: there is none.
+        SettingsError: there is none, or no such path.
     """
     found = []
     for path in paths:
@@ -119,8 +119,10 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
             if not below:
                 raise SettingsError(f"{path}: no scores.json there; run `kinectbench score` first")
             found += below
-        else:
+        elif path.exists():
             found.append(path)
+        else:
+            raise SettingsError(f"{path}: no such file or folder")
     return found
 
 

@@ -72,11 +72,13 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
     """Read a threshold file: JSON with `thresholds` {category: p} and, if known, `objects` it was found on.
 
     Raises:
-        SettingsError: unreadable, a category is missing, a threshold is not one of the seventeen, or it was
-            found on an object of the test split.
+        SettingsError: missing or unreadable, a category is missing, a threshold is not one of the seventeen,
+            or it was found on an object of the test split.
     """
     try:
         file = ThresholdsFile.parse(path.read_text(), str(path))
+    except FileNotFoundError as error:
+        raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError, ReleaseError) as error:
         raise SettingsError(
             f"{path}: cannot be read as a threshold file ({error}); "

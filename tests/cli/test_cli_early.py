@@ -15,9 +15,10 @@ WRONG = {
     "missing": (["score", "mine", "--missing", "zero"], 2, "--missing zero"),
     "upsampling": (["score", "mine", "--upsampling", "corners"], 2, "no upsampling 'corners'"),
     "thresholds": (["score", "mine", "--thresholds", "benchmark.yaml"], 2, "benchmark.yaml: cannot be read"),
-    "scores": (["report", "--scores", "nowhere"], 2, "nowhere: "),
+    "scores": (["report", "--scores", "nowhere"], 2, "nowhere: no such file or folder"),
     "scores of no kind": (["report", "--scores", "benchmark.yaml"], 2, "benchmark.yaml: not valid JSON"),
 }
+RECORDINGS = {"a": "chair", "b": "unknown", "c": "unknown"}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -30,3 +31,16 @@ def test_wrong_arguments_are_told_before_anything_is_built(
     result = command(root, *arguments)
     assert (result.status, result.err.count("\n")) == (status, 1) and words in result.err, result
     assert not (root / "build").exists()
+
+
+@pytest.mark.parametrize("name", ["build", "publish"])
+def test_a_category_that_nobody_stated_is_told(
+    command: Callable[..., Run], tmp_path: Path, name: str
+) -> None:
+    lines = [f"  - {{id: {key}, path: none, category: {what}}}" for key, what in RECORDINGS.items()]
+    (tmp_path / "benchmark.yaml").write_text("\n".join(["name: b", "recordings:", *lines]))
+    for ids, told in (((), "(b, c)"), (("a",), None), (("b", "c"), "(every recording)")):
+        result = command(tmp_path, name, *ids, "--jobs", "1")
+        warnings = [line for line in result.err.splitlines() if "category" in line]
+        assert result.status == 1 and len(warnings) == (told is not None), result
+        assert told is None or (warnings[0].startswith("warning: no category") and told in warnings[0])
