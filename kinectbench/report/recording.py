@@ -53,7 +53,8 @@ class RecordingPart:
         refused: (view, frame, reason) of every frame refused as a view ("" for the view), and refused pair.
         containment: median over the pairs, as text.
         residual: median over the pairs, as text.
-        missing: what is not built yet, or is there of another version, other settings or inputs.
+        missing: what is not built yet.
+        outdated: what is there of another version, other settings or inputs, and is not shown.
         failed: at which stage its last build failed and why, one line, or "".
     """
 
@@ -68,6 +69,7 @@ class RecordingPart:
     containment: str
     residual: str
     missing: tuple[str, ...]
+    outdated: tuple[str, ...] = ()
     failed: str = ""
 
 
@@ -104,7 +106,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     rows = () if pairs is None else pairs.pairs
     refused = (*(views.refused if views else ()), *(pairs.refused if pairs else ()))
     failed = Failed.read_if_there(folder)
-    missing = (
+    absent = (
         ("trajectory", "track", cameras_world is None),
         ("floor", "segment", T_floor_world is None),
         ("object", "segment", mesh is None),
@@ -123,9 +125,8 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         refused=tuple((row.view or "", text_of(row.frame), row.reason) for row in refused),
         containment=per_cent(_median(row.containment for row in rows)),
         residual=_millimetres(_median(row.residual_m for row in rows)),
-        missing=tuple(
-            f"{name} (out of date)" if stage in old else name for name, stage, absent in missing if absent
-        ),
+        missing=tuple(name for name, stage, is_absent in absent if is_absent and stage not in old),
+        outdated=tuple(name for name, stage, is_absent in absent if is_absent and stage in old),
         failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",
     )
 

@@ -251,11 +251,15 @@ def test_what_is_out_of_date_is_not_shown(
     assert whole.missing == () and whole.health and whole.quality and whole.plan and whole.frames
     framed = settings.pairs.model_copy(update={"framing": "view"})
     pairs = shown(settings.model_copy(update={"pairs": framed}))
-    assert pairs.missing == ("pairs (out of date)",) and pairs.tiles == () and pairs.frames == whole.frames
+    assert (
+        pairs.outdated == ("pairs",)
+        and pairs.missing == ()
+        and pairs.tiles == ()
+        and pairs.frames == whole.frames
+    )
     monkeypatch.setitem(VERSIONS, "segment", VERSIONS["segment"] + 1)
     part = shown(settings)
-    after = ("floor", "object", "views", "pairs")
-    assert part.missing == tuple(f"{name} (out of date)" for name in after)
+    assert part.outdated == ("floor", "object", "views", "pairs") and part.missing == ()
     assert part.health == whole.health and part.quality is part.plan is None
     assert part.object_pictures == part.frames == part.tiles == part.refused == ()
 

@@ -52,10 +52,15 @@ def read_build(folder: Path) -> Build:
     with other settings, or be another version's.
 
     Raises:
-        StorageError: nothing was built there, or an artefact is damaged.
+        StorageError: nothing was built there, or it is out of date, or an artefact is damaged.
     """
     current = current_stages(folder)
     if "ingest" not in current:
+        if (folder / "sequence").is_dir():
+            raise StorageError(
+                f"{folder}: what was built there is out of date (another version, or a file is gone); "
+                "build it again"
+            )
         raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
     stamps_ns = read_sequence(folder / "sequence").stamps_ns
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))

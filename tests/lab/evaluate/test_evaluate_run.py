@@ -170,6 +170,9 @@ def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path):
         with pytest.raises(error, match=words) as caught:
             evaluate_recording(built, true, tmp_path / "out")
         assert "\n" not in str(caught.value)
+    (tmp_path / "build" / "sequence" / "camera.json").unlink()
+    with pytest.raises(StorageError, match="out of date .*; build it again"):
+        evaluate_recording(tmp_path / "build", truth, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("years of work")
