@@ -171,7 +171,7 @@ def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path):
             evaluate_recording(built, true, tmp_path / "out")
         assert "\n" not in str(caught.value)
     (tmp_path / "build" / "sequence" / "camera.json").unlink()
-    with pytest.raises(StorageError, match="out of date .*; build it again"):
+    with pytest.raises(StorageError, match=r"out of date .*; build it again"):
         evaluate_recording(tmp_path / "build", truth, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
