@@ -112,7 +112,8 @@ def test_their_own_files_become_a_release(tmp_path: Path):
 
 def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path):
     with pytest.raises(SettingsError, match="no P1_"):
-        import_recgan(tmp_path, tmp_path / "out")
+        import_recgan(tmp_path, tmp_path / "new" / "out")
+    assert not (tmp_path / "new").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("precious")
     with pytest.raises(SettingsError, match="something else"):

@@ -125,12 +125,12 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         PairError: a file is damaged, or lacks its counterpart.
         StorageError: the disk is full or read-only.
     """
+    exported = folder / EXPORT_JSON
+    content = strict_json(read_text(exported), str(exported)) if exported.is_file() else {}
+    found = _exported(folder, content) if content else _theirs(folder)
+    if not found:
+        raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
     with new_folder(out, BENCHMARK_JSON) as temporary:
-        exported = folder / EXPORT_JSON
-        content = strict_json(read_text(exported), str(exported)) if exported.is_file() else {}
-        found = _exported(folder, content) if content else _theirs(folder)
-        if not found:
-            raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
         targets = []
         for done, one in enumerate(found, start=1):
             path = temporary / one.target.file
