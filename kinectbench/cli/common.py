@@ -16,6 +16,7 @@ from kinectbench.core.errors import KinectBenchError
 if TYPE_CHECKING:
     from kinectbench.settings.models import BenchmarkSettings
 
+# Exit statuses, as README.md lists them.
 CANNOT_BE_USED = 1
 SOME_FAILED = 3
 DEFAULT_CONFIG = Path("benchmark.yaml")

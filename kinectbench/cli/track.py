@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,7 @@ from kinectbench.core.errors import KinectBenchError
 if TYPE_CHECKING:
     from kinectbench.core.sequence import GivenTrajectory
     from kinectbench.engine.summary import RecordingSummary
+    from kinectbench.stages.track.comparison import Comparison
 
 # The figures of a comparison that are shown, by their key.
 COMPARED = {
@@ -30,6 +32,28 @@ COMPARED = {
 }
 # Poses this close to the reference are the same ones, but for rounding.
 SAME_M = 1e-6
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """A recording's trajectory beside the reference.
+
+    Attributes:
+        recording: its id.
+        comparison: how far the two are apart.
+        with_itself: the reference holds the given poses, which are trusted.
+        picture: the plot's file.
+    """
+
+    recording: str
+    comparison: "Comparison"
+    with_itself: bool
+    picture: Path
+
+    def json_value(self) -> dict[str, Any]:
+        """As it is shown and printed: millimetres and degrees."""
+        what = {"with_itself": self.with_itself, "picture": str(self.picture)}
+        return {"recording": self.recording, **self.comparison.row(), **what}
 
 
 @takes("config", "overrides", "jobs", "force", "wait", "as_json")
@@ -49,7 +73,7 @@ def track(
     # A file that cannot be read is told before anything is built.
     reference = None if compare is None else _reference(compare)
     rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
-    compared: list[dict[str, Any] | None] = [None] * len(rows)
+    compared: list[_Compared | None] = [None] * len(rows)
     if compare is not None and reference is not None:
         for index, row in enumerate(rows):
             if row.error is None:
@@ -57,7 +81,8 @@ def track(
     if common.as_json:
         values = [row.json_value() for row in rows]
         if compare is not None:
-            values = [value | {"comparison": one} for value, one in zip(values, compared, strict=True)]
+            told = [one and one.json_value() for one in compared]
+            values = [value | {"comparison": one} for value, one in zip(values, told, strict=True)]
         typer.echo(json.dumps(values))
     else:
         show_rows(rows, "track")
@@ -78,11 +103,8 @@ def _reference(path: Path) -> "GivenTrajectory":
 
 def _compare(
     row: "RecordingSummary", root: Path, reference: "GivenTrajectory", name: Path
-) -> "tuple[RecordingSummary, dict[str, Any] | None]":
-    """A recording beside the reference, with the plot beside its artefact; or its summary with the error.
-
-    Of the comparison there are the figures, whether these are the same poses, and the plot's file.
-    """
+) -> "tuple[RecordingSummary, _Compared | None]":
+    """A recording beside the reference, with the plot beside its artefact; or its summary with the error."""
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.engine.steps import read_tracked
@@ -93,7 +115,7 @@ def _compare(
     picture = build / COMPARISON
     try:
         sequence, trajectory = read_tracked(build)
-        figures, png = compare_with(trajectory, reference)
+        comparison, png = compare_with(trajectory, reference)
         with replaced_file(picture) as temporary:
             temporary.write_bytes(png)
     except KinectBenchError as error:
@@ -102,10 +124,9 @@ def _compare(
         return row.model_copy(update={"error": why, "status": "failed"}), None
     given = sequence.given_trajectory
     # With stamps between those of the frames the errors are not quite 0, though the poses are the same.
-    same = figures.error.ate_m.max < SAME_M or (given is not None and given.equals(reference, SAME_M))
+    same = comparison.error.ate_m.max < SAME_M or (given is not None and given.equals(reference, SAME_M))
     itself = trajectory.source == "trust" and same
-    told = {"recording": row.recording, **figures.row(), "with_itself": itself, "picture": str(picture)}
-    return row, told
+    return row, _Compared(row.recording, comparison, itself, picture)
 
 
 def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
@@ -120,18 +141,19 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
         yield f"{row.recording}: {row.verdict}{advice}"
 
 
-def _show(compared: Sequence[dict[str, Any]], reference: Path | None) -> None:
+def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
     if not compared:
         return
     from kinectbench.cli import console
 
-    shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in compared]
+    rows = [one.json_value() for one in compared]
+    shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in rows]
     formats = {key: ".1f" if key == "tracked_percent" else ".2f" for key in COMPARED}
     console.out.print(console.table(shown, COMPARED, formats, title=f"against {reference}"))
     for one in compared:
-        if one["with_itself"]:
+        if one.with_itself:
             typer.echo(
-                f"{one['recording']}: these are the given poses themselves, which are trusted: "
+                f"{one.recording}: these are the given poses themselves, which are trusted: "
                 "the comparison says nothing of how right they are"
             )
-        typer.echo(f"picture: {one['picture']}")
+        typer.echo(f"picture: {one.picture}")

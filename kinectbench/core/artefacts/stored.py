@@ -223,6 +223,7 @@ def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[Any
     number_type = Integral if np.issubdtype(dtype, np.integer) else Real
 
     def checked(value: Any) -> NDArray[Any]:
+        """The array, read-only; ValueError if it is of another shape, or not of finite numbers."""
         refusal = ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
         # Numpy would take texts and booleans for numbers.
         given = np.array(value, dtype=object)

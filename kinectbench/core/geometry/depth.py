@@ -14,6 +14,7 @@ from kinectbench.core.types import Float32, Float64
 
 Depth = TypeVar("Depth", float, NDArray[np.floating])
 
+# Of a Kinect v1 (Nguyen et al. 2012, eq. 3); see `depth_sigma_m`.
 SIGMA_NEAR_M = 0.0012
 SIGMA_GROWTH_PER_M = 0.0019
 SIGMA_NEAR_DEPTH_M = 0.4

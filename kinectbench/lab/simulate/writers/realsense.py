@@ -43,6 +43,7 @@ def write_realsense(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, ol
     color_topic = "/camera/COLOR/image_raw/0" if old else f"{SENSORS['Color']}/image/data"
 
     def messages() -> Messages:
+        """All messages of the recording, what does not change first."""
         yield from (_old_facts if old else _facts)(maker, store.types, rig)
         for index, frame in enumerate(frames):
             header = maker.header(index, frame.stamp_ns, FRAME_ID)
