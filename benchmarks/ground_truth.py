@@ -1,4 +1,4 @@
-"""The ground truth against the truth: simulated objects of four families, tracked, fused, made solid, paired.
+"""The ground truth against the truth: simulated furniture, tracked, fused, made solid, paired.
 
 Seeds 28 to 30 are held out: nothing was chosen with them in view. What the others decided stands in
 docs/ground-truth.md.

@@ -1,4 +1,4 @@
-"""Furniture, scenes, camera paths, the Kinect noise model, writers of recordings."""
+"""Objects, scenes, camera paths, the Kinect noise model, writers of recordings."""
 
 from typing import Literal
 

@@ -134,7 +134,7 @@ def simulate_named(
         The recordings written.
 
     Raises:
-        SettingsError: not just one of `out`, `samples` and `demo`; no such preset or furniture; a value out
+        SettingsError: not just one of `out`, `samples` and `demo`; no such preset or object; a value out
             of range.
         RecordingError: the mesh cannot be used.
         StorageError: it cannot be written.

@@ -96,14 +96,14 @@ class LeftOut:
 
 
 def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
-    """Parametric furniture: seeds 0 to count - 1 of every family.
+    """Parametric objects: seeds 0 to count - 1 of the families named, else of every family of furniture.
 
     Raises:
         SettingsError: there is no such family.
     """
-    from kinectbench.lab.simulate.objects import FAMILIES, check_family
+    from kinectbench.lab.simulate.objects import FURNITURE, check_family
 
-    names = sorted(check_family(name) for name in categories or FAMILIES)
+    names = sorted(check_family(name) for name in categories or FURNITURE)
     return tuple(Model(name, f"{name}-{seed:05d}", seed=seed) for name in names for seed in range(count))
 
 

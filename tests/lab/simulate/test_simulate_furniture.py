@@ -12,7 +12,15 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from kinectbench.core.errors import SettingsError, StorageError
-from kinectbench.lab.simulate.objects import FAMILIES, make_object, parse_object, shapes
+from kinectbench.lab.simulate.objects import (
+    FAMILIES,
+    FURNITURE,
+    LOOKED_AT,
+    REPORTED_ONLY,
+    make_object,
+    parse_object,
+    shapes,
+)
 from kinectbench.lab.simulate.objects.contact_sheets import contact_sheet, write_contact_sheets
 from kinectbench.lab.simulate.objects.shapes import Subject
 
@@ -99,7 +107,7 @@ def test_bent_shapes_keep_their_volume():
     assert crowned.volume() - flat.volume() == pytest.approx(0.36 * 0.03 * 4 / 9, rel=0.1)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FURNITURE)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_furniture_is_one_watertight_solid(family, seed):
     subject = furniture(family, seed)
@@ -117,7 +125,7 @@ def test_furniture_is_one_watertight_solid(family, seed):
     assert trimesh.Trimesh(subject.mesh.vertices.astype(np.float32), subject.mesh.faces).is_watertight
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FURNITURE)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_furniture_stands_and_has_a_true_size(family, seed):
     subject = furniture(family, seed)
@@ -137,7 +145,7 @@ def test_furniture_stands_and_has_a_true_size(family, seed):
         assert np.all(piece.mesh.vertices <= high + 1e-9)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FURNITURE)
 def test_the_surface_of_the_pieces_is_the_surface_of_the_union(family):
     # Rays from outside meet the pieces where they meet the union: pictures and truth agree.
     subject = furniture(family, 3)
@@ -173,7 +181,7 @@ def test_backs_are_at_the_back(family):
             assert top[:, 1].mean() < -0.05, seed
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FURNITURE)
 def test_furniture_varies(family):
     subjects = [furniture(family, seed) for seed in SEEDS]
     assert len({len(subject.mesh.faces) for subject in subjects}) >= 12
@@ -184,7 +192,7 @@ def test_furniture_varies(family):
 
 
 def test_some_pieces_are_dark_and_most_are_not():
-    albedo = [p.albedo for family in FAMILIES for seed in SEEDS for p in furniture(family, seed).pieces]
+    albedo = [p.albedo for family in FURNITURE for seed in SEEDS for p in furniture(family, seed).pieces]
     dark = np.array(albedo) <= 0.15
     assert 0.03 < dark.mean() < 0.35
     assert min(albedo) >= 0.05
@@ -193,7 +201,7 @@ def test_some_pieces_are_dark_and_most_are_not():
 
 def fingerprint() -> str:
     digest = hashlib.sha256()
-    for family in FAMILIES:
+    for family in FURNITURE:
         for seed in (0, 5):
             subject = make_object(family, seed)
             for mesh in (subject.mesh, *(piece.mesh for piece in subject.pieces)):
@@ -220,6 +228,11 @@ def test_same_seed_same_vertices_in_every_process():
 def test_other_seeds_and_families_differ():
     assert len(make_object("chair", 1).mesh.vertices) != len(make_object("chair", 2).mesh.vertices)
     assert make_object("chair", 3).name == "chair:seed=3"
+
+
+def test_each_family_is_looked_at_or_only_reported():
+    assert sorted(LOOKED_AT + REPORTED_ONLY) == sorted(FAMILIES)
+    assert set(FURNITURE) <= set(LOOKED_AT)
 
 
 def test_parse_object():

@@ -75,6 +75,8 @@ def test_families_and_synsets():
     assert [model.label for model in models] == [
         "chair/chair-00000", "chair/chair-00001", "table/table-00000", "table/table-00001"
     ]  # fmt: skip
+    # Without a word, furniture only, whatever else the simulator can draw.
+    assert [model.category for model in family_models([], 1)] == ["bench", "chair", "couch", "table"]
     with pytest.raises(SettingsError, match="did you mean 'chair'"):
         family_models(["chari"], 1)
     assert (synset_of("couch"), synset_of("stool")) == ("04256520", "00000000")

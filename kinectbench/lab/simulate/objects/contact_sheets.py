@@ -1,4 +1,4 @@
-"""Pictures of furniture: single ones, and contact sheets of a family."""
+"""Pictures of objects: single ones, and contact sheets of a family."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
 
 
 def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
-    """Draw pieces of furniture of one family, each with its name and height below.
+    """Draw objects of one family, each with its name and height below.
 
     Args:
         family: one of `FAMILIES`.

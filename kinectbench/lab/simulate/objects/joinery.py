@@ -1,4 +1,4 @@
-"""What all families of furniture share: parts with a look, drawing by chance, gluing parts to an object."""
+"""What all families of objects share: parts with a look, drawing by chance, gluing parts to an object."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -23,14 +23,14 @@ CORNERS = tuple(product(SIDES, SIDES))
 
 @dataclass(frozen=True)
 class Part:
-    """A closed part of a piece of furniture, with one look; frame `object`, metres."""
+    """A closed part of an object, with one look; frame `object`, metres."""
 
     name: str
     shape: "Manifold"
     look: Look
 
 
-# What furniture is glued of, in the order in which it is drawn by chance.
+# What an object is glued of, in the order in which it is drawn by chance.
 Parts = Iterable[Part]
 
 

@@ -1,4 +1,4 @@
-"""How the materials of furniture look: woods, cloths, leathers, plastics, metals and stones."""
+"""How the materials of objects look: woods, cloths, leathers, plastics, metals and stones."""
 
 from dataclasses import dataclass
 
