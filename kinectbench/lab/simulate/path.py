@@ -1,4 +1,4 @@
-"""Handheld camera paths: carried around the object at changing speed, always looking at it."""
+"""Camera paths that always look at the object: carried around it by hand, or views in no order of time."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,14 @@ from kinectbench.lab.simulate.spec import PathSettings
 SHAKE_HZ = np.geomspace(0.3, 6.0, 9)
 PACE_HZ = np.array([0.07, 0.13, 0.23])
 REACH_HZ = np.array([0.05, 0.11])
-REACH_SHARE = 0.04
 PROGRESS_STEP_S = 0.005
 JOLT_HZ, JOLT_DECAY_S = 4.0, 0.12
 FIT_MARGIN = 1.06
-# Nobody holds a camera closer to the floor, but for the shake.
-LOWEST_M = 0.25
+# Two sines of these frequencies, of standard deviation 1, reach 1.87 at most.
+REACH_PEAK = 1.9
+# As steep as a view gets whose right is level: 86 degrees.
+STEEPEST_RAD = 1.5
+GOLDEN_SHARE = (np.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ class CameraPath:
         shake: six curves, of position and of orientation.
         reach: one curve, of the distance.
         jolt: (6,) direction of the knock, of position and of orientation, unit vectors.
+        stations_rad: (frames, 2) turn and rise of every frame in no order of time; None on a walk.
     """
 
     settings: PathSettings
@@ -76,6 +79,7 @@ class CameraPath:
     shake: Waves
     reach: Waves
     jolt: Float64
+    stations_rad: Float64 | None
 
     @property
     def duration_s(self) -> float:
@@ -85,13 +89,11 @@ class CameraPath:
     def poses(self, time_s: Float64) -> Float64:
         """`T_room_camera` (n, 4, 4) in optical axes at times (n,) in seconds; also beyond both ends."""
         chosen = self.settings
-        share = np.interp(time_s, self.knots_s, self.knots_share)
-        turn = self.start_rad + chosen.arc_rad * share
-        swing = np.sin(2 * np.pi * chosen.swings * share + self.swing_phase_rad)
-        lowest = np.arcsin(np.clip((LOWEST_M - self.target_room[2]) / self.distance_m, -1, 1))
-        rise = np.maximum(chosen.elevation_rad + chosen.swing_rad * swing, lowest)
+        turn, rise = self._stations(time_s)
+        lowest = np.arcsin(np.clip((chosen.lowest_m - self.target_room[2]) / self.distance_m, -1, 1))
+        rise = np.maximum(rise, lowest)
         outward = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1)
-        reach = self.distance_m * (1 + REACH_SHARE * self.reach.at(time_s))
+        reach = self.distance_m * (1 + chosen.reach_share * self.reach.at(time_s))
         shake = self.shake.at(time_s)
         knock = self._knock(time_s)
         moved = chosen.shake_m * shake[:, :3] + chosen.jolt_m * knock[:, :3]
@@ -104,6 +106,16 @@ class CameraPath:
         looks[:, :3, 3] = positions
         return looks
 
+    def _stations(self, time_s: Float64) -> tuple[Float64, Float64]:
+        """Turn and rise, radians, (n,) each: of the walk, or of the frame that is nearest in time."""
+        chosen = self.settings
+        if self.stations_rad is not None:
+            frame = np.clip(np.rint(time_s * chosen.rate_hz), 0, chosen.frames - 1).astype(np.int64)
+            return self.stations_rad[frame, 0], self.stations_rad[frame, 1]
+        share = np.interp(time_s, self.knots_s, self.knots_share)
+        swing = np.sin(2 * np.pi * chosen.swings * share + self.swing_phase_rad)
+        return self.start_rad + chosen.arc_rad * share, chosen.elevation_rad + chosen.swing_rad * swing
+
     def _knock(self, time_s: Float64) -> Float64:
         """The knock's course (n, 6): a damped swing that starts at two thirds of the way; peak about 1."""
         since = np.maximum(time_s - self.duration_s * 2 / 3, 0)
@@ -112,7 +124,11 @@ class CameraPath:
 
 
 def draw_path(
-    settings: PathSettings, subject: TriangleMesh, camera: Camera, rng: np.random.Generator
+    settings: PathSettings,
+    subject: TriangleMesh,
+    camera: Camera,
+    rng: np.random.Generator,
+    min_range_m: float = 0.0,
 ) -> CameraPath:
     """Draw a path around a subject that stands at the room's origin.
 
@@ -121,30 +137,58 @@ def draw_path(
         subject: its mesh, z up, metres.
         camera: the depth camera.
         rng: draws everything else.
+        min_range_m: of the sensor; without a distance, what is small is not recorded from nearer.
     """
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target_room = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
     knots_s, knots_share = _progress(settings, draw_waves(PACE_HZ, 1, rng))
     directions = rng.standard_normal((2, 3))
+    distance_m = settings.distance_m
+    if distance_m is None:
+        distance_m = _fitting_distance_m(subject, target_room, camera, min_range_m, settings.reach_share)
+    start_rad = float(rng.uniform(0, 2 * np.pi))
     return CameraPath(
         settings=settings,
         target_room=target_room,
-        distance_m=settings.distance_m or _fitting_distance_m(subject, target_room, camera),
-        start_rad=float(rng.uniform(0, 2 * np.pi)),
+        distance_m=distance_m,
+        start_rad=start_rad,
         swing_phase_rad=float(rng.uniform(0, 2 * np.pi)),
         knots_s=knots_s,
         knots_share=knots_share,
         shake=draw_waves(SHAKE_HZ, 6, rng),
         reach=draw_waves(REACH_HZ, 1, rng),
         jolt=(directions / np.linalg.norm(directions, axis=1, keepdims=True)).ravel(),
+        stations_rad=_shuffled_rad(settings, start_rad, rng) if settings.order == "shuffled" else None,
     )
 
 
-def _fitting_distance_m(subject: TriangleMesh, target_room: Float64, camera: Camera) -> float:
-    """From where a ball around the subject just fits into the image, with a small margin."""
+def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Generator) -> Float64:
+    """Turn and rise (frames, 2), radians, of views spread evenly by area over the walk's band, at random.
+
+    A spherical Fibonacci lattice: the sine of the rise in even steps, the turn in steps of the golden share
+    of the arc (Gonzalez: Measurement of Areas on a Sphere Using Fibonacci and Latitude-Longitude Lattices,
+    Mathematical Geosciences 42, 2010); then a random order.
+    """
+    low, high = np.sin(
+        np.clip(settings.elevation_rad + np.array([-1, 1]) * settings.swing_rad, -STEEPEST_RAD, STEEPEST_RAD)
+    )
+    index = np.arange(settings.frames)
+    rise = np.arcsin(low + (high - low) * (index + 0.5) / settings.frames)
+    turn = start_rad + settings.arc_rad * np.mod(index * GOLDEN_SHARE, 1)
+    return rng.permutation(np.column_stack([turn, rise]))
+
+
+def _fitting_distance_m(
+    subject: TriangleMesh, target_room: Float64, camera: Camera, min_range_m: float, reach_share: float
+) -> float:
+    """From where a ball around the subject just fits into the image, with a small margin.
+
+    Never so near that, where the hand is nearest, the ball is within the sensor's least range.
+    """
     radius_m = float(np.linalg.norm(subject.vertices - target_room, axis=1).max())
     half_view = min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy))
-    return FIT_MARGIN * radius_m / float(np.sin(half_view))
+    out_of_blindness_m = (min_range_m + radius_m) / (1 - REACH_PEAK * reach_share)
+    return max(FIT_MARGIN * radius_m / float(np.sin(half_view)), out_of_blindness_m)
 
 
 def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:

@@ -56,6 +56,39 @@ PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
     "drift-v1": ("a given trajectory that drifts 1 %", _orbit(given={"trajectory": "drifting"})),
     "jump-v1": ("a given trajectory that jumps by 10 cm", _orbit(faults={"jump_m": 0.1})),
     "foreign-v1": ("ten frames show another scene", _orbit(faults={"foreign_frames": 10})),
+    # 3 to 77 degrees, a view every 5 degrees or so; from above one looks into what a walk passes by.
+    "hemisphere-v1": (
+        "views from all over, in no order of time",
+        _orbit(path={"order": "shuffled", "frames": 150, "elevation_rad": 0.7, "swing_rad": 0.65}),
+    ),
+    # 65 degrees, 10 more and less: what stands upright is seen at a slant only, undersides never.
+    "steep-v1": (
+        "looking steeply down, 55 to 75 degrees",
+        _orbit(path={"elevation_rad": 1.134, "swing_rad": 0.16}),
+    ),
+    # As near as the sensor's range allows with what is 10 to 40 cm large: no distance suits all of these
+    # (from 0.6 m a third of what shows of a 40 cm cylinder is within a Kinect's 0.4 m). They stand on a
+    # table, beside which the camera may be held lower than above a floor.
+    "near-v1": (
+        "table-top things (10-40 cm), from 0.5 to 0.9 m",
+        _orbit(path={"reach_share": 0.08, "lowest_m": 0.1}),
+    ),
+    "far-v1": ("from 2.5 to 4 m away", _orbit(path={"distance_m": 3.2, "reach_share": 0.12})),
+    # For truth that is judged: short, and from 10 to 45 degrees, so that most openings are looked into at a
+    # slant. Two and a half swings in the eighteen seconds, so that each side is seen from low and from high.
+    "known-v1": (
+        "a short orbit, 10 to 45 degrees, no poses given",
+        {
+            "path": {
+                "frames": 180,
+                "rate_hz": 10.0,
+                "elevation_rad": 0.48,
+                "swing_rad": 0.305,
+                "swings": 2.5,
+            },
+            "given": {"trajectory": "none"},
+        },
+    ),
 }
 
 

@@ -16,11 +16,11 @@ from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import Device, draw_device, measure
 from kinectbench.lab.simulate.objects import make_object, parse_object
 from kinectbench.lab.simulate.objects.shapes import Subject
-from kinectbench.lab.simulate.path import CameraPath, draw_path
+from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
 from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture, sample_surface
 from kinectbench.lab.simulate.scene import make_scene
-from kinectbench.lab.simulate.spec import DEVICE, PATH, SCENE, SENSOR, WORLD, SimulationSpec
+from kinectbench.lab.simulate.spec import DEVICE, MIN_RANGE_M, PATH, SCENE, SENSOR, WORLD, SimulationSpec
 from kinectbench.lab.simulate.truth import (
     DEPTH_SCALE,
     SurfaceTruth,
@@ -116,10 +116,11 @@ def prepare(spec: SimulationSpec) -> Simulation:
         SettingsError, RecordingError: as `make_subject`.
     """
     subject = make_subject(spec)
-    path = draw_path(spec.path, subject.mesh, spec.camera, spec.rng(PATH))
+    min_range_m = MIN_RANGE_M[spec.sensor.model]
+    path = draw_path(spec.path, subject.mesh, spec.camera, spec.rng(PATH), min_range_m)
     rng = spec.rng(SCENE)
     yaw_rad = float(rng.uniform(0, 2 * np.pi))
-    reach_m = path.distance_m * 1.1
+    reach_m = path.distance_m * max(1.1, 1 + REACH_PEAK * spec.path.reach_share)
     scene = make_scene(subject, yaw_rad, reach_m, spec.scene, rng)
     texture = make_texture(rng)
     walk_s = np.arange(spec.path.frames) / spec.path.rate_hz

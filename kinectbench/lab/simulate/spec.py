@@ -1,9 +1,9 @@
 """What to simulate: every choice with its default, range and unit. Same spec, same bytes."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from kinectbench.core.geometry import Camera
 from kinectbench.lab.simulate import Format
@@ -14,6 +14,12 @@ WorldFrame = Literal["upright", "first_camera", "random"]
 FIRST_STAMP_NS = 1_400_000_000 * 10**9
 # One random stream for each thing that is drawn, so that a new one changes none of the others.
 SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
+# Nearer surfaces give no depth, metres. An ideal sensor has no such limit; it is carried as a Kinect v1 is,
+# so that the recordings of the two compare.
+MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4}
+# What came after the first presets were frozen: left out of a stored spec while it has its default, so that
+# the stored specs of older recordings, and their hashes, stay what they are.
+LATER = {"order": "walk", "reach_share": 0.04, "lowest_m": 0.25}
 
 
 class PathSettings(Settings):
@@ -21,8 +27,15 @@ class PathSettings(Settings):
 
     frames: int = Field(300, ge=1, le=100_000, description="number of frames")
     rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frames per second")
+    order: Literal["walk", "shuffled"] = Field(
+        "walk", description="shuffled: views spread over the same arc and elevations, in no order of time"
+    )
     arc_rad: float = Field(2.2 * np.pi, ge=0, le=100, description="angle walked around the object")
     distance_m: float | None = Field(None, gt=0.2, le=10, description="to the object; default: it fits")
+    reach_share: float = Field(
+        0.04, ge=0, le=0.3, description="standard deviation of the distance, as a share of it"
+    )
+    lowest_m: float = Field(0.25, ge=0, le=2, description="the camera is held no lower above the floor")
     elevation_rad: float = Field(0.44, ge=-0.2, le=1.4, description="mean height of the camera as an angle")
     swing_rad: float = Field(0.33, ge=0, le=1, description="the elevation rises and falls by this")
     swings: float = Field(1.6, ge=0, le=100, description="how often it does over the recording")
@@ -32,6 +45,11 @@ class PathSettings(Settings):
     pause_s: float = Field(0.0, ge=0, le=1000, description="a pause, half-way, in which only the hand shakes")
     jolt_m: float = Field(0.0, ge=0, le=1, description="a sudden knock, at two thirds of the way")
     jolt_rad: float = Field(0.0, ge=0, le=1, description="turn that comes with the knock")
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = write(self)
+        return {key: value for key, value in values.items() if key not in LATER or value != LATER[key]}
 
 
 class SceneSettings(Settings):

@@ -5,7 +5,8 @@ import pytest
 
 from kinectbench.core.geometry import Camera, OrientedBox, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import box_mesh
-from kinectbench.lab.simulate.path import SHAKE_HZ, draw_path, draw_waves, look_at
+from kinectbench.lab.simulate.path import REACH_HZ, REACH_PEAK, SHAKE_HZ, draw_path, draw_waves, look_at
+from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.lab.simulate.spec import PathSettings
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -91,6 +92,81 @@ def test_a_jolt_is_sudden_and_passes():
     assert moved[:100].max() == 0
     assert moved[100:110].max() == pytest.approx(0.08, rel=0.3)
     assert moved[-15:].max() < 1e-3
+
+
+def seen_from(path):
+    """Distances and elevations (degrees) from the target, and turns, of every frame."""
+    offsets = path.poses(times(path))[:, :3, 3] - path.target_room
+    distances_m = np.linalg.norm(offsets, axis=1)
+    rises_deg = np.degrees(np.arcsin(offsets[:, 2] / distances_m))
+    return distances_m, rises_deg, np.arctan2(offsets[:, 1], offsets[:, 0])
+
+
+def preset_path(name, subject=BOX, seed=0):
+    settings = preset_spec(name, {}).path
+    return draw_path(settings, subject, CAMERA, np.random.default_rng(seed), min_range_m=0.4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_presets_stay_within_the_elevations_they_name(seed):
+    for name, low, high in (("steep-v1", 55, 75), ("known-v1", 10, 45), ("hemisphere-v1", 2, 78)):
+        rises_deg = seen_from(preset_path(name, seed=seed))[1]
+        # A degree for the hand's shake.
+        assert low - 1 < rises_deg.min() < low + 4
+        assert high - 4 < rises_deg.max() < high + 1
+
+
+def test_a_hemisphere_is_covered_evenly_and_in_no_order():
+    path = preset_path("hemisphere-v1")
+    _, rises_deg, turns_rad = seen_from(path)
+    # Even by area: a quarter of the views in each quarter of the height of the band, and of the circle.
+    for values in (np.sin(np.radians(rises_deg)), np.mod(turns_rad, 2 * np.pi)):
+        counts = np.histogram(values, 4)[0]
+        assert counts.sum() == 150
+        assert counts.min() > 150 / 4 * 0.8
+    # The next frame is anywhere: on average 90 degrees away around the vertical, not 3 as on a walk.
+    steps = np.abs(np.angle(np.exp(1j * np.diff(turns_rad))))
+    assert steps.mean() == pytest.approx(np.pi / 2, rel=0.15)
+    again, other = preset_path("hemisphere-v1"), preset_path("hemisphere-v1", seed=1)
+    assert np.array_equal(path.stations_rad, again.stations_rad)
+    assert not np.array_equal(path.stations_rad[:, 1], other.stations_rad[:, 1])
+    assert sorted(path.stations_rad[:, 1]) == sorted(other.stations_rad[:, 1])
+    # A frame that is taken a little late is of the same view.
+    late = path.poses(times(path) + 0.016)[:, :3, 3]
+    assert np.linalg.norm(late - path.poses(times(path))[:, :3, 3], axis=1).max() < 0.03
+
+
+def test_far_is_far_and_distances_vary_by_the_share():
+    distances_m = np.concatenate([seen_from(preset_path("far-v1", seed=seed))[0] for seed in range(8)])
+    assert 2.4 < distances_m.min() < 2.7
+    assert 3.7 < distances_m.max() < 4.1
+    reach = draw_waves(REACH_HZ, 40, np.random.default_rng(2)).at(np.arange(0, 300, 0.1))
+    assert 1.8 < np.abs(reach).max() < REACH_PEAK
+
+
+@pytest.mark.parametrize("height_m", [0.1, 0.2, 0.3, 0.4])
+def test_small_things_are_recorded_from_beyond_the_least_range(height_m):
+    # A cube's corner is half its diagonal from its centre; the camera must see the nearest one.
+    cube = box_mesh(OrientedBox((0, 0, height_m / 2), (height_m,) * 3))
+    nearest_m = []
+    for name in ("near-v1", "orbit-v1", "steep-v1"):
+        for T in preset_path(name, cube).poses(np.arange(0, 20, 0.5)):
+            points = transform_points(invert_rigid(T), cube.vertices)
+            nearest_m.append(points[:, 2].min())
+            pixels = CAMERA.project(points)
+            # But for the tip of a corner, where the hand is nearest.
+            assert (pixels > -15).all()
+            assert (pixels < [655, 495]).all()
+    assert min(nearest_m) > 0.38
+    distances_m = seen_from(preset_path("near-v1", cube))[0]
+    assert distances_m.min() > 0.45
+    assert distances_m.max() < 1.05
+
+
+def test_the_camera_may_be_held_lower_beside_a_table():
+    for lowest_m in (0.25, 0.1):
+        path = path_of(frames=200, elevation_rad=-0.2, lowest_m=lowest_m, distance_m=1.5, **STEADY)
+        assert path.poses(times(path))[:, 2, 3].min() == pytest.approx(lowest_m, abs=0.06)
 
 
 def test_a_single_frame_and_the_seed():
