@@ -14,6 +14,7 @@ import numpy as np
 from kinectbench.core.errors import SettingsError
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.chairs import chair
+from kinectbench.lab.simulate.objects.containers import basket, bucket, pot, waste_bin
 from kinectbench.lab.simulate.objects.couches import couch
 from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
 from kinectbench.lab.simulate.objects.shapes import Subject
@@ -25,10 +26,14 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "table": table,
     "bench": bench,
     "couch": couch,
+    "bin": waste_bin,
+    "bucket": bucket,
+    "basket": basket,
+    "pot": pot,
 }
 FURNITURE = ("chair", "table", "bench", "couch")
-LOOKED_AT: tuple[str, ...] = (*FURNITURE,)
-REPORTED_ONLY: tuple[str, ...] = ()
+LOOKED_AT: tuple[str, ...] = (*FURNITURE, "bin")
+REPORTED_ONLY: tuple[str, ...] = ("bucket", "basket", "pot")
 
 
 class ObjectName(NamedTuple):

@@ -1,0 +1,179 @@
+"""Containers: watertight, standing, truly hollow, open at the top, nowhere thin, of true size, and varied."""
+
+import functools
+
+import numpy as np
+import open3d as o3d
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from kinectbench.lab.simulate.objects import make_object, shapes, vessels
+from kinectbench.lab.simulate.objects.shapes import Subject
+
+SEEDS = range(10)
+# Width, depth and height, metres, least and most; and volume of the solid in litres, least and most.
+BOUNDS = {
+    "bin": ((0.24, 0.16, 0.29), (0.55, 0.60, 1.20), (2.0, 25.0)),
+    "bucket": ((0.24, 0.24, 0.19), (0.50, 0.60, 0.75), (2.0, 12.0)),
+    "basket": ((0.33, 0.21, 0.21), (0.80, 0.70, 0.75), (2.0, 30.0)),
+    "pot": ((0.24, 0.17, 0.10), (0.70, 0.50, 0.56), (1.5, 20.0)),
+}
+CONTAINERS = tuple(BOUNDS)
+LEAST_M = 0.012
+
+
+@functools.cache
+def container(family: str, seed: int) -> Subject:
+    return make_object(family, seed)
+
+
+def checked(subject: Subject) -> trimesh.Trimesh:
+    """The mesh as it is, without merging its vertices."""
+    return trimesh.Trimesh(subject.mesh.vertices, subject.mesh.faces, process=False)
+
+
+def scene(subject: Subject):
+    found = o3d.t.geometry.RaycastingScene()
+    found.add_triangles(
+        o3d.core.Tensor(subject.mesh.vertices.astype(np.float32)),
+        o3d.core.Tensor(subject.mesh.faces.astype(np.uint32)),
+    )
+    return found
+
+
+def cast(subject: Subject, origins, directions):
+    """Distance (n,) along rays to the solid's surface, infinite where they leave, and its normals (n, 3)."""
+    rays = np.concatenate([origins, np.broadcast_to(directions, origins.shape)], axis=1)
+    met = scene(subject).cast_rays(o3d.core.Tensor(rays.astype(np.float32)))
+    return met["t_hit"].numpy(), met["primitive_normals"].numpy()
+
+
+def floor_seen(subject: Subject):
+    """Heights that rays straight down over the object's middle half meet, and where they start."""
+    low, high = subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0)
+    side = np.linspace(0.25, 0.75, 21)
+    x, y = np.meshgrid(low[0] + side * (high - low)[0], low[1] + side * (high - low)[1])
+    start = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, high[2] + 0.1)])
+    return high[2] + 0.1 - cast(subject, start, np.array([0.0, 0.0, -1.0]))[0], start
+
+
+@pytest.mark.parametrize("family", CONTAINERS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_container_is_one_watertight_solid_of_true_size(family, seed):
+    subject = container(family, seed)
+    mesh = checked(subject)
+    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+    assert trimesh.Trimesh(subject.mesh.vertices.astype(np.float32), subject.mesh.faces).is_watertight
+    for piece in subject.pieces:
+        one = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces, process=False)
+        assert one.is_watertight and one.volume > 0, piece.name
+    low, high = mesh.bounds
+    assert low[2] == 0
+    assert np.allclose((low + high)[:2], 0, atol=1e-12)
+    least, most, litres = BOUNDS[family]
+    assert np.all(high - low >= least), high - low
+    assert np.all(high - low <= most), high - low
+    assert litres[0] < 1000 * mesh.volume < litres[1], 1000 * mesh.volume
+    # Its hull would hold much more: it is hollow.
+    assert mesh.volume < 0.6 * mesh.convex_hull.volume
+    # It does not tip over: its centre of mass lies 1 cm or more inside the hull of what touches the floor.
+    sides = ConvexHull(mesh.vertices[mesh.vertices[:, 2] < 0.002, :2]).equations
+    assert (sides[:, :2] @ mesh.center_mass[:2] + sides[:, 2]).max() < -0.01
+
+
+@pytest.mark.parametrize("family", CONTAINERS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_its_cavity_is_open_and_deep(family, seed):
+    subject = container(family, seed)
+    seen_m, start = floor_seen(subject)
+    depth_m = CAVITY_M[family]
+    floor_m = float(np.median(seen_m))
+    on_floor = np.abs(seen_m - floor_m) < 0.002
+    assert on_floor.mean() > 0.5
+    rim_m = float(body(subject).vertices[:, 2].max())
+    assert rim_m - floor_m > depth_m
+    # A point over the floor is air by winding, and nothing is between it and the sky.
+    inside = start[on_floor] * [1, 1, 0] + [0, 0, floor_m + 0.01]
+    assert not scene(subject).compute_occupancy(o3d.core.Tensor(inside.astype(np.float32))).numpy().any()
+    assert np.isinf(cast(subject, inside, np.array([0.0, 0.0, 1.0]))[0]).all()
+    # Level rays from there meet walls, but for slots.
+    turn = np.arange(64) * np.pi / 32
+    around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(64)])
+    middle = np.tile(inside[len(inside) // 2], (64, 1))
+    assert np.isfinite(cast(subject, middle, around)[0]).mean() > 0.7
+
+
+def body(subject: Subject):
+    return next(piece.mesh for piece in subject.pieces if piece.name == "body")
+
+
+# Least depth of the cavity below the rim, metres.
+CAVITY_M = {"bin": 0.25, "bucket": 0.15, "basket": 0.17, "pot": 0.09}
+
+
+@pytest.mark.parametrize("family", CONTAINERS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_is_thin(family, seed):
+    subject = container(family, seed)
+    points, faces = trimesh.sample.sample_surface(checked(subject), 6000, seed=1)
+    normals = checked(subject).face_normals[faces]
+    thick_m, behind = cast(subject, points - 1e-5 * normals, -normals)
+    # A wall has two faces that look in nearly opposite directions; at an edge they do not.
+    wall = (normals * behind).sum(axis=1) < -0.9
+    assert wall.mean() > 0.5
+    assert (thick_m[wall] < LEAST_M).mean() < 0.001, np.sort(thick_m[wall])[:20]
+    assert np.median(thick_m) < 0.05
+
+
+@pytest.mark.parametrize("family", CONTAINERS)
+def test_containers_vary_and_the_same_seed_gives_the_same(family):
+    subjects = [container(family, seed) for seed in SEEDS]
+    assert len({round(checked(subject).volume, 6) for subject in subjects}) == len(subjects)
+    assert len({len(subject.mesh.faces) for subject in subjects}) >= 7
+    assert len({tuple(sorted({piece.name for piece in subject.pieces})) for subject in subjects}) >= 3
+    heights = [subject.mesh.vertices[:, 2].max() for subject in subjects]
+    assert max(heights) > 1.3 * min(heights)
+    albedo = np.array([piece.albedo for subject in subjects for piece in subject.pieces])
+    assert np.mean((albedo >= 0.4) & (albedo <= 0.8)) > 0.75
+    again = make_object(family, 4)
+    assert np.array_equal(again.mesh.vertices, container(family, 4).mesh.vertices)
+    assert np.array_equal(again.mesh.faces, container(family, 4).mesh.faces)
+
+
+def test_a_grown_outline_lies_around_by_the_same_distance():
+    square = vessels.grown(shapes.rectangle((0.4, 0.2)), 0.015)
+    assert np.allclose(np.ptp(square, axis=0), (0.43, 0.23))
+    # Sides of a polygon inscribed in a circle of radius r lie r cos(half its angle) from the middle.
+    circle = vessels.grown(shapes.ellipse((0.3, 0.3)), 0.015)
+    assert np.allclose(np.linalg.norm(circle, axis=1) * np.cos(np.pi / 48), 0.15 * np.cos(np.pi / 48) + 0.015)
+
+
+def test_the_walls_of_a_vessel_have_their_thickness_and_its_cavity_its_volume():
+    low, high = shapes.rectangle((0.2, 0.1)), shapes.rectangle((0.3, 0.2))
+    tub = vessels.Vessel(low, high, base_m=0.0, floor_m=0.02, top_m=0.32, wall_m=0.015)
+    assert np.allclose(np.ptp(tub.inner(0.17), axis=0), (0.25, 0.15))
+    # A prismatoid: h / 6 (A1 + 4 Am + A2); above the rim the cut goes on for 5 cm.
+    within = vessels.tub(low, high, 0.02, 0.32)
+    assert within.volume() == pytest.approx(0.3 / 6 * (0.02 + 4 * 0.0375 + 0.06))
+    filled = vessels.tub(tub.outer(0.0), tub.outer(0.32), 0.0, 0.32)
+    assert tub.body().volume() == pytest.approx(filled.volume() - within.volume())
+    # Faces lean by 5 cm in 30: the level distance is 15 mm / cos(lean), or a little more.
+    assert tub.reach_m(0.17) - 0.125 >= 0.015 * np.hypot(1, 0.05 / 0.3)
+    assert tub.reach_m(0.17) - 0.125 < 0.0156
+
+
+def test_rims_hoops_and_handles_keep_out_of_the_cavity():
+    ring = shapes.ellipse((0.3, 0.3))
+    tub = vessels.Vessel(ring, 1.2 * ring, base_m=0.0, floor_m=0.02, top_m=0.3, wall_m=0.015)
+    handle = vessels.loop_handle(tub, 0.25, 0.1, 0.05, 0.008)
+    assert handle.bounding_box()[3] == pytest.approx(tub.reach_m(0.25) + 0.05 + 0.008, abs=1e-3)
+    parts = [handle, tub.band(0.1, 0.12, 0.01), vessels.grip_handle(tub, 0.1, 0.06, 0.008)]
+    below_rim = vessels.tub(tub.low, tub.high, tub.floor_m, tub.top_m)
+    for shape in parts:
+        assert (shape ^ below_rim).volume() < 1e-12
+        assert (shape ^ tub.body()).volume() > 1e-6
+    # A hole in the wall at +x opens it from inside to outside, and leaves the wall at -x alone.
+    hole = vessels.slot(tub, (0.0, 0.2), 0.1, 0.03)
+    cut = (tub.body() - hole).genus()
+    assert (tub.body().genus(), cut) == (0, 1)
