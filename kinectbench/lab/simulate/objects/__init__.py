@@ -16,8 +16,12 @@ from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.chairs import chair
 from kinectbench.lab.simulate.objects.containers import basket, bucket, pot, waste_bin
 from kinectbench.lab.simulate.objects.couches import couch
+from kinectbench.lab.simulate.objects.frames import ladder, tray_stand
 from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
+from kinectbench.lab.simulate.objects.lamps import lamp
+from kinectbench.lab.simulate.objects.lattices import crate, wire_basket
 from kinectbench.lab.simulate.objects.shapes import Subject
+from kinectbench.lab.simulate.objects.shelves import bookshelf, rack
 from kinectbench.lab.simulate.objects.tables import table
 from kinectbench.settings.words import listed, near_miss
 
@@ -30,10 +34,17 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "bucket": bucket,
     "basket": basket,
     "pot": pot,
+    "rack": rack,
+    "lamp": lamp,
+    "crate": crate,
+    "bookshelf": bookshelf,
+    "ladder": ladder,
+    "wire_basket": wire_basket,
+    "tray_stand": tray_stand,
 }
 FURNITURE = ("chair", "table", "bench", "couch")
-LOOKED_AT: tuple[str, ...] = (*FURNITURE, "bin")
-REPORTED_ONLY: tuple[str, ...] = ("bucket", "basket", "pot")
+LOOKED_AT: tuple[str, ...] = (*FURNITURE, "bin", "rack", "lamp", "crate", "bookshelf")
+REPORTED_ONLY: tuple[str, ...] = ("bucket", "basket", "pot", "ladder", "wire_basket", "tray_stand")
 
 
 class ObjectName(NamedTuple):
