@@ -26,6 +26,7 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
@@ -180,6 +181,9 @@ def known_build(
     health = TrajectoryHealth(source="tracked", verdict="known", grade="5 mm", frames=n, tracked=n)
     build = Build(
         stamps_ns=truth.stamps_ns,
+        camera=sequence.camera,
+        depth_m=sequence.depth_m,
+        scene=lambda: mesh,
         trajectory=Trajectory(truth.stamps_ns, cameras, "tracked", health=health),
         model=model,
         views=views,
@@ -237,8 +241,8 @@ def _model(truth: Truth, mesh: TriangleMesh, T: Float64, unknown_above_m: float 
 def write_build(known: Known, folder: Path) -> None:
     """Write a build as `kinectbench build` would: `build/<recording>/`."""
     build = known.build
-    assert build.trajectory and build.model and build.views
-    for stage in ("sequence", "trajectory", "object", "views", "pairs"):
+    assert build.trajectory and build.scene and build.model and build.views
+    for stage in ("sequence/depth", "trajectory", "reconstruction", "object", "views", "pairs"):
         (folder / stage).mkdir(parents=True)
     camera = {**asdict(CAMERA), "format_version": 1, "depth_scale": DEPTH_SCALE, "color_registered": True}
     (folder / "sequence" / "camera.json").write_text(json.dumps(camera))
@@ -247,7 +251,11 @@ def write_build(known: Known, folder: Path) -> None:
         for i, stamp_ns in enumerate(build.stamps_ns.tolist())
     ]
     (folder / "sequence" / "frames.json").write_text(json.dumps(rows))
+    for row in rows:
+        native = known.sequence.frames.depth_native(row["index"])
+        cv2.imwrite(str(folder / "sequence" / row["depth"]), native)
     write_trajectory(build.trajectory, folder / "trajectory")
+    write_ply(build.scene(), folder / "reconstruction" / "mesh.ply")
     write_object(build.model, folder / "object")
     write_views(Views(list(build.views), [], []), known.sequence, folder / "views")
     for name, pair in known.pairs.items():

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError, StorageError
-from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid
+from kinectbench.core.geometry.mesh import read_ply
 from kinectbench.core.images import read_gray
 from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
+from kinectbench.core.types import Float32
 from kinectbench.core.voxels.pair_file import Pair, read_pair
 from kinectbench.engine.stages import current_stages
 from kinectbench.lab.simulate.truth import Truth
@@ -28,7 +30,10 @@ class Build:
 
     Attributes:
         stamps_ns: (n,) int64, stamps of the sequence's frames.
+        camera: intrinsics of their depth.
+        depth_m: of a frame, the depth as recorded: (height, width) float32, metres, 0 = none.
         trajectory: a pose for each of them.
+        scene: the fused mesh of the whole scene, in the trajectory's world.
         model: the object, in the trajectory's world.
         views: the sampled views.
         valid_depth: of a view, the pixels (height, width) that measured something.
@@ -37,7 +42,10 @@ class Build:
     """
 
     stamps_ns: NDArray[np.int64]
+    camera: Camera
+    depth_m: Callable[[int], Float32]
     trajectory: Trajectory | None
+    scene: Callable[[], TriangleMesh] | None
     model: ObjectModel | None
     views: tuple[View, ...] | None
     valid_depth: Callable[[View], NDArray[np.bool_]]
@@ -62,7 +70,7 @@ def read_build(folder: Path) -> Build:
                 "build it again"
             )
         raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
-    stamps_ns = read_sequence(folder / "sequence").stamps_ns
+    sequence = read_sequence(folder / "sequence")
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
@@ -74,8 +82,11 @@ def read_build(folder: Path) -> Build:
             raise StorageError(f"{path}: cannot be read ({error.strerror}); build the views again") from error
 
     return Build(
-        stamps_ns=stamps_ns,
-        trajectory=read_trajectory(folder / "trajectory", stamps_ns) if "track" in current else None,
+        stamps_ns=sequence.stamps_ns,
+        camera=sequence.camera,
+        depth_m=sequence.depth_m,
+        trajectory=read_trajectory(folder / "trajectory", sequence.stamps_ns) if "track" in current else None,
+        scene=(lambda: read_ply(folder / "reconstruction" / "mesh.ply")) if "fuse" in current else None,
         model=read_object(folder / "object") if "segment" in current else None,
         views=tuple(read_views(folder / "views")) if "sample-views" in current else None,
         valid_depth=valid_depth,

@@ -12,9 +12,15 @@ from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, co
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Progress
 from kinectbench.lab.evaluate.build import Build, Registration, register
+from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
 from kinectbench.lab.evaluate.solid import SolidFigures, solid_figures
-from kinectbench.lab.evaluate.surface import SurfaceFigures, surface_errors, surface_figures
+from kinectbench.lab.evaluate.surface import (
+    SurfaceFigures,
+    scene_errors,
+    surface_errors,
+    surface_figures,
+)
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.segment.floor import Floor
 
@@ -123,6 +129,7 @@ class Evaluation:
         subject: the truth's name of the object.
         alignment: how the worlds were laid onto each other.
         trajectory: of stage `track`.
+        scene: of stage `fuse`: the fused scene around the object, above the floor; None if nothing is there.
         floor: of stage `segment`.
         surface: of the object's closed mesh.
         solid: of the same mesh and the labels.
@@ -133,6 +140,7 @@ class Evaluation:
     subject: str
     alignment: AlignmentFigures
     trajectory: TrajectoryFigures | None
+    scene: SurfaceFigures | None
     floor: FloorFigures | None
     surface: SurfaceFigures | None
     solid: SolidFigures | None
@@ -166,17 +174,20 @@ def evaluate(
     if model is not None:
         mesh = model.shape.mesh.transformed(registration.T_truth_built)
         surface = surface_figures(surface_errors(mesh, truth))
-        solid = solid_figures(model, truth, registration)
+        solid = solid_figures(model, truth, registration, measured_surface(build, truth, registration))
         floor = floor_figures(model.floor, truth, registration)
-    trajectory = masks = pairs = None
+    trajectory = scene = masks = pairs = None
     if build.trajectory is not None:
         trajectory = trajectory_figures(build.trajectory, truth, registration)
+    if build.scene is not None:
+        errors = scene_errors(build.scene().transformed(registration.T_truth_built), truth)
+        scene = surface_figures(errors) if errors else None
     if build.views is not None:
         masks = mask_figures(build, truth, registration)
     if build.views is not None and build.pair_names is not None:
         pairs = pair_figures(build, truth, registration, progress or (lambda _done, _total: None))
     return Evaluation(
-        truth.subject, _alignment(registration), trajectory, floor, surface, solid, masks, pairs
+        truth.subject, _alignment(registration), trajectory, scene, floor, surface, solid, masks, pairs
     )
 
 

@@ -12,6 +12,17 @@ from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.build import Registration
+from kinectbench.lab.evaluate.known import (
+    CalibrationBin,
+    NearUnknown,
+    calibration,
+    calibration_error,
+    called_air_beyond_m3,
+    gross_errors,
+    unknown_near_measured,
+    voxels_beside,
+)
+from kinectbench.lab.evaluate.measured import FaceBias, MeasuredSurface, face_bias
 from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel
@@ -80,6 +91,18 @@ class SolidFigures:
         built_volume_m3: enclosed by the built mesh.
         built_outside_share: share of the built solid outside the cube, where nothing else is counted,
             looked for in a cube of twice the side.
+        known_gross_share: volume of the object's own voxels that are known, wrong, and more than 10 mm from
+            the true surface, over the true volume.
+        solid_called_air: the part of it inside the true solid; beyond the object's voxels too.
+        air_called_solid: the part of it outside.
+        unknown_near_measured: of the voxels within 10 mm of measured surface, the share that is unknown.
+        calibration_error: mean distance of probability and share inside over the bins.
+        calibration_bins: ten of equal count, of the voxels that are unknown or within 30 mm of the surface.
+        face_bias_m: mean signed distance of the built mesh where the surface was measured, > 0: too far out.
+        estimated_iou: what quality.json says; None if it does not say.
+        estimated_iou_low: least IoU by quality.json.
+        estimated_iou_high: greatest.
+        iou_in_interval: whether the IoU of `fine` lies between these two; None without them.
     """
 
     fine: SolidOverlap
@@ -87,6 +110,17 @@ class SolidFigures:
     true_volume_m3: float
     built_volume_m3: float
     built_outside_share: float
+    known_gross_share: float
+    solid_called_air: float
+    air_called_solid: float
+    unknown_near_measured: NearUnknown
+    calibration_error: float | None
+    calibration_bins: tuple[CalibrationBin, ...]
+    face_bias_m: FaceBias
+    estimated_iou: float | None
+    estimated_iou_low: float | None
+    estimated_iou_high: float | None
+    iou_in_interval: bool | None
 
 
 def canonical_cube(truth: Truth) -> Grid:
@@ -114,19 +148,44 @@ def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Regis
     )
 
 
-def solid_figures(model: ObjectModel, truth: Truth, registration: Registration) -> SolidFigures:
-    """Compare the solids on 256^3 and on 64^3 cells of the canonical cube (own rule).
+def solid_figures(
+    model: ObjectModel, truth: Truth, registration: Registration, surface: MeasuredSurface
+) -> SolidFigures:
+    """Compare the solids on 256^3 and on 64^3 cells of the canonical cube, and the object's own voxels.
 
     The coarse cells' own centres would not do: by its margin the box ends just at centres of them.
+
+    Args:
+        model: the built object, in its own world.
+        truth: the exact solid.
+        registration: how the worlds lie to each other.
+        surface: samples of the true surface, and which of them were measured.
     """
     grid = canonical_cube(truth)
     fine = compare_on(grid, model, truth, registration)
+    figures, true_volume_m3 = overlap(fine), truth.mesh_world.volume_m3
+    voxels = voxels_beside(model, truth, registration, surface)
+    lost = fine.true & fine.known & ~fine.built
+    gross = gross_errors(voxels, true_volume_m3, called_air_beyond_m3(grid, lost, voxels, truth))
+    bins = calibration(voxels)
+    low, high = (getattr(model.quality, name, None) for name in ("estimated_iou_low", "estimated_iou_high"))
     return SolidFigures(
-        fine=overlap(fine),
+        fine=figures,
         coarse=overlap(reduced(fine)),
-        true_volume_m3=truth.mesh_world.volume_m3,
+        true_volume_m3=true_volume_m3,
         built_volume_m3=model.shape.mesh.volume_m3,
         built_outside_share=_outside_share(grid, model, registration),
+        known_gross_share=gross.known_gross_share,
+        solid_called_air=gross.solid_called_air,
+        air_called_solid=gross.air_called_solid,
+        unknown_near_measured=unknown_near_measured(voxels, surface),
+        calibration_error=calibration_error(bins),
+        calibration_bins=bins,
+        face_bias_m=face_bias(model.shape.mesh.transformed(registration.T_truth_built), truth, surface),
+        estimated_iou=model.quality.estimated_iou,
+        estimated_iou_low=low,
+        estimated_iou_high=high,
+        iou_in_interval=None if low is None or high is None else bool(low <= figures.iou <= high),
     )
 
 

@@ -1,12 +1,12 @@
 """The built surface against the true one: accuracy, completeness, precision, recall and F."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import raycaster
 from kinectbench.core.types import Bools, Float64
 from kinectbench.lab.simulate.render import sample_surface
@@ -15,6 +15,9 @@ from kinectbench.lab.simulate.truth import Truth
 THRESHOLDS_M = (0.005, 0.010)
 SAMPLES = 100_000
 SEED = 0
+# Of a fused scene is judged what lies in the object's box and this much around it, but not the floor that it
+# stands on (own choice).
+MARGIN_M, FLOOR_M = 0.03, 0.015
 # Rays that vote on which side of the true surface a point lies.
 SIGN_RAYS = 3
 
@@ -119,25 +122,59 @@ class Surface:
         return self._tensor(np.ascontiguousarray(points - self._center, dtype=np.float32))
 
 
-def surface_errors(mesh: TriangleMesh, truth: Truth, samples: int = SAMPLES) -> SurfaceErrors:
+def surface_errors(
+    mesh: TriangleMesh, truth: Truth, samples: int = SAMPLES, judged: Callable[[Float64], Bools] | None = None
+) -> SurfaceErrors:
     """Measure a built mesh and the true one against each other.
 
     Args:
         mesh: the built surface, in the truth's world, metres; has faces.
         truth: closed mesh, and samples of its surface.
         samples: how many points are spread over the built mesh.
+        judged: which points (n, 3) of either surface count, as (n,) bool; None: all.
     """
     from scipy.spatial import cKDTree
 
     points, _ = sample_surface(mesh.vertices, mesh.faces, samples, np.random.default_rng(SEED))
-    seen = truth.surface.frames_seen > 0
-    nearest = cKDTree(truth.surface.points_world).query(points)[1]
+    true_points, seen = truth.surface.points_world, truth.surface.frames_seen > 0
+    nearest = cKDTree(true_points).query
+    if judged is not None:
+        points, kept = points[judged(points)], judged(true_points)
+    else:
+        kept = np.ones(len(true_points), dtype=np.bool_)
     return SurfaceErrors(
         built_m=Surface(truth.mesh_world).signed_distance_m(points),
-        built_visible=seen[nearest],
-        true_m=Surface(mesh).distance_m(truth.surface.points_world),
-        true_visible=seen,
+        built_visible=seen[nearest(points)[1]],
+        true_m=Surface(mesh).distance_m(true_points[kept]),
+        true_visible=seen[kept],
     )
+
+
+def scene_errors(scene: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
+    """Measure a fused scene and the true object against each other, above the floor and around the object.
+
+    What counts is what lies in the true object's box, 30 mm larger, and more than 15 mm above the floor. None
+    if nothing of the scene is there.
+
+    Args:
+        scene: the fused mesh, in the truth's world, metres.
+        truth: closed mesh, and samples of its surface.
+    """
+    T_object_world = invert_rigid(truth.T_world_object)
+    true = transform_points(T_object_world, truth.mesh_world.vertices)
+    low, high = true.min(axis=0) - MARGIN_M, true.max(axis=0) + MARGIN_M
+
+    def judged(points_world: Float64) -> Bools:
+        points = transform_points(T_object_world, points_world)
+        return np.asarray(np.all((points > low) & (points < high), axis=1) & (points[:, 2] > FLOOR_M))
+
+    # Of a face that crosses the border, the part within counts.
+    corners = transform_points(T_object_world, scene.vertices)[scene.faces]
+    faces = np.all((corners.max(axis=1) > low) & (corners.min(axis=1) < high), axis=1)
+    if not faces.any():
+        return None
+    errors = surface_errors(scene.keep_faces(faces), truth, SAMPLES, judged)
+    return errors if len(errors.built_m) else None
 
 
 def surface_figures(errors: SurfaceErrors, thresholds_m: Sequence[float] = THRESHOLDS_M) -> SurfaceFigures:

@@ -14,7 +14,7 @@ from kinectbench.lab.evaluate.evaluation import (
 )
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures
 from kinectbench.lab.evaluate.solid import SolidFigures
-from kinectbench.lab.evaluate.surface import SurfaceFigures
+from kinectbench.lab.evaluate.surface import SurfaceComparison, SurfaceFigures
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -59,6 +59,7 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
     parts: tuple[tuple[str, Callable[[Any], Iterator[Row]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
         ("Trajectory", _trajectory, e.trajectory),
+        ("Fused scene, at the object", _scene, e.scene),
         ("Floor", _floor, e.floor),
         ("Surface", _surface, e.surface),
         ("Solid", _solid, e.solid),
@@ -127,16 +128,24 @@ def _floor(figures: FloorFigures) -> Iterator[Row]:
     yield _row("height above it at the object", figures.height_m, "mm")
 
 
+def _scene(figures: SurfaceFigures) -> Iterator[Row]:
+    yield from _compared("seen", figures.visible)
+
+
 def _surface(figures: SurfaceFigures) -> Iterator[Row]:
     yield _row("true surface that the camera saw", figures.visible_share, "%")
     yield _row("mean signed error (> 0: too far out)", figures.mean_signed_m, "mm")
-    for part, compared in (("all", figures.whole), ("seen", figures.visible)):
-        for name, of in (("accuracy", compared.accuracy), ("completeness", compared.completeness)):
-            for statistic, key in (("mean", "mean_m"), ("rms", "rms_m"), ("90 %", "quantile_90_m")):
-                yield _row(f"{name}, {part}: {statistic}", getattr(of, key) if of else None, "mm")
-        for score in compared.scores:
-            for name, share in (("precision", score.precision), ("recall", score.recall), ("F", score.f)):
-                yield _row(f"{name} at {score.threshold_m * 1000:g} mm, {part}", share, "%")
+    yield from _compared("all", figures.whole)
+    yield from _compared("seen", figures.visible)
+
+
+def _compared(part: str, compared: SurfaceComparison) -> Iterator[Row]:
+    for name, of in (("accuracy", compared.accuracy), ("completeness", compared.completeness)):
+        for statistic, key in (("mean", "mean_m"), ("rms", "rms_m"), ("90 %", "quantile_90_m")):
+            yield _row(f"{name}, {part}: {statistic}", getattr(of, key) if of else None, "mm")
+    for score in compared.scores:
+        for name, share in (("precision", score.precision), ("recall", score.recall), ("F", score.f)):
+            yield _row(f"{name} at {score.threshold_m * 1000:g} mm, {part}", share, "%")
 
 
 def _solid(figures: SolidFigures) -> Iterator[Row]:
@@ -149,6 +158,20 @@ def _solid(figures: SolidFigures) -> Iterator[Row]:
     yield _row("true volume", figures.true_volume_m3, "l")
     yield _row("built volume", figures.built_volume_m3, "l")
     yield _row("built solid outside the cube", figures.built_outside_share, "%")
+    yield _row("known, but wrong by over 10 mm, of the true volume", figures.known_gross_share, "%")
+    yield _row("the same: solid called air", figures.solid_called_air, "%")
+    yield _row("the same: air called solid", figures.air_called_solid, "%")
+    near, bias = figures.unknown_near_measured, figures.face_bias_m
+    yield _row("unknown within 10 mm of measured surface, solid", near.solid, "%")
+    yield _row("unknown within 10 mm of measured surface, air", near.air, "%")
+    yield _row("probability against share inside, ten bins", figures.calibration_error)
+    for name, bias_m in (("upper faces", bias.up), ("sides", bias.side), ("undersides", bias.down)):
+        yield _row(f"measured {name} (> 0: too far out)", bias_m, "mm")
+    yield _row("estimated IoU", figures.estimated_iou)
+    if figures.iou_in_interval is not None:
+        yield _row("estimated IoU, at least", figures.estimated_iou_low)
+        yield _row("estimated IoU, at most", figures.estimated_iou_high)
+        yield Row("IoU lies between them", "yes" if figures.iou_in_interval else "no")
 
 
 def _masks(figures: MaskFigures) -> Iterator[Row]:

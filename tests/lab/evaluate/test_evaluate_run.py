@@ -50,6 +50,14 @@ def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
     assert found["solid"]["fine"]["iou"] > 0.9999
     assert found["solid"]["coarse"]["known_iou"] > 0.999
     assert found["solid"]["fine"]["true_unknown_share"] == 0
+    assert found["solid"]["known_gross_share"] == found["solid"]["calibration_error"] == 0
+    assert found["solid"]["unknown_near_measured"] == {"solid": 0, "air": 0}
+    assert [row["count"] > 0 for row in found["solid"]["calibration_bins"]] == [True] * 10
+    # Of the underside, 0.42 m above the floor, no camera saw anything.
+    assert max(abs(found["solid"]["face_bias_m"][side]) for side in ("up", "side")) < 1e-6
+    assert found["solid"]["face_bias_m"]["down"] is None
+    assert found["solid"]["estimated_iou"] is found["solid"]["iou_in_interval"] is None
+    assert [score["f"] for score in found["scene"]["visible"]["scores"]] == [1, 1]
     assert found["masks"]["mean_valid_iou"] == found["masks"]["mean_iou"] == 1
     assert found["pairs"]["iou"]["worst"] > 0.9999
     assert found["pairs"]["containment"]["worst"] == 1
@@ -106,7 +114,7 @@ def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tmp
     assert there == [number < built for number in range(4)]
     assert (found["surface"] is None) == (found["floor"] is None) == (found["solid"] is None)
     missing = [section.title for section in sections(evaluation) if not section.rows]
-    assert len(missing) == [6, 5, 2, 1][built]
+    assert len(missing) == [7, 5, 2, 1][built]
     assert printed(evaluation).count("not built") == len(missing)
 
 
@@ -136,7 +144,7 @@ def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Pa
         "evaluation.json", "index.html", "path.png",
     }  # fmt: skip
     page = (tmp_path / "out" / "index.html").read_text()
-    assert page.count("not built") == 5
+    assert page.count("not built") == 6
     assert page.count("<img") == 1
 
 

@@ -1,0 +1,186 @@
+"""Which of the true surface the sensor measured, and how far off the built one lies there, by direction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, transform_points
+from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.types import Bools, Float32, Float64, Int64
+from kinectbench.lab.evaluate.build import Build, Registration
+from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.simulate.render import LIFT_M, sample_surface
+from kinectbench.lab.simulate.truth import Truth
+
+# One sample on each 4 mm x 4 mm, less than a voxel; on a large couch one on 5 mm x 5 mm.
+SPACING_M, MAX_SAMPLES = 0.004, 250_000
+SEED = 0
+# What every camera looks at flatter than 80 degrees gives hardly any depth, and a noisy one (own choice).
+LEAST_COSINE = np.cos(np.radians(80.0))
+# Depth is that of the sample if it is this near to it: 10 mm, and three standard deviations of a Kinect v1
+# (14 mm at 3 m by Nguyen et al. 2012) with its distortion (0.4 %) beyond that.
+AGREES_M, AGREES_SHARE = 0.010, 0.015
+# Frames are asked in an order in which any few of them lie all around: what most see is done with early.
+GOLDEN = (np.sqrt(5.0) - 1) / 2
+# Normals in the floor frame: upper faces, undersides, and sides in between (own choice).
+LEAST_UP, MOST_SIDEWAYS = 0.7, 0.5
+# Near an edge the nearest surface may be that of the other face; and what is farther off is missing or too
+# much, not a bias (own choices).
+EDGE_M, EDGE_RAD, REACH_M = 0.015, np.radians(30.0), 0.015
+
+
+@dataclass(frozen=True)
+class MeasuredSurface:
+    """Samples of the true surface, spread evenly.
+
+    Attributes:
+        points_world: (m, 3), metres, truth's world.
+        normals_world: (m, 3), unit, outward.
+        measured: (m,) bool, some frame returned depth of it.
+    """
+
+    points_world: Float64
+    normals_world: Float64
+    measured: Bools
+
+
+def measured_surface(build: Build, truth: Truth, registration: Registration) -> MeasuredSurface:
+    """Sample the true surface, and ask every recorded frame whether it holds depth of the samples.
+
+    A frame measured a sample if the sample lies in its image, the true camera looks at it by less than 80
+    degrees and nothing of the object hides it, and the depth recorded in its pixel is within
+    10 mm + 1.5 % of its distance: so what is black, too far, or hidden by something else is not measured.
+    All frames count that show the object, with or without a pose in the build.
+
+    Raises:
+        StorageError: a frame's depth is missing or damaged.
+    """
+    mesh = truth.mesh_world
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    area_m2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    count = min(int(np.ceil(area_m2 / SPACING_M**2)), MAX_SAMPLES)
+    points, normals = sample_surface(mesh.vertices, mesh.faces, count, np.random.default_rng(SEED))
+    obstacle = _Obstacle(mesh)
+    measured = np.zeros(count, dtype=np.bool_)
+    for frame in _spread(np.flatnonzero(registration.shown)):
+        T_world_camera = truth.T_world_camera[registration.true_frame[frame]]
+        left = np.flatnonzero(~measured)
+        found = returned(points[left], normals[left], build.camera, T_world_camera, build.depth_m(int(frame)))
+        some = left[found]
+        some = some[~obstacle.hides(points[some] + LIFT_M * normals[some], T_world_camera[:3, 3])]
+        measured[some] = True
+    return MeasuredSurface(points, normals, measured)
+
+
+def _spread(frames: Int64) -> Int64:
+    """Frames (n,) in another order: any few of the first lie evenly among all."""
+    return frames[np.argsort((np.arange(len(frames)) * GOLDEN) % 1)]
+
+
+def returned(
+    points_world: Float64, normals_world: Float64, camera: Camera, T_world_camera: Float64, depth_m: Float32
+) -> Bools:
+    """Which points (n, 3) have depth of theirs in a frame, whether or not the object hides them: (n,) bool.
+
+    Args:
+        points_world: metres.
+        normals_world: (n, 3), unit, outward.
+        camera: of the depth image.
+        T_world_camera: (4, 4).
+        depth_m: (height, width), 0 = none.
+    """
+    towards = T_world_camera[:3, 3] - points_world
+    cosine = np.einsum("ij,ij->i", towards, normals_world)
+    faced = np.flatnonzero(cosine > LEAST_COSINE * np.linalg.norm(towards, axis=1))
+    points_camera = transform_points(invert_rigid(T_world_camera), points_world[faced])
+    ahead = points_camera[:, 2] > 0
+    u, v = np.rint(camera.project(np.where(ahead[:, None], points_camera, 1.0))).astype(np.int64).T
+    inside = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    found_m = depth_m[np.where(inside, v, 0), np.where(inside, u, 0)]
+    off_m = np.abs(found_m - points_camera[:, 2])
+    agrees = inside & (found_m > 0) & (off_m < AGREES_M + AGREES_SHARE * points_camera[:, 2])
+    result = np.zeros(len(points_world), dtype=np.bool_)
+    result[faced[agrees]] = True
+    return result
+
+
+class _Obstacle:
+    """The object, as what may hide a part of itself."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        # The library computes in float32, which is finest near the origin.
+        self._center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+        self._scene, self._tensor = raycaster(TriangleMesh(mesh.vertices - self._center, mesh.faces))
+
+    def hides(self, points_world: Float64, camera_world: Float64) -> Bools:
+        """Which points (n, 3), just above the surface, it hides from a place (3,): (n,) bool."""
+        starts = points_world - self._center
+        rays = np.concatenate([starts, camera_world - self._center - starts], axis=1).astype(np.float32)
+        return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
+
+
+@dataclass(frozen=True)
+class FaceBias:
+    """Mean signed distance of the built surface from the true one where that was measured, metres.
+
+    Positive: too far out. None where nothing was measured away from edges.
+
+    Attributes:
+        up: of faces that look up: their normal's z in the object's frame is over 0.7.
+        side: of upright ones: at most 0.5 either way.
+        down: of undersides: under -0.7.
+    """
+
+    up: float | None
+    side: float | None
+    down: float | None
+
+
+def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> FaceBias:
+    """By how much a built mesh lies too far out, at measured samples 15 mm and more away from sharp edges.
+
+    Samples from which the built surface is farther than 15 mm count for nothing: there something is missing
+    or too much, which other figures say.
+
+    Args:
+        mesh_world: the built closed mesh, truth's world.
+        truth: the exact one.
+        surface: samples of it.
+    """
+    from scipy.spatial import cKDTree
+
+    chosen = surface.measured.copy()
+    edges = edge_points(truth.mesh_world)
+    if len(edges):
+        nearest_m, _ = cKDTree(edges).query(surface.points_world[chosen], distance_upper_bound=EDGE_M)
+        chosen[np.flatnonzero(chosen)[np.isfinite(nearest_m)]] = False
+    # The true surface is inside of a built one that is too far out.
+    outward_m = -Surface(mesh_world).signed_distance_m(surface.points_world[chosen])
+    near = np.abs(outward_m) <= REACH_M
+    height = surface.normals_world[chosen] @ truth.T_world_object[:3, 2]
+
+    def mean_m(some: Bools) -> float | None:
+        return float(outward_m[near & some].mean()) if (near & some).any() else None
+
+    return FaceBias(
+        up=mean_m(height > LEAST_UP),
+        side=mean_m(np.abs(height) <= MOST_SIDEWAYS),
+        down=mean_m(height < -LEAST_UP),
+    )
+
+
+def edge_points(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Points (n, 3) at most 4 mm apart along the edges where two faces meet at more than 30 degrees."""
+    import trimesh
+
+    shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    shell.merge_vertices()
+    ends = shell.face_adjacency_edges[shell.face_adjacency_angles > EDGE_RAD]
+    start, end = np.asarray(shell.vertices)[ends[:, 0]], np.asarray(shell.vertices)[ends[:, 1]]
+    steps = np.ceil(np.linalg.norm(end - start, axis=1) / SPACING_M).astype(np.int64) + 1
+    edge = np.repeat(np.arange(len(ends)), steps)
+    share = (np.arange(len(edge)) - np.repeat(np.cumsum(steps) - steps, steps)) / np.maximum(
+        steps[edge] - 1, 1
+    )
+    return np.asarray(start[edge] + share[:, None] * (end - start)[edge], dtype=np.float64)
