@@ -190,7 +190,7 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
     yield Damage(
         "nothing known",
         pair_with(known=np.zeros((256, 256, 32), np.uint8)),
-        (f"{pair}: only 0 of the",),
+        (f"{pair}: only 0 of the", f"{pair}: 1.0 of the true shape is unknown"),
         True,
     )
     yield Damage(

@@ -30,10 +30,10 @@ VERSIONS: dict[str, int] = {
     "fuse": 2,
     "segment": 2,
     "sample-views": 1,
-    "pairs": 1,
+    "pairs": 2,
     "suggest": 1,
-    "publish": 3,
-    "synthesize": 1,
+    "publish": 4,
+    "synthesize": 2,
     "score": 1,
     "baselines": 1,
 }

@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ import pytest
 from synthetic_release import RECORDINGS, synthetic_settings, write_build
 
 from kinectbench.core.artefacts.targets import COLUMNS, check_splits, parse_sums, parse_targets
+from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.voxels.pair_file import read_pair, unpack
+from kinectbench.core.voxels.pair_file import pack, pair_bytes, read_pair, unpack
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release, open_release
 
@@ -111,6 +113,32 @@ def test_a_doubtful_object_is_told(build: Path, tmp_path: Path) -> None:
     quality_json.write_text(json.dumps(quality))
     summary = publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_02"])
     assert "chair_02: it hangs (and 1 more)" in summary.warnings
+
+
+def test_every_pair_states_its_share_of_unknown(build: Path, tmp_path: Path) -> None:
+    """As the pair files tell; the half-known and the all-unknown pair are made by hand."""
+    shutil.copytree(build, tmp_path / "build")
+    pairs = tmp_path / "build" / "chair_01" / "pairs"
+    first, second = read_pair(pairs / "000.npz"), read_pair(pairs / "001.npz")
+    full = unpack(second.full)
+    (pairs / "000.npz").write_bytes(pair_bytes(replace(first, known=~first.full)))
+    half = np.ones_like(full)
+    half[full & (np.cumsum(full).reshape(full.shape) <= full.sum() // 2)] = False
+    (pairs / "001.npz").write_bytes(pair_bytes(replace(second, known=pack(half))))
+    summary = publish(
+        synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_01", "chair_02"]
+    )
+    views = {name: ViewsFile.read(summary.folder / "views" / name).views for name in ("chair_01", "chair_02")}
+    assert [row.unknown_share for row in views["chair_01"]] == [1.0, 0.5]
+    pair = read_pair(summary.folder / "pairs" / "chair_02" / "000.npz")
+    shape, known = unpack(pair.full), unpack(pair.known)
+    expected = (shape & ~known).sum() / shape.sum()
+    assert expected > 0.005
+    assert views["chair_02"][0].unknown_share == pytest.approx(expected, abs=5e-5)
+    line = (
+        "chair_01: nothing of the true shape is known in 1 pair (000); the protocol `known` leaves them out"
+    )
+    assert line in summary.warnings and line in (summary.folder / "README.md").read_text()
 
 
 def test_a_failed_publish_leaves_the_old_release(build: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """verify names every kind of damage, one line each."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,6 +11,7 @@ import pytest
 from synthetic_release import resum, synthetic_pair
 
 from kinectbench.core.artefacts.targets import benchmark_sha256
+from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import Pair, pack
 from kinectbench.release.check.pair_check import pair_problems
@@ -103,6 +105,21 @@ def test_damage(name: str, copy: Path) -> None:
 def test_a_forged_list_of_sums(copy: Path) -> None:
     flip(copy / "objects/chair_01/mesh.ply")
     resum(copy, "objects/chair_01/mesh.ply")
+    assert verify(copy) == ["SHA256SUMS: not the list that benchmark.json names"]
+
+
+def test_a_share_of_unknown_that_the_grids_do_not_have(copy: Path) -> None:
+    path = copy / "views/chair_02/views.json"
+    text = path.read_text()
+    (row,) = ViewsFile.parse(text, "views.json").views
+    path.write_text(text.replace(f'"unknown_share": {row.unknown_share}', '"unknown_share": 0.5'))
+    resum(copy, "views/chair_02/views.json")
+    line = f"{row.unknown_share} of the true shape is unknown where views.json has 0.5"
+    assert f"pairs/chair_02/000.npz: {line}" in verify(copy)
+    content = json.loads(text)
+    del content["views"][0]["unknown_share"]  # as in a release published before
+    path.write_text(json.dumps(content))
+    resum(copy, "views/chair_02/views.json")
     assert verify(copy) == ["SHA256SUMS: not the list that benchmark.json names"]
 
 

@@ -6,6 +6,8 @@ from pydantic import Field, StringConstraints
 
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
 
+UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
+
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
 Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
@@ -38,6 +40,7 @@ class ViewRow(Part):
     width: int | None = Field(None, description="of depth and mask, pixels")
     height: int | None = Field(None, description="of depth and mask, pixels")
     pair: bool | None = Field(None, description="the view has a pair, and its images are published")
+    unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
 
 
 class Refused(Part):
@@ -88,6 +91,7 @@ class PairRow(Part):
     moved_m: float | None = Field(None, description="by the alignment, metres")
     turned_rad: float | None = Field(None, description="by the alignment, radians")
     cut_share: float | None = Field(None, description="of the shape's volume, outside the pair's cube")
+    unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
 
 
 class PairsFile(Stored):

@@ -25,6 +25,8 @@ PARTIAL_CELLS = 64
 BLOCK = FULL_CELLS // PARTIAL_CELLS
 # Grids, matrices and texts of a pair, unpacked from its npz, are 10.5 MB.
 MAX_BYTES = 16 << 20
+# Of a pair's share of unknown where a file states it: a tenth of a thousandth, as of the other shares.
+SHARE_DECIMALS = 4
 
 Packed = NDArray[np.uint8]
 
@@ -81,6 +83,12 @@ class Pair:
     def grid(self) -> Grid:
         """The 256-grid in the world."""
         return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
+
+    @property
+    def unknown_share(self) -> float:
+        """Share of the cells of `full` that are not `known`; 0 of an empty shape."""
+        cells = int(np.bitwise_count(self.full).sum())
+        return int(np.bitwise_count(self.full & ~self.known).sum()) / cells if cells else 0.0
 
 
 @dataclass(frozen=True)

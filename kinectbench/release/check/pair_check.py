@@ -6,14 +6,29 @@ import numpy as np
 
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
-from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, PairInput, pack, unpack
+from kinectbench.core.voxels.pair_file import (
+    FULL_CELLS,
+    SHARE_DECIMALS,
+    Packed,
+    Pair,
+    PairInput,
+    pack,
+    unpack,
+)
 from kinectbench.core.voxels.resample import reduce_blocks
 
 ORTHONORMAL_TOLERANCE = 1e-6
 LEAST_TRUSTED_SHARE = 0.5
 
 
-def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_rule: str) -> Iterator[str]:
+def pair_problems(
+    pair: Pair,
+    *,
+    min_containment: float,
+    framing: str,
+    partial_rule: str,
+    unknown_share: float | None = None,
+) -> Iterator[str]:
     """Yield what is wrong with a pair, a clause each, without the file's name.
 
     Args:
@@ -21,6 +36,7 @@ def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_r
         min_containment: least share of the partial inside the shape, as the benchmark's settings say.
         framing: the benchmark's.
         partial_rule: the benchmark's.
+        unknown_share: what views.json says of the pair; None if it says nothing, as in earlier releases.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
     if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
@@ -31,6 +47,9 @@ def pair_problems(pair: Pair, *, min_containment: float, framing: str, partial_r
     if wrong:
         yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
     yield from _trust_problems(pair, "known", pair.known)
+    found = round(pair.unknown_share, SHARE_DECIMALS)
+    if unknown_share is not None and unknown_share != found:
+        yield f"{found} of the true shape is unknown where views.json has {unknown_share}"
     # Before the partial rule thins the cells out; those that fell outside the cube are not in the file.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
     inside = containment(touched, pair.full)

@@ -17,7 +17,8 @@ from kinectbench.core.artefacts.targets import (
     parse_sums,
     parse_targets,
 )
-from kinectbench.core.errors import PairError, ReleaseError
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.errors import PairError, ReleaseError, StorageError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
@@ -62,9 +63,10 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
         lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
         metadata, found = _small_file_problems(contents, text, sums, damaged)
         lines += found
+        shares = _stated_shares(contents, metadata)
         for done, name in enumerate(pairs, start=len(sums) + 1):
             if metadata and name not in damaged:
-                lines += _pair_lines(contents, name, metadata)
+                lines += _pair_lines(contents, name, metadata, shares.get(name))
             if progress:
                 progress(done, total)
     return lines
@@ -92,14 +94,30 @@ def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
             yield f"{name}: not part of the release"
 
 
-def _pair_lines(contents: Contents, name: str, metadata: ReleaseInfo) -> list[str]:
-    """What is wrong with one pair."""
+def _stated_shares(contents: Contents, metadata: ReleaseInfo | None) -> dict[str, float]:
+    """{pair file: share of its true shape that views.json says is unknown}, of the pairs that have one."""
+    shares: dict[str, float] = {}
+    for recording in metadata.recordings if metadata else ():
+        try:
+            rows = ViewsFile.parse(contents.text(f"views/{recording}/views.json"), ViewsFile.FILE).views
+        except (ReleaseError, StorageError):  # its own faults are named elsewhere
+            continue
+        stated = {row.view: row.unknown_share for row in rows if row.unknown_share is not None}
+        shares |= {f"pairs/{recording}/{view}.npz": share for view, share in stated.items()}
+    return shares
+
+
+def _pair_lines(
+    contents: Contents, name: str, metadata: ReleaseInfo, unknown_share: float | None
+) -> list[str]:
+    """What is wrong with one pair; `unknown_share` is what views.json says of it, if it says anything."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
         if not metadata.hides(name.split("/")[1]):
             least = metadata.settings.pairs.min_containment
-            problems = pair_problems(checked_pair(Pair, values, name), min_containment=least, **rules)
+            pair = checked_pair(Pair, values, name)
+            problems = pair_problems(pair, min_containment=least, unknown_share=unknown_share, **rules)
             return [f"{name}: {problem}" for problem in problems]
         told = [key for key in values if key in TRUTH_KEYS]
         lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []

@@ -28,6 +28,7 @@ from kinectbench.release.publish.small_files import Head, note_in_benchmark_json
 from kinectbench.settings.models import BenchmarkSettings
 
 PRIVATE = "-private"
+SHOWN_VIEWS = 6  # of a recording, in a warning
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def _write(
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
     infos = {name: published.info for name, published in made.items()}
-    warnings = [*reasons_against_distribution(infos), *warnings, *_doubted(infos)]
+    warnings = [*reasons_against_distribution(infos), *warnings, *_doubted(infos), *_unknown(made)]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     _write_texts(settings, folder, made, targets, warnings, options, found)
     public = _public_settings(settings, options.hold_back, found)
@@ -217,6 +218,17 @@ def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         lines += [f"{name}: {found[0]}{more}"] if found else []
     return lines
+
+
+def _unknown(made: Mapping[str, Published]) -> list[str]:
+    """A line for each recording with pairs of whose true shape nothing is known."""
+    return [
+        f"{name}: nothing of the true shape is known in {'1 pair' if len(of) == 1 else f'{len(of)} pairs'} "
+        f"({', '.join(of[:SHOWN_VIEWS])}{', …' if len(of) > SHOWN_VIEWS else ''}); the protocol `known` "
+        "leaves them out"
+        for name, published in made.items()
+        if (of := published.all_unknown)
+    ]
 
 
 def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:

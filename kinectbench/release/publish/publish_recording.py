@@ -1,9 +1,10 @@
 """What a release holds of one recording: pairs, views and the object, or of a held-back one the inputs."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.manifest import Manifest, Sources
@@ -15,7 +16,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
 from kinectbench.core.storage import sha256_file, write_below
-from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
+from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
 from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
@@ -49,12 +50,14 @@ class Published:
         info: what benchmark.json says of it.
         lineage: what lineage.json says of it.
         has_color: whether its views have colour, published or not.
+        all_unknown: views of whose true shape nothing is known; none are told where the truth is held back.
     """
 
     targets: tuple[Target, ...]
     info: RecordingInfo
     lineage: LineageRecording
     has_color: bool
+    all_unknown: tuple[str, ...] = ()
 
 
 def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Published | None:
@@ -71,10 +74,14 @@ def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Publi
     names = sorted(row.view for row in PairsFile.read(built.folder / "pairs").pairs)
     if not names:
         return None
-    targets = tuple(_publish_pair(built, view, folder) for view in names)
+    pairs = {view: _publish_pair(built, view, folder) for view in names}
+    targets = tuple(target for target, _ in pairs.values())
+    shares = {view: share for view, (_, share) in pairs.items()}
     _publish_object(built, folder, found)
-    has_color = _publish_views(built, names, folder, found)
-    return Published(targets, _info(built, len(names), found), _lineage(built, names), has_color)
+    has_color = _publish_views(built, shares, folder, found)
+    unknown = tuple(view for view, share in shares.items() if share == 1 and not built.hidden)
+    info = _info(built, len(names), found)
+    return Published(targets, info, _lineage(built, names), has_color, unknown)
 
 
 def _read_pair(settings: BenchmarkSettings, path: Path) -> Pair:
@@ -90,8 +97,8 @@ def _read_pair(settings: BenchmarkSettings, path: Path) -> Pair:
     return pair
 
 
-def _publish_pair(built: Built, view: str, folder: Path) -> Target:
-    """Copy a pair, or write its input alone."""
+def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, float]:
+    """Copy a pair, or write its input alone; with the share of its true shape that is unknown."""
     recording = built.recording
     source = built.folder / "pairs" / f"{view}.npz"
     pair = _read_pair(built.settings, source)
@@ -101,7 +108,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> Target:
         write_below(folder / file, pair_bytes(without_truth(pair, floor.T_floor_world)))
     else:
         _copy_built(source, folder / file)
-    return Target(
+    target = Target(
         recording=recording.id,
         object=recording.object_name,
         view=view,
@@ -110,6 +117,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> Target:
         file=file,
         sha256=sha256_file(folder / file),
     )
+    return target, pair.unknown_share
 
 
 def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
@@ -124,12 +132,19 @@ def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
         _write(QualityFile.read(source), folder, name, found)
 
 
-def _publish_views(built: Built, names: Sequence[str], folder: Path, found: list[Removed]) -> bool:
-    """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any."""
+def _publish_views(built: Built, shares: Mapping[str, float], folder: Path, found: list[Removed]) -> bool:
+    """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any.
+
+    Args:
+        built: the recording.
+        shares: the share of unknown of every pair, by view.
+        folder: the release's.
+        found: collects what is removed for privacy.
+    """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     has_color = False
-    for view in names:
+    for view in shares:
         for suffix in VIEW_IMAGES:
             _copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
         image = f"{view}.color.jpg"
@@ -137,17 +152,22 @@ def _publish_views(built: Built, names: Sequence[str], folder: Path, found: list
         if built.settings.publish.color and (source / image).is_file():
             data = scrubbed_jpeg((source / image).read_bytes(), f"{name}/{image}", found)
             (folder / name / image).write_bytes(data)
-    views = _with_cameras(ViewsFile.read(source), built.folder / "sequence", names)
+    views = _with_pairs(ViewsFile.read(source), built.folder / "sequence", shares)
     _write(own_views(views) if built.hidden else views, folder, name, found)
     return has_color
 
 
-def _with_cameras(views: ViewsFile, sequence: Path, names: Sequence[str]) -> ViewsFile:
-    """views.json with the camera of each view: all of a recording's are from one."""
+def _with_pairs(views: ViewsFile, sequence: Path, shares: Mapping[str, float]) -> ViewsFile:
+    """views.json with the camera of each view, all of a recording's are from one, and its pair's unknown."""
     camera = CameraFile.read(sequence).camera
-    more = {"K": camera.K, "width": camera.width, "height": camera.height}
-    rows = tuple(row.model_copy(update={**more, "pair": row.view in names}) for row in views.views)
-    return views.model_copy(update={"views": rows})
+    more: dict[str, Any] = {"K": camera.K, "width": camera.width, "height": camera.height}
+    rows = []
+    for row in views.views:
+        of_pair: dict[str, Any] = {"pair": row.view in shares}
+        if row.view in shares:
+            of_pair["unknown_share"] = round(shares[row.view], SHARE_DECIMALS)
+        rows.append(row.model_copy(update=more | of_pair))
+    return views.model_copy(update={"views": tuple(rows)})
 
 
 def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:

@@ -11,6 +11,7 @@ from references import shell_of
 from scipy import ndimage
 
 from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.artefacts.views import PairsFile
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
@@ -259,6 +260,25 @@ def test_row_of_the_table(chair, view):
     assert row["view"] == "000" and row["frame"] == view.frame
     assert row["containment"] == pytest.approx(view.fit.containment, abs=1e-4)
     assert row["cut_share"] == pytest.approx(result.cut_share, abs=1e-4)
+    full, known = unpack(result.pair.full), unpack(result.pair.known)
+    assert row["unknown_share"] == pytest.approx((full & ~known).sum() / full.sum(), abs=1e-4)
+
+
+def test_the_share_of_unknown_counts_cells_of_the_shape(pair):
+    """A board of 256 x 256 x 4 cells, a quarter of it not known; what is empty does not count."""
+    full, known = np.zeros((256,) * 3, bool), np.zeros((256,) * 3, bool)
+    full[:, :, 100:104] = True
+    known[64:, :, 100:104] = True
+    assert replace(pair, full=pack(full), known=pack(known)).unknown_share == 0.25
+    assert replace(pair, full=pack(full), known=pack(~full)).unknown_share == 1
+    assert replace(pair, full=pack(full), known=pack(full)).unknown_share == 0
+    assert replace(pair, full=pack(np.zeros_like(full))).unknown_share == 0
+
+
+def test_files_without_the_share_of_unknown_stay_readable():
+    text = '{"pairs": [{"view": "000", "cut_share": 0.1}], "refused": []}'
+    (row,) = PairsFile.parse(text, "pairs.json").pairs
+    assert row.unknown_share is None and "unknown_share" not in row.json_value()
 
 
 def test_packing_of_full_is_along_z(pair):
