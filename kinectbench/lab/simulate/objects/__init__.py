@@ -20,8 +20,10 @@ from kinectbench.lab.simulate.objects.frames import ladder, tray_stand
 from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
 from kinectbench.lab.simulate.objects.lamps import lamp
 from kinectbench.lab.simulate.objects.lattices import crate, wire_basket
+from kinectbench.lab.simulate.objects.open_boxes import drawer, open_box
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.objects.shelves import bookshelf, rack
+from kinectbench.lab.simulate.objects.sinks import sink
 from kinectbench.lab.simulate.objects.tables import table
 from kinectbench.settings.words import listed, near_miss
 
@@ -34,6 +36,9 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "bucket": bucket,
     "basket": basket,
     "pot": pot,
+    "open_box": open_box,
+    "drawer": drawer,
+    "sink": sink,
     "rack": rack,
     "lamp": lamp,
     "crate": crate,
@@ -43,8 +48,11 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "tray_stand": tray_stand,
 }
 FURNITURE = ("chair", "table", "bench", "couch")
-LOOKED_AT: tuple[str, ...] = (*FURNITURE, "bin", "rack", "lamp", "crate", "bookshelf")
-REPORTED_ONLY: tuple[str, ...] = ("bucket", "basket", "pot", "ladder", "wire_basket", "tray_stand")
+LOOKED_AT: tuple[str, ...] = (*FURNITURE, "bin", "open_box", "drawer", "rack", "lamp", "crate", "bookshelf")
+REPORTED_ONLY: tuple[str, ...] = (
+    *("bucket", "basket", "pot", "sink"),
+    *("ladder", "wire_basket", "tray_stand"),
+)
 
 
 class ObjectName(NamedTuple):

@@ -292,7 +292,7 @@ def _belly(draw: Draw) -> Parts:
     """A turned pot with a belly, a neck, and a lip, perhaps with two handles."""
     from scipy.interpolate import PchipInterpolator
 
-    wide, wall = draw.between(0.27, 0.42), draw.between(THIN_M + 0.001, 0.019)
+    wide, wall = draw.between(0.27, 0.42), draw.between(0.014, 0.019)
     high, look = wide * draw.between(0.75, 1.15), draw.pick(looks.CLAYS + looks.STONES + looks.METALS[1:2])
     foot, neck, lip = draw.between(0.5, 0.65), draw.between(0.66, 0.82), draw.between(0.72, 0.92)
     belly = draw.between(0.4, 0.6)

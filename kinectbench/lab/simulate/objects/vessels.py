@@ -50,18 +50,19 @@ def tub(low: Outline, high: Outline, low_m: float, high_m: float, edge_m: float 
 
     Args:
         low: (n, 2), metres.
-        high: (n, 2), metres.
+        high: (n, 2), metres; of as many points.
         low_m: height of the lower face.
         high_m: height of the upper face.
         edge_m: radius of the lower edge.
     """
     from manifold3d import Manifold
 
-    half = np.ptp(low, axis=0) / 2
     rings = [np.column_stack([high, np.full(len(high), high_m)])]
     for turn in np.linspace(0, np.pi / 2, 6) if edge_m > 0 else [np.pi / 2]:
-        ring = low * (1 - edge_m * (1 - np.sin(turn)) / half)
-        rings.append(np.column_stack([ring, np.full(len(ring), low_m + edge_m * (1 - np.cos(turn)))]))
+        up_m = edge_m * (1 - np.cos(turn))
+        side = low + up_m / (high_m - low_m) * (high - low)
+        ring = side * (1 - edge_m * (1 - np.sin(turn)) / (np.ptp(side, axis=0) / 2))
+        rings.append(np.column_stack([ring, np.full(len(ring), low_m + up_m)]))
     return Manifold.hull_points(np.concatenate(rings))
 
 
@@ -120,7 +121,8 @@ class Vessel:
 
     def body(self) -> "Manifold":
         """Walls and bottom."""
-        edge_m = self.edge_m + self.wall_m if self.edge_m > 0 else 0.0
+        thick_m = min(self.wall_m, self.floor_m - self.base_m)
+        edge_m = self.edge_m + thick_m if self.edge_m > 0 else 0.0
         outer = tub(self.outer(self.base_m), self.outer(self.top_m), self.base_m, self.top_m, edge_m)
         return outer - self.cavity()
 
