@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
+from kinectbench.core.geometry.mesh import join
 from kinectbench.lab.simulate.objects import make_object, shapes, vessels
 from kinectbench.lab.simulate.objects.shapes import Subject
 
@@ -97,7 +98,12 @@ def test_its_cavity_is_open_and_deep(family, seed):
     assert rim_m(subject) - floor_m > CAVITY_M[family]
     # A point over the floor is air by winding, and nothing is between it and the sky.
     inside = start[on_floor] * [1, 1, 0] + [0, 0, floor_m + 0.01]
-    assert not scene(subject).compute_occupancy(o3d.core.Tensor(inside.astype(np.float32))).numpy().any()
+    assert (
+        not scene(subject)
+        .compute_occupancy(o3d.core.Tensor(inside.astype(np.float32)), nsamples=3)
+        .numpy()
+        .any()
+    )
     assert np.isinf(cast(subject, inside, np.array([0.0, 0.0, 1.0]))[0]).all()
     # Level rays from there meet walls, but for slots.
     turn = np.arange(64) * np.pi / 32
@@ -137,6 +143,21 @@ def test_nothing_is_thin(family, seed):
     assert (thick_m[wall] < LEAST_M).mean() < 0.001, np.sort(thick_m[wall])[:20]
     # A cabinet under a sink is solid; of all others a large part is wall.
     assert family == "sink" or (thick_m[wall] < 0.021).mean() > 0.3
+
+
+@pytest.mark.parametrize("family", CONTAINERS)
+def test_rays_meet_the_pieces_where_they_meet_the_solid(family):
+    # Pictures are drawn of the pieces, and the truth is the solid: they agree, inside the cavity too.
+    subject = container(family, 3)
+    pieces = Subject("pieces", (), join([piece.mesh for piece in subject.pieces]), "")
+    rng = np.random.default_rng(0)
+    low, high = subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0)
+    aim, start = rng.uniform(low, high, (600, 3)), rng.normal(size=(600, 3))
+    start[:, 2] = np.abs(start[:, 2]) + 0.3
+    start *= 3 / np.linalg.norm(start, axis=1, keepdims=True)
+    found_m = [cast(one, start, aim - start)[0] for one in (pieces, subject)]
+    assert np.isfinite(found_m[0]).sum() > 200
+    assert np.allclose(*found_m, atol=1e-5)
 
 
 @pytest.mark.parametrize("family", CONTAINERS)

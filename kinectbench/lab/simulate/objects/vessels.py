@@ -1,7 +1,7 @@
 """What hollow objects are made of: vessels with walls, rims, feet, slots and handles.
 
-Frame `object`, metres. Walls, rims and bars are at least `THIN_M` thick, so that they are no thinner than a
-few voxels of the paper's grids and than what a Kinect resolves at 2 m (own choice).
+Frame `object`, metres. Walls, rims and bars are at least `THIN_M` thick: two voxels of 5 mm fit into them.
+All sizes are own choices.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ Footprint = Literal["round", "oval", "rectangle"]
 Rim = Literal["plain", "rolled", "flanged", "collar"]
 
 THIN_M = 0.0125
-# A cavity is cut to this height above the rim, and handles begin this far inside a wall's outer face.
+# A cavity is cut to this height above the rim, and what is fixed to a wall begins this far inside its face.
 BEYOND_M = 0.05
 
 
