@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -66,8 +66,18 @@ def arguments(description: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def run(options: argparse.Namespace, measure: Callable[[], Sequence[Figure]]) -> None:
-    """Measure, print the table and write the JSON; exit 1 if a bar is missed or the data cannot be used."""
+def run(
+    options: argparse.Namespace,
+    measure: Callable[[], Sequence[Figure]],
+    details: Mapping[str, Any] | None = None,
+) -> None:
+    """Measure, print the table and write the JSON; exit 1 if a bar is missed or the data cannot be used.
+
+    Args:
+        options: of `arguments`.
+        measure: makes the figures.
+        details: what the JSON has besides them, complete when they are measured.
+    """
     started = time.monotonic()
     try:
         figures = [*measure()]
@@ -84,6 +94,7 @@ def run(options: argparse.Namespace, measure: Callable[[], Sequence[Figure]]) ->
     console.print(table)
     if options.json:
         content = {"met": not missed(figures), "figures": [asdict(figure) for figure in figures]}
+        content |= details or {}
         options.json.write_text(json.dumps(content, indent=1) + "\n")
     if missed(figures):
         sys.exit(1)

@@ -170,7 +170,7 @@ def slice_picture(solids: Solids) -> bytes:
             np.take(g, middle[axis], axis) for g in (solids.true, solids.built, solids.known)
         )
         # Rows of the picture go up along the second remaining axis.
-        picture = np.swapaxes(_slice_colors(true, built, known), 0, 1)
+        picture = np.swapaxes(slice_colors(true, built, known), 0, 1)
         axes.imshow(picture.astype(np.uint8), origin="lower", interpolation="nearest")
         axes.set_title(f"{titles[axis]} = cell {middle[axis]}", fontsize=9)
         axes.set(xticks=[], yticks=[])
@@ -181,7 +181,8 @@ def slice_picture(solids: Solids) -> bytes:
     return figure_png(figure, version=True)
 
 
-def _slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
+def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
+    """Colours (n, m, 3), 0 to 255, of a slice's cells (n, m): right, missing, too much; unknown tinted."""
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]
     # Errors keep their colour, unknown or not: tinted they would look like what is right.
