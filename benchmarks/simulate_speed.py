@@ -8,6 +8,7 @@ keep them. Unregistered colour is a second ray cast from a camera of its own.
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from figures import Figure, arguments, at_most, run, told
@@ -19,10 +20,16 @@ from kinectbench.lab.simulate.color import expose
 from kinectbench.lab.simulate.kinect import draw_device, measure
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.lab.simulate.render import Renderer, make_texture, sample_surface
+from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture, sample_surface
 from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.simulate import SURFACE_SAMPLES
-from kinectbench.lab.simulate.spec import SceneSettings
+from kinectbench.lab.simulate.spec import SceneSettings, SimulationSpec
+from kinectbench.lab.simulate.time_of_flight import (
+    SENSORS,
+    TimeOfFlightDevice,
+    draw_time_of_flight,
+    measure_time_of_flight,
+)
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, png_bytes
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -60,6 +67,22 @@ def cpu_s(stage: Callable[[int], object]) -> float:
     return min(found)
 
 
+def time_of_flight_s(renderer: Renderer, T_room_camera: NDArray[np.float64]) -> list[Figure]:
+    """What each time-of-flight sensor takes for one frame of its own size."""
+    found = []
+    for model in SENSORS:
+        camera = SimulationSpec.model_validate({"sensor": {"model": model}}).camera
+        device = draw_time_of_flight(model, camera, 1.0, 0.0, np.random.default_rng(1))
+        exact = renderer.render(camera, T_room_camera)
+        name = f"the errors of {model}, {camera.width}x{camera.height}, instead of the Kinect's, s"
+        found.append(told(name, cpu_s(partial(_measured, exact, camera, device))))
+    return found
+
+
+def _measured(exact: Rendering, camera: Camera, device: TimeOfFlightDevice, index: int) -> object:
+    return measure_time_of_flight(exact, camera, device, np.random.default_rng(index))
+
+
 def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
     """Time the stages of a frame, then add them up."""
     del options
@@ -87,6 +110,7 @@ def measure_all(options: argparse.Namespace) -> Sequence[Figure]:
         told("ray casting and shading, s", render_s),
         told("the same for unregistered colour, s", second_s),
         told("the Kinect's noise, s", noise_s),
+        *time_of_flight_s(renderer, T_room_camera),
         told("blur, exposure and grain of colour, s", color_s),
         told("encoding the recording's images, s", record_s),
         told("encoding the truth's images, s", truth_s),

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from kinectbench.core.geometry import Camera
-from kinectbench.core.types import Float32
+from kinectbench.core.types import Float32, Float64
 from kinectbench.lab.simulate.render import Rendering
 
 # Beyond 85 degrees nothing is measured; the limit keeps the formulas finite there.
@@ -253,6 +253,19 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
     # A smaller image is a Kinect's image reduced: what is smooth over pixels is so over fewer.
     scale = camera.fx / FOCAL_PX
     noise = noise._replace(smooth_px=noise.smooth_px * scale, hole_px=noise.hole_px * scale)
+    typical_px = DISTORTION_SHARE * noise.focal_px * noise.baseline_m / DISTORTION_AT_M
+    field = smooth_error(camera, distortion * typical_px, rng)
+    return Device(noise, field.astype(np.float32), sunlight)
+
+
+def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Float64:
+    """Draw an error (height, width) that varies smoothly over the image, without a constant.
+
+    Args:
+        camera: of the image.
+        spread: its root mean square, in its own unit.
+        rng: draws it.
+    """
     waves = np.arange(DISTORTION_WAVES + 1)
     weights = rng.standard_normal((len(waves), len(waves)))
     weights /= 1 + waves[:, None] ** 2 + waves**2
@@ -262,9 +275,8 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
         for size in (camera.height, camera.width)
     )
     field = down.T @ weights @ across
-    typical_px = DISTORTION_SHARE * noise.focal_px * noise.baseline_m / DISTORTION_AT_M
-    field *= distortion * typical_px / np.sqrt(np.mean(field**2))
-    return Device(noise, field.astype(np.float32), sunlight)
+    field *= spread / np.sqrt(np.mean(field**2))
+    return np.asarray(field)
 
 
 def measure(rendering: Rendering, camera: Camera, device: Device, rng: np.random.Generator) -> Float32:
@@ -292,13 +304,13 @@ def measure(rendering: Rendering, camera: Camera, device: Device, rng: np.random
     noise = device.noise
     height, width = rendering.depth_m.shape
     white = rng.standard_normal((height, width), dtype=np.float32)
-    smooth = _smooth_normal((height, width), noise.smooth_px, rng)
+    smooth = smooth_normal((height, width), noise.smooth_px, rng)
     white *= np.float32(np.sqrt(1 - noise.smooth_share))
     axial = white + np.float32(np.sqrt(noise.smooth_share)) * smooth
     # Half the resolution will do for what decides where an edge or a hole lies.
     half = ((height + 1) // 2, (width + 1) // 2)
-    right, down = (_smooth_normal(half, noise.smooth_px / 2, rng) for _ in range(2))
-    weak = _smooth_normal(half, noise.hole_px / 2, rng)
+    right, down = (smooth_normal(half, noise.smooth_px / 2, rng) for _ in range(2))
+    weak = smooth_normal(half, noise.hole_px / 2, rng)
     lit = projector_lit(rendering.depth_m, camera.fx * noise.baseline_m)
     seen_m = rendering.depth_m * lit
     window = np.ones((3, 3), np.uint8)
@@ -310,7 +322,7 @@ def measure(rendering: Rendering, camera: Camera, device: Device, rng: np.random
     return np.asarray(sense(seen_m, near, source, surface, settings, (axial, weak)))
 
 
-def _smooth_normal(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> Float32:
+def smooth_normal(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> Float32:
     """A field of normal variates of standard deviation 1, blurred."""
     import cv2
 

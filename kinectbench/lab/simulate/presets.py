@@ -74,6 +74,8 @@ PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
         _orbit(path={"reach_share": 0.08, "lowest_m": 0.1}),
     ),
     "far-v1": ("from 2.5 to 4 m away", _orbit(path={"distance_m": 3.2, "reach_share": 0.12})),
+    "azure-v1": ("a full orbit, Azure Kinect", _orbit(sensor={"model": "azure_kinect"})),
+    "phone-v1": ("a full orbit, a phone's LiDAR", _orbit(sensor={"model": "phone_lidar"})),
     # For truth that is judged: short, and from 10 to 45 degrees, so that most openings are looked into at a
     # slant. Two and a half swings in the eighteen seconds, so that each side is seen from low and from high.
     "known-v1": (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.storage import replaced_file, replaced_folder, sha256_file
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Float32, Float64, Progress
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import Device, draw_device, measure
@@ -21,6 +21,11 @@ from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
 from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture, sample_surface
 from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.spec import DEVICE, MIN_RANGE_M, PATH, SCENE, SENSOR, WORLD, SimulationSpec
+from kinectbench.lab.simulate.time_of_flight import (
+    TimeOfFlightDevice,
+    draw_time_of_flight,
+    measure_time_of_flight,
+)
 from kinectbench.lab.simulate.truth import (
     DEPTH_SCALE,
     SurfaceTruth,
@@ -61,7 +66,7 @@ class Simulation:
     renderer: Renderer
     foreign: Renderer | None
     path: CameraPath
-    device: Device | None
+    device: Device | TimeOfFlightDevice | None
     gains: Float64
     rig: Rig
     T_world_room: Float64
@@ -157,7 +162,7 @@ def record(simulation: Simulation, index: int) -> Recorded:
     rng = spec.rng(SENSOR, plan.source)
     depth_m = exact.depth_m
     if simulation.device is not None:
-        depth_m = measure(exact, spec.camera, simulation.device, rng)
+        depth_m = _measured(exact, simulation.device, spec, rng)
     color_rgb = _color(simulation, renderer, exact, index, rng)
     frame = RecordedFrame(
         stamp_ns=plan.stamp_ns,
@@ -169,6 +174,15 @@ def record(simulation: Simulation, index: int) -> Recorded:
     )
     mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
     return Recorded(frame, exact.depth_m, mask)
+
+
+def _measured(
+    exact: Rendering, device: Device | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
+) -> Float32:
+    """What the device makes of exact depth."""
+    if isinstance(device, TimeOfFlightDevice):
+        return measure_time_of_flight(exact, spec.camera, device, rng)
+    return measure(exact, spec.camera, device, rng)
 
 
 def _color(
@@ -187,14 +201,17 @@ def _color(
     return expose(exact, simulation.rig.color, (start, middle, end), float(simulation.gains[index]), rng)
 
 
-def _device(spec: SimulationSpec) -> Device | None:
+def _device(spec: SimulationSpec) -> Device | TimeOfFlightDevice | None:
     """The sensor, and the light it works in."""
     if spec.sensor.model == "ideal":
         return None
     sunlight = spec.sensor.sunlight
     if sunlight is None:
         sunlight = SUNLIGHT[spec.scene.place]
-    return draw_device(spec.camera, spec.sensor.distortion, sunlight, spec.rng(DEVICE))
+    sensor, rng = spec.sensor, spec.rng(DEVICE)
+    if sensor.model != "kinect_v1":
+        return draw_time_of_flight(sensor.model, spec.camera, sensor.distortion, sunlight, rng)
+    return draw_device(spec.camera, sensor.distortion, sunlight, rng)
 
 
 def _rig(spec: SimulationSpec) -> Rig:

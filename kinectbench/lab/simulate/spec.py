@@ -3,7 +3,7 @@
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from kinectbench.core.geometry import Camera
 from kinectbench.lab.simulate import Format
@@ -16,7 +16,16 @@ FIRST_STAMP_NS = 1_400_000_000 * 10**9
 SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
 # Nearer surfaces give no depth, metres. An ideal sensor has no such limit; it is carried as a Kinect v1 is,
 # so that the recordings of the two compare.
-MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4}
+MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4, "azure_kinect": 0.5, "phone_lidar": 0.2}
+# Focal length in pixels, width and height of each sensor's own images. Of the Azure Kinect: depth mode NFOV
+# unbinned (Microsoft's hardware specification), and about the focal length of its factory calibrations; of
+# the phone: ARKit's depth image (Apple), 62 degrees across, as its wide camera has in video (own choice).
+NATIVE = {
+    "kinect_v1": (525.0, 640, 480),
+    "ideal": (525.0, 640, 480),
+    "azure_kinect": (504.0, 640, 576),
+    "phone_lidar": (212.0, 256, 192),
+}
 # What came after the first presets were frozen: left out of a stored spec while it has its default, so that
 # the stored specs of older recordings, and their hashes, stay what they are.
 LATER = {"order": "walk", "reach_share": 0.04, "lowest_m": 0.25}
@@ -64,9 +73,18 @@ class SceneSettings(Settings):
 class SensorSettings(Settings):
     """The camera and its noise."""
 
-    model: Literal["kinect_v1", "ideal"] = Field("kinect_v1", description="ideal: exact depth and colour")
-    width: int = Field(640, ge=16, le=4096, description="of the images, pixels")
-    height: int = Field(480, ge=16, le=4096, description="of the images, pixels")
+    model: Literal["kinect_v1", "ideal", "azure_kinect", "phone_lidar"] = Field(
+        "kinect_v1", description="ideal: exact depth and colour"
+    )
+    width: int = Field(
+        640, ge=16, le=4096, description="of the images, pixels; default: 256 of phone_lidar, 640 of others"
+    )
+    height: int = Field(
+        480,
+        ge=16,
+        le=4096,
+        description="of the images, pixels; default: 576 of azure_kinect, 192 of phone_lidar",
+    )
     distortion: float = Field(1.0, ge=0, le=10, description="depth distortion, 1 = a typical device")
     sunlight: float | None = Field(None, ge=0, le=1, description="default: 0 indoors, 0.6 outdoors")
     exposure_s: float = Field(0.0, ge=0, le=0.2, description="of colour: motion blur")
@@ -74,6 +92,16 @@ class SensorSettings(Settings):
     color_registered: bool = Field(True, description="colour is delivered in depth pixels")
     color_baseline_m: float = Field(0.025, ge=0, le=0.5, description="colour camera beside the depth camera")
     color_delay_s: float = Field(0.0, ge=-0.5, le=0.5, description="colour is taken this much after depth")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_own_size(cls, values: Any) -> Any:
+        """The images have the sensor's own size, unless it is said."""
+        model = values.get("model") if isinstance(values, dict) else None
+        if not isinstance(model, str) or model not in NATIVE:
+            return values
+        _, width, height = NATIVE[model]
+        return {"width": width, "height": height} | values
 
 
 class FaultSettings(Settings):
@@ -115,9 +143,10 @@ class SimulationSpec(Settings):
 
     @property
     def camera(self) -> Camera:
-        """The depth camera: a Kinect's (525 px at 640 pixels' width) scaled to this size, centred."""
+        """The depth camera: the sensor's own scaled to this width, centred."""
         width, height = self.sensor.width, self.sensor.height
-        focal_px = 525.0 * width / 640
+        own_focal_px, own_width, _ = NATIVE[self.sensor.model]
+        focal_px = own_focal_px * width / own_width
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
     def rng(self, stream: int, index: int = 0) -> np.random.Generator:
