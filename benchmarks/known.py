@@ -138,7 +138,7 @@ def _shares(furniture: Sequence[Row], others: Sequence[Row]) -> Iterator[Figure]
     if couches:
         yield at_most("couches: true volume not known, greatest", max(row.not_known for row in couches), 0.20)
     every = [*furniture, *others]
-    for name, near in (("solid", _near_solid), ("air", _near_air)):
+    for name, near in (("solid", _near_solid), ("air", _near_air)) if every else ():
         yield from _mean(f"unknown_near_measured, {name}, mean", every, near, at_most, 0.06)
         worst = max(every, key=lambda row: near(row) or 0)
         yield told(f"the same, {name}, greatest", _with(worst, near(worst)))
