@@ -13,9 +13,12 @@ import numpy as np
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.lab.simulate.objects.benches import bench
+from kinectbench.lab.simulate.objects.cabinets import fridge, open_cabinet
+from kinectbench.lab.simulate.objects.ceramics import kettle, mug, vase
 from kinectbench.lab.simulate.objects.chairs import chair
 from kinectbench.lab.simulate.objects.containers import basket, bucket, pot, waste_bin
 from kinectbench.lab.simulate.objects.couches import couch
+from kinectbench.lab.simulate.objects.figures import shoe, toy_animal
 from kinectbench.lab.simulate.objects.frames import ladder, tray_stand
 from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
 from kinectbench.lab.simulate.objects.lamps import lamp
@@ -24,6 +27,7 @@ from kinectbench.lab.simulate.objects.open_boxes import drawer, open_box
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.objects.shelves import bookshelf, rack
 from kinectbench.lab.simulate.objects.sinks import sink
+from kinectbench.lab.simulate.objects.smooth import blob, sculpture
 from kinectbench.lab.simulate.objects.tables import table
 from kinectbench.settings.words import listed, near_miss
 
@@ -46,12 +50,27 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "ladder": ladder,
     "wire_basket": wire_basket,
     "tray_stand": tray_stand,
+    "open_cabinet": open_cabinet,
+    "fridge": fridge,
+    "mug": mug,
+    "kettle": kettle,
+    "vase": vase,
+    "shoe": shoe,
+    "toy_animal": toy_animal,
+    "blob": blob,
+    "sculpture": sculpture,
 }
 FURNITURE = ("chair", "table", "bench", "couch")
-LOOKED_AT: tuple[str, ...] = (*FURNITURE, "bin", "open_box", "drawer", "rack", "lamp", "crate", "bookshelf")
+LOOKED_AT: tuple[str, ...] = (
+    *FURNITURE,
+    *("bin", "open_box", "drawer"),
+    *("rack", "lamp", "crate", "bookshelf"),
+    *("open_cabinet", "mug", "shoe", "blob"),
+)
 REPORTED_ONLY: tuple[str, ...] = (
     *("bucket", "basket", "pot", "sink"),
     *("ladder", "wire_basket", "tray_stand"),
+    *("fridge", "kettle", "vase", "toy_animal", "sculpture"),
 )
 
 
@@ -89,7 +108,8 @@ def parse_object(text: str) -> ObjectName:
 def make_object(family: str, seed: int) -> Subject:
     """Draw an object in its object frame: z up, on z = 0, centred at x = y = 0.
 
-    Chairs, benches and couches face +y. Nothing is thinner than 15 mm in furniture, nor than 12 mm elsewhere.
+    Chairs, benches and couches face +y. Nothing is thinner than 15 mm in furniture, than 8 mm in mugs, vases
+    and shoes, nor than 12 mm elsewhere.
     Its mesh is the union of its pieces. Same family and seed, same vertices. The proportions are own choices.
 
     Raises:
