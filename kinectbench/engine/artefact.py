@@ -34,7 +34,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 1,
     "publish": 4,
     "synthesize": 2,
-    "score": 1,
+    "score": 2,
     "baselines": 1,
 }
 

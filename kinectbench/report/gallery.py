@@ -73,7 +73,9 @@ def gallery_cells(
     """
     protocols = table.settings.protocols
     rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else protocols[0])}
-    rising = [name for _, name in sorted((row.iou or 0.0, name) for name, row in rows.items())]
+    rising = [
+        name for _, name in sorted((row.iou, name) for name, row in rows.items() if row.iou is not None)
+    ]
     targets = {target.name: target for target in release.split("test")}
     chosen = [name for name in choose_pairs(rising, list(targets)) if name in rows]
     files = find_predictions(predictions, [targets[name] for name in chosen]).files

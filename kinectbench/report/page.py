@@ -131,6 +131,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside) -> dict[str, Any]:
         "rank_notes": beside.rank_notes,
         "details": tables.details(ordered),
         "detail_names": list(tables.DETAILS),
+        "objects": tables.truth_of_objects(parsed, primary),
         "methods": ordered,
         "protocol": primary,
         "legend": [(charts.series_class(i), table.method) for i, table in enumerate(ordered)],

@@ -1,7 +1,7 @@
 """Score tables as they are shown: methods down, categories across, the best of a column marked."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kinectbench.core.artefacts.score_figures import SHARES, SurfaceMetrics, fields_of
 from kinectbench.core.artefacts.scores import OVERALL, CategoryAverages, Extremes, OverallAverages, ScoreTable
@@ -58,6 +58,8 @@ class Table:
         categories: the columns under each of IoU and CE.
         rows: best first.
         base_rate: cross-entropy of a constant, the base rate, under each category; empty if not known.
+        unknown: share of the true shapes that is not known, under each category; empty if not known.
+        left_out: how many pairs are left out as all unknown, in a sentence; "" if none.
         ranked: whether rows have ranks.
     """
 
@@ -67,6 +69,8 @@ class Table:
     rows: tuple[Row, ...]
     base_rate: tuple[str, ...]
     ranked: bool
+    unknown: tuple[str, ...] = ()
+    left_out: str = ""
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
@@ -97,7 +101,16 @@ def score_table(tables: Sequence[ScoreTable], protocol: str, ranks: Mapping[str,
     }
     note = PROTOCOL_NOTES.get(protocol, "")
     baselines = frozenset(table.method for table in ordered if table.baseline)
-    return _table(f"Protocol “{protocol}”", note, columns, cells, ranks or {}, baselines)
+    table = _table(f"Protocol “{protocol}”", note, columns, cells, ranks or {}, baselines)
+    shares = [
+        next((s for row in cells.values() if (s := row[c].truth_unknown_share) is not None), None)
+        for c in columns
+    ]
+    return replace(
+        table,
+        unknown=tuple(map(per_cent, shares)) if any(share is not None for share in shares) else (),
+        left_out=next(filter(None, (of.left_out_line(protocol) for of in ordered)), ""),
+    )
 
 
 def published_table() -> Table:
@@ -190,6 +203,7 @@ DETAILS: Mapping[str, Callable[[Averages], str]] = {
     "shape counted": lambda of: per_cent(of.coverage_shape),
     "truth's IoU, estimated": lambda of: shown(of.truth_estimated_iou),
     "repeatability": lambda of: shown(of.truth_repeatability_iou),
+    "truth unknown": lambda of: per_cent(of.truth_unknown_share),
     "pairs": lambda of: text_of(of.pairs),
     "objects": lambda of: text_of(of.objects),
 }
@@ -206,6 +220,34 @@ def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
         for protocol in protocols(tables)
         for table in tables
         for category, of in table.averages(protocol).items()
+    )
+
+
+# An object, its category, how many pairs it has, the share of its truth that is unknown, and pairs left out.
+ObjectTruth = tuple[str, str, int, str, int]
+
+
+def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
+    """How much of each object's truth is unknown, the most unknown first; the methods share one truth."""
+    table = max(tables, key=lambda of: len(of.truth_unknown_share), default=None)
+    if table is None:
+        return ()
+    left_out = table.all_unknown_pairs.get(protocol, ())
+    rows = {
+        name: [row for row in table.pairs(protocol) if row.object == name]
+        for name in table.truth_unknown_share
+    }
+    falling = sorted(table.truth_unknown_share.items(), key=lambda item: (-item[1], item[0]))
+    return tuple(
+        (
+            name,
+            rows[name][0].category,
+            len(rows[name]),
+            per_cent(share),
+            sum(row.pair in left_out for row in rows[name]),
+        )
+        for name, share in falling
+        if rows[name]
     )
 
 

@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from statistics import fmean
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.score_figures import ScoreRow, SurfaceMetrics
+from kinectbench.core.artefacts.score_figures import ScoreRow, SurfaceMetrics, VoxelMetrics
 from kinectbench.core.artefacts.scores import BaseRate, Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.averages import (
+    ObjectMeans,
     ObjectQuality,
     category_averages,
     extremes,
@@ -19,7 +21,14 @@ from kinectbench.scoring.averages import (
     object_means,
     overall_averages,
 )
-from kinectbench.scoring.counts import CE_CLIP, PRIMARY, THRESHOLDS, protocol_counts
+from kinectbench.scoring.counts import (
+    CE_CLIP,
+    PRIMARY,
+    THRESHOLDS,
+    is_all_unknown,
+    protocol_counts,
+    unknown_share,
+)
 from kinectbench.scoring.metrics import constant_cross_entropy, metrics
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
@@ -48,9 +57,11 @@ def make_table(
         settings: see `describe`.
     """
     rows = _rows(results, settings.protocols, thresholds, rates)
-    means = object_means(rows)
+    left_out = {name: _left_out(results, name) for name in settings.protocols}
+    means = object_means(rows, left_out)
     quality = _quality(release, rows)
-    by_category = None if failures else category_averages(means, rates, _by_object(rows, quality))
+    objects = _by_object(rows, quality)
+    by_category = None if failures else category_averages(means, rates, objects)
     warnings = list(thresholds.warnings)
     if failures:
         warnings.append(
@@ -69,11 +80,13 @@ def make_table(
         by_category=by_category,
         overall=None if by_category is None else overall_averages(by_category, means),
         truth_quality=quality,
+        truth_unknown_share={name: of.unknown_share for name, of in sorted(objects.items())},
+        all_unknown_pairs=left_out,
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
         warnings=tuple(warnings),
-        notes=tuple(_few_objects(rows)),
+        notes=tuple(_few_objects(rows, means)),
         extremes=extremes(rows),
         iou_by_threshold=None if failures else iou_by_threshold(results, settings.protocols),
         hashes={
@@ -98,9 +111,20 @@ def _rows(
     )
 
 
+def _left_out(results: Mapping[Target, PairResult], protocol: str) -> tuple[str, ...]:
+    """The test pairs of which a protocol says nothing, by name."""
+    test = sorted(target for target in results if target.split == "test")
+    return tuple(target.name for target in test if is_all_unknown(results[target].tally, protocol))
+
+
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
     """One pair under one protocol."""
     counts, everything = (protocol_counts(result.tally, name) for name in (protocol, "paper"))
+    figures, surface, base_rate_ce = VoxelMetrics(), SurfaceMetrics(), None
+    if not is_all_unknown(result.tally, protocol):
+        figures = metrics(counts, THRESHOLDS.index(threshold))
+        surface = result.surface.get(protocol, SurfaceMetrics())
+        base_rate_ce = constant_cross_entropy(counts.occupied, counts.voxels, rate)
     return ScoreRow(
         recording=target.recording,
         object=target.object,
@@ -108,13 +132,14 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
         category=target.category,
         protocol=protocol,
         threshold=threshold,
-        **asdict(metrics(counts, THRESHOLDS.index(threshold))),
-        base_rate_ce=constant_cross_entropy(counts.occupied, counts.voxels, rate),
+        **asdict(figures),
+        base_rate_ce=base_rate_ce,
         coverage_voxels=counts.voxels / everything.voxels,
         coverage_shape=counts.occupied / everything.occupied if everything.occupied else 1.0,
         cells=result.cells,
         ceiling_iou=result.ceilings[protocol],
-        **asdict(result.surface.get(protocol, SurfaceMetrics())),
+        **asdict(surface),
+        unknown_share=unknown_share(result.tally),
     )
 
 
@@ -126,16 +151,19 @@ def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFil
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """{object: the figures of its recordings' truth that averages show}; the mean where it has several."""
-    recordings: dict[str, set[str]] = {}
+    """{object: the figures of its truth that averages show}: means over recordings, and over pairs."""
+    of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
-        recordings.setdefault(row.object, set()).add(row.recording)
+        of_object.setdefault(row.object, []).append(row)
     found = {}
-    for name, of in recordings.items():
-        parts = [quality.get(recording, QualityFile()) for recording in sorted(of)]
+    for name, here in of_object.items():
+        parts = [quality.get(recording, QualityFile()) for recording in sorted({r.recording for r in here})]
+        shares = {row.pair: row.unknown_share or 0.0 for row in here}  # every protocol's row says the same
         found[name] = ObjectQuality(
+            here[0].category,
             _mean([part.estimated_iou for part in parts]),
             _mean([part.repeatability_iou for part in parts]),
+            fmean(shares.values()),
         )
     return found
 
@@ -146,12 +174,12 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return sum(known) / len(known) if len(known) == len(values) else None
 
 
-def _few_objects(rows: Sequence[ScoreRow]) -> list[str]:
-    """A line that names the categories that are too few for an interval."""
-    objects: dict[str, set[str]] = {}
-    for row in rows:
-        objects.setdefault(row.category, set()).add(row.object)
-    few = [f"{name} ({len(objects[name])})" for name in sorted(objects) if len(objects[name]) < MIN_OBJECTS]
+def _few_objects(rows: Sequence[ScoreRow], means: Mapping[str, Mapping[str, ObjectMeans]]) -> list[str]:
+    """A line that names the categories that are too few for an interval, under a protocol at least."""
+    few = []
+    for name in sorted({row.category for row in rows}):
+        least = min(len(of[name].names) if name in of else 0 for of in means.values())
+        few += [f"{name} ({least})"] if least < MIN_OBJECTS else []
     if not few:
         return []
     return [f"no intervals with fewer than {MIN_OBJECTS} objects in a category: {', '.join(few)}"]

@@ -1,8 +1,9 @@
 """From rows to averages: pair -> object -> category -> macro; `paper` takes the plain mean of the pairs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from kinectbench.core.artefacts.scores import (
 )
 from kinectbench.core.types import Float64
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import THRESHOLDS, protocol_counts
+from kinectbench.scoring.counts import THRESHOLDS, is_all_unknown, protocol_counts
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
@@ -26,10 +27,19 @@ EXTREMES = 3
 
 @dataclass(frozen=True)
 class ObjectQuality:
-    """How good an object's truth is: means over its recordings; None if one of these is not known."""
+    """How good an object's truth is.
 
-    estimated_iou: float | None = None
-    repeatability_iou: float | None = None
+    Attributes:
+        category: of the object.
+        estimated_iou: mean over its recordings; None if that of one is not known.
+        repeatability_iou: likewise.
+        unknown_share: of its true shape, not known: mean over all its pairs, of which each has all of it.
+    """
+
+    category: str
+    estimated_iou: float | None
+    repeatability_iou: float | None
+    unknown_share: float
 
 
 @dataclass(frozen=True)
@@ -40,7 +50,7 @@ class ObjectMeans:
         names: of the objects, sorted.
         values: (k, m) mean over each object's pairs of every metric in `AVERAGED`; NaN where not computed.
         weights: (k,) what each counts for in the category's mean.
-        pairs: how many pairs there are.
+        pairs: how many pairs of them there are.
     """
 
     names: tuple[str, ...]
@@ -49,16 +59,23 @@ class ObjectMeans:
     pairs: int
 
 
-def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
-    """{protocol: {category: means of its objects}}, categories sorted.
+def object_means(
+    rows: Sequence[ScoreRow], left_out: Mapping[str, Collection[str]]
+) -> dict[str, dict[str, ObjectMeans]]:
+    """{protocol: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
 
     Views of one object are not independent: each object counts once, however many views it has. The
     protocol `paper` weighs every pair alike, as the paper does.
+
+    Args:
+        rows: of a table.
+        left_out: {protocol: pairs that are all unknown}.
     """
     groups: dict[str, dict[str, dict[str, list[ScoreRow]]]] = {}
     for row in rows:
-        objects = groups.setdefault(row.protocol, {}).setdefault(row.category, {})
-        objects.setdefault(row.object, []).append(row)
+        categories = groups.setdefault(row.protocol, {})
+        if row.pair not in left_out.get(row.protocol, ()):
+            categories.setdefault(row.category, {}).setdefault(row.object, []).append(row)
     return {
         protocol: {
             category: _means(by_category[category], plain=protocol == "paper")
@@ -88,43 +105,70 @@ def category_averages(
     Args:
         means: see `object_means`.
         rates: base rate by category.
-        quality: of the truth of each object.
+        quality: of the truth of each object, also of those that are left out.
     """
+    names: dict[str, list[str]] = {}
+    for name, of in quality.items():
+        names.setdefault(of.category, []).append(name)
     return {
         protocol: {
-            category: CategoryAverages(
-                **_known(here.weights @ here.values / here.weights.sum()),
-                pairs=here.pairs,
-                objects=len(here.names),
-                base_rate_source=rates[category].source,
-                intervals=_intervals(student_interval(here.values, here.weights)),
-                truth_estimated_iou=_known_mean([quality[name].estimated_iou for name in here.names]),
-                truth_repeatability_iou=_known_mean([quality[name].repeatability_iou for name in here.names]),
+            category: _category(
+                categories.get(category), rates[category], [quality[n] for n in names[category]]
             )
-            for category, here in categories.items()
+            for category in sorted(names)
         }
         for protocol, categories in means.items()
     }
+
+
+def _category(here: ObjectMeans | None, rate: BaseRate, quality: Sequence[ObjectQuality]) -> CategoryAverages:
+    """The averages of one category; of one without a pair that counts only what is known of its truth.
+
+    Args:
+        here: its objects that count.
+        rate: its base rate.
+        quality: of the truth of all its objects.
+    """
+    of_truth: dict[str, Any] = {
+        "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
+        "truth_repeatability_iou": _known_mean([of.repeatability_iou for of in quality]),
+        "truth_unknown_share": _known_mean([of.unknown_share for of in quality]),
+    }
+    if here is None:
+        return CategoryAverages(base_rate_source=rate.source, intervals=_intervals(None), **of_truth)
+    return CategoryAverages(
+        **_known(here.weights @ here.values / here.weights.sum()),
+        pairs=here.pairs,
+        objects=len(here.names),
+        base_rate_source=rate.source,
+        intervals=_intervals(student_interval(here.values, here.weights)),
+        **of_truth,
+    )
 
 
 def overall_averages(
     by_category: Mapping[str, Mapping[str, CategoryAverages]],
     means: Mapping[str, Mapping[str, ObjectMeans]],
 ) -> dict[str, OverallAverages]:
-    """{protocol: macro mean over the categories, its intervals, and sums of pairs and objects}."""
-    averaged = (*AVERAGED, "truth_estimated_iou", "truth_repeatability_iou")
-    return {
-        protocol: OverallAverages(
-            **{name: _known_mean([getattr(of, name) for of in categories.values()]) for name in averaged},
-            pairs=sum(here.pairs for here in means[protocol].values()),
-            objects=sum(len(here.names) for here in means[protocol].values()),
-            categories=len(categories),
-            intervals=_intervals(
-                bootstrap_interval([(here.values, here.weights) for here in means[protocol].values()])
-            ),
+    """{protocol: macro mean over the categories that count, its intervals, and sums of pairs and objects}.
+
+    What is said of the truth is the mean over all categories.
+    """
+    of_truth = ("truth_estimated_iou", "truth_repeatability_iou", "truth_unknown_share")
+    found = {}
+    for protocol, categories in by_category.items():
+        here = means[protocol]
+        counted = [of for name, of in categories.items() if name in here]
+        groups = [(of.values, of.weights) for of in here.values()]
+        found[protocol] = OverallAverages(
+            **{name: _known_mean([getattr(of, name) for of in counted]) for name in AVERAGED},
+            **{name: _known_mean([getattr(of, name) for of in categories.values()]) for name in of_truth},
+            pairs=sum(of.pairs for of in here.values()) or None,
+            objects=sum(len(of.names) for of in here.values()) or None,
+            categories=len(here) or None,
+            intervals=_intervals(bootstrap_interval(groups) if groups else None),
         )
-        for protocol, categories in by_category.items()
-    }
+    return found
 
 
 def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
@@ -171,20 +215,21 @@ def iou_by_threshold(
 ) -> dict[str, dict[str, list[float]]]:
     """{protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}} of the test pairs.
 
-    Averaged as the scores are (see `object_means`): pair, object, category; `paper` weighs every pair alike.
+    Averaged as the scores are (see `object_means`): pair, object, category; `paper` weighs every pair alike,
+    and all-unknown pairs are left out.
 
     Args:
         results: of every pair that was counted; those of other splits are left out.
         protocols: some of "paper", "known", "occluded".
     """
-    test = sorted(target for target in results if target.split == "test")
-    return {
-        protocol: {
-            category: _mean_curve([t for t in test if t.category == category], results, protocol)
-            for category in sorted({target.category for target in test})
-        }
-        for protocol in protocols
-    }
+    found: dict[str, dict[str, list[float]]] = {}
+    for protocol in protocols:
+        counted: dict[str, list[Target]] = {}
+        for target in sorted(results):
+            if target.split == "test" and not is_all_unknown(results[target].tally, protocol):
+                counted.setdefault(target.category, []).append(target)
+        found[protocol] = {name: _mean_curve(counted[name], results, protocol) for name in sorted(counted)}
+    return found
 
 
 def _mean_curve(

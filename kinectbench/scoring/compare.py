@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES
-from kinectbench.core.artefacts.scores import SCORES_JSON, ScoreTable
+from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
@@ -56,7 +56,9 @@ class Comparison:
         means: {scope: {method: mean}}.
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
         differences: of every pair of methods in every scope.
-        notes: one line each: where the test set is too small to tell.
+        notes: one line each: where the test set is too small to tell, and how many pairs are left out.
+        truth_unknown_share: {scope: share of the true shapes that is not known}; None in older tables.
+        unknown_by_object: the same of every object of the tables, also of those that are left out.
     """
 
     metric: str
@@ -66,6 +68,8 @@ class Comparison:
     ranks: Mapping[str, Mapping[str, int]]
     differences: tuple[Difference, ...]
     notes: tuple[str, ...]
+    truth_unknown_share: Mapping[str, float | None]
+    unknown_by_object: Mapping[str, float]
 
 
 def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = PRIMARY) -> Comparison:
@@ -102,7 +106,20 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         for scope in scopes
     }
     ranks = {scope: _ranks(names, [d for d in found if d.scope == scope], metric) for scope in scopes}
-    return Comparison(metric, protocol, names, averages, ranks, tuple(found), tuple(notes))
+    notes += filter(None, [tables[0].left_out_line(protocol)])
+    of_truth = tables[0].averages(protocol)
+    unknown = {scope: of_truth.get(OVERALL if scope == ALL else scope) for scope in scopes}
+    return Comparison(
+        metric,
+        protocol,
+        names,
+        averages,
+        ranks,
+        tuple(found),
+        tuple(notes),
+        {scope: None if of is None else of.truth_unknown_share for scope, of in unknown.items()},
+        tables[0].truth_unknown_share,
+    )
 
 
 def find_scores(paths: Sequence[Path]) -> list[Path]:
@@ -166,9 +183,11 @@ def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
 
 def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMeans]:
     """The object means of each category."""
-    means = object_means(table.rows).get(protocol)
+    means = object_means(table.rows, table.all_unknown_pairs).get(protocol)
     if means is None:
         raise SettingsError(f"{table.method}: not scored under '{protocol}'; score it again with it")
+    if not means:
+        raise SettingsError(f"{table.left_out_line(protocol)}; there is nothing to compare by")
     column = AVERAGED.index(metric)
     if any(np.isnan(here.values[:, column]).any() for here in means.values()):
         raise SettingsError(f"{table.method}: scored without '{metric}'; score it again with it")

@@ -108,6 +108,27 @@ def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
     )
 
 
+def unknown_share(tally: Tally) -> float:
+    """Share of the true shape's voxels that are not known; 0 of an empty shape."""
+    shape = int(tally.voxels[1::2].sum())
+    return int(tally.voxels[1::2][[0, 2]].sum()) / shape if shape else 0.0
+
+
+def is_all_unknown(tally: Tally, protocol: str) -> bool:
+    """Whether a protocol says nothing of a pair, so that it must not stand in a mean.
+
+    Either it counts no voxel, and IoU is 1 for everyone; or of the shape that lies where it looks none is
+    known, and IoU is 1 for who predicts nothing among the known voxels and 0 for all others, whatever the
+    shape. Under `paper`, which counts every voxel, neither can be. Source: own rule.
+    """
+    counted = set(PROTOCOLS[protocol])
+    looked_at = counted | {code ^ 2 for code in counted}  # the same voxels, were they known or not
+    shape = [code for code in looked_at if code & 1]
+    known_shape = [code for code in counted if code & 1]
+    nothing_counted = not tally.voxels[[*counted]].any()
+    return bool(nothing_counted or (tally.voxels[shape].any() and not tally.voxels[known_shape].any()))
+
+
 def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:
     """Where y > threshold, compared in float64: (256, 256, 32) uint8, most significant bit first.
 

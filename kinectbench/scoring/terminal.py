@@ -38,7 +38,13 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
             name = f"{table.method} (baseline)" if table.baseline else table.method
             result.add_row(Text(name), *_cells(table, protocols, columns))
         result.add_section()
+    of_truth = [next((t.averages(p) for t in tables if t.averages(p)), {}) for p in protocols]
+    shares = [of[c].truth_unknown_share if c in of else None for of in of_truth for c in columns]
+    _add_unknown(result, shares)
+    left_out = dict.fromkeys(t.left_out_line(p) for t in tables for p in t.settings.protocols)
+    result.caption, result.caption_justify = "\n".join(filter(None, left_out)) or None, "left"
     if published:
+        result.add_section()
         for entry in PUBLISHED:
             values = dict(zip(CATEGORIES, zip(entry.iou, entry.ce, strict=True), strict=True))
             cells = [
@@ -48,6 +54,14 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
             ]
             result.add_row(f"{entry.method} ({LABEL})", *cells, style="dim")
     return result
+
+
+def _add_unknown(table: "Table", shares: Sequence[float | None]) -> None:
+    """A last line: the share of the true shapes that is not known; none where no table says it."""
+    if any(share is not None for share in shares):
+        table.add_section()
+        cells = ["" if share is None else f"{100 * share:.1f} %" for share in shares]
+        table.add_row("truth unknown", *cells, style="dim")
 
 
 def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) -> list[str]:
@@ -82,6 +96,7 @@ def comparison_tables(found: Comparison) -> "list[Table]":
     for name in found.methods:
         cells = [f"{found.ranks[scope][name]}  {found.means[scope][name]:.3f}" for scope in found.means]
         means.add_row(Text(name), *cells)
+    _add_unknown(means, [found.truth_unknown_share[scope] for scope in found.means])
     pairs = Table(title="differences, object by object", title_justify="left")
     for column in ("methods", "scope", "difference", "p", "p (Holm)", ""):
         pairs.add_column(column, justify="left" if column in ("methods", "scope", "") else "right")

@@ -37,8 +37,8 @@ def test_means_by_hand() -> None:
     below = [p < 0.5 for p in THRESHOLDS]
     assert curves["known"]["chair"] == pytest.approx([(2 / 3 + 0) / 2 if low else 0 for low in below])
     assert curves["paper"]["chair"] == pytest.approx([(1 + 1 / 3 + 0) / 3 if low else 0 for low in below])
-    # Nothing is occluded: an empty union is 1.
-    assert curves["occluded"]["chair"] == [1.0] * 17
+    # Nothing is occluded: no voxel is counted, and IoU would be 1 for everyone.
+    assert curves["occluded"] == {}
 
 
 def test_the_score_is_a_point_of_the_curve(release: Release, tmp_path: Path) -> None:

@@ -130,8 +130,17 @@ class Resolution:
 
 
 @dataclass(frozen=True, config=FINITE)
-class ScoreRow(SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
-    """One pair under one protocol."""
+class Unknown:
+    """How much of the truth of a pair is unknown, whatever the protocol."""
+
+    unknown_share: OptionalUnitRange = Field(
+        default=None, description="of the true shape's voxels, those that are not known"
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
+class ScoreRow(Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
+    """One pair under one protocol; its metrics are null where the protocol leaves it out as all unknown."""
 
     @property
     def pair(self) -> str:

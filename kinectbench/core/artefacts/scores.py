@@ -19,6 +19,7 @@ from kinectbench.core.artefacts.score_figures import (
     Resolution,
     ScoreRow,
     UnitRange,
+    Unknown,
     fields_of,
 )
 from kinectbench.core.artefacts.stored import Part, Stored
@@ -38,6 +39,7 @@ Intervals = Annotated[
 ]
 Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
 ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
+UNKNOWN = "mean over objects of the share of their true shape that is not known; all-unknown pairs count"
 REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not known"
 
 
@@ -53,6 +55,7 @@ class CategoryAverages(Averages):
     intervals: Intervals = Field(default_factory=dict)
     truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
     truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
+    truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -61,6 +64,7 @@ class OverallAverages(Averages):
 
     truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
     truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
+    truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
     pairs: Count = Field(default=None, description="sum over the categories")
     objects: Count = Field(default=None, description="sum over the categories")
     categories: Count = Field(default=None, description="how many categories there are")
@@ -191,6 +195,12 @@ class ScoreTable(Stored):
     truth_quality: dict[str, QualityFile] = Field(
         {}, description="recording -> what the release says of its truth"
     )
+    truth_unknown_share: dict[str, UnitRange] = Field(
+        {}, description="object -> share of its true shape that is not known: the mean over its pairs"
+    )
+    all_unknown_pairs: dict[str, Lines] = Field(
+        {}, description="protocol -> pairs that it leaves out, because nothing of their true shape is known"
+    )
     failures: tuple[Failure, ...] = Field((), description="predictions that could not be scored")
     warnings: Lines = Field((), description="one line each")
     notes: Lines = Field((), description="what to know of the numbers, one line each")
@@ -226,6 +236,16 @@ class ScoreTable(Stored):
         """The rows of a protocol."""
         return [row for row in self.rows if row.protocol == protocol]
 
+    def left_out_line(self, protocol: str) -> str:
+        """How many pairs a protocol leaves out, in a sentence; "" if none."""
+        count, pairs = len(self.all_unknown_pairs.get(protocol, ())), len(self.pairs(protocol))
+        if not count:
+            return ""
+        verb = "is" if count == 1 else "are"
+        return (
+            f"{protocol}: {count} of {pairs} pairs {verb} left out: nothing of the true shape is known there"
+        )
+
     def csv(self) -> str:
         """scores.csv as text: the rows, each behind the method's name."""
         columns = tuple(fields_of(ScoreRow))
@@ -247,9 +267,12 @@ class ScoreTable(Stored):
 
 
 # Keys that tables of the first versions lack.
-LATER_KEYS = ("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories")
-LATER_AVERAGES = ("base_rate_source", "truth_estimated_iou", "truth_repeatability_iou")
-LATER = {*LATER_KEYS, *LATER_AVERAGES, *SURFACE_METRICS, *fields_of(Resolution)}
+LATER_KEYS = (
+    *("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories"),
+    "all_unknown_pairs",
+)
+LATER_AVERAGES = ("base_rate_source", "truth_estimated_iou", "truth_repeatability_iou", "truth_unknown_share")
+LATER = {*LATER_KEYS, *LATER_AVERAGES, *SURFACE_METRICS, *fields_of(Resolution), *fields_of(Unknown)}
 
 
 def scores_schema() -> dict[str, Any]:
