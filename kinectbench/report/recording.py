@@ -36,6 +36,7 @@ class Tile:
     picture: str
     containment: str
     residual: str
+    unknown: str
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,7 @@ def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
         picture=images.data_uri(picture),
         containment=per_cent(row.containment),
         residual=_millimetres(row.residual_m),
+        unknown=per_cent(pair.unknown_share),
     )
 
 

@@ -121,12 +121,11 @@ def is_all_unknown(tally: Tally, protocol: str) -> bool:
     known, and IoU is 1 for who predicts nothing among the known voxels and 0 for all others, whatever the
     shape. Under `paper`, which counts every voxel, neither can be. Source: own rule.
     """
-    counted = set(PROTOCOLS[protocol])
-    looked_at = counted | {code ^ 2 for code in counted}  # the same voxels, were they known or not
-    shape = [code for code in looked_at if code & 1]
-    known_shape = [code for code in counted if code & 1]
-    nothing_counted = not tally.voxels[[*counted]].any()
-    return bool(nothing_counted or (tally.voxels[shape].any() and not tally.voxels[known_shape].any()))
+    voxels: list[int] = tally.voxels.tolist()
+    counted = PROTOCOLS[protocol]
+    looked_at = {*counted, *(code ^ 2 for code in counted)}  # the same voxels, were they known or not
+    shape, known_shape = (sum(voxels[code] for code in codes if code & 1) for codes in (looked_at, counted))
+    return not any(voxels[code] for code in counted) or (shape > 0 and known_shape == 0)
 
 
 def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from rich.console import Console
 
 from kinectbench.cli.console import summary_table
 from kinectbench.core.errors import KinectBenchError, StorageError
+from kinectbench.core.voxels.pair_file import pair_bytes, read_pair
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
@@ -114,11 +116,14 @@ def test_the_console_gives_the_same_figures_of_pairs(settings: BenchmarkSettings
     ):
         row.update(containment=containment, residual_m=residual_m)
     (folder / "pairs" / "pairs.json").write_text(json.dumps(listed))
+    first = read_pair(folder / "pairs" / "000.npz")
+    (folder / "pairs" / "000.npz").write_bytes(pair_bytes(replace(first, known=~first.full)))
     write_trajectory(folder / "trajectory", left_out=[])
     job = Job(settings, recording, tmp_path)
     write_manifests(folder, job)
     part = collect(job, folder)
     assert (part.containment, part.residual) == ("99.1 %", "5.3 mm")
+    assert [tile.unknown for tile in part.tiles] == ["100.0 %", "0.0 %", "0.0 %"]
     row = summary(job, Outcome("chair_01", (), ("pairs",), None, 0.0))
     console = Console(width=160, record=True, file=io.StringIO())
     console.print(summary_table([row], ("pairs",)))
