@@ -11,11 +11,12 @@ from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 from kinectbench.core.types import Float32, Float64
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
-from kinectbench.stages.fuse.visible_blocks import visible_blocks
+from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, visible_blocks
 
 # So many frames pass through each block while it lies in the cache.
 BATCH_FRAMES = 8
 SURFACE_SIGMAS = 2.0
+BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HALF_DIAGONAL = 0.87
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
@@ -61,10 +62,11 @@ def integrate(
 
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
     s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
-    clipped at +truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
+    clipped at +-truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
     where s > max(2 sigma, half a voxel's diagonal), else `surface`. Voxels farther behind the surface get
-    nothing. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front of it hear:
-    they are free.
+    nothing: where two standard deviations of the depth are more than the truncation, from there on, or the
+    mean of what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a metre
+    in front of it hear: they are free.
 
     Args:
         volume: blocks to fuse into.
@@ -188,12 +190,12 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
         depth = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
         weight = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
         distance = depth - z[n]
-        least = -truncation if weight >= 0 else BEFORE_FAR_M
+        sigma = near + growth * (depth - near_depth) * (depth - near_depth)
+        least = -max(truncation, BEHIND_SIGMAS * sigma) if weight >= 0 else BEFORE_FAR_M
         added = abs(weight) if distance >= least else np.float32(0)
         any_added += added
-        new_total[n] += added * min(distance, truncation)
+        new_total[n] += added * max(min(distance, truncation), -truncation)
         new_weight[n] += added
-        sigma = near + growth * (depth - near_depth) * (depth - near_depth)
         # (max(2 sigma, half a diagonal))^2
         reach = max(SURFACE_SIGMAS_SQUARED * (sigma * sigma + pose * pose), half_diagonal * half_diagonal)
         vote = FREE_VOTE if distance > 0 and distance * distance > reach else SURFACE_VOTE
