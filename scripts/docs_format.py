@@ -14,6 +14,7 @@ from kinectbench.core.artefacts.benchmark import PublishStamp, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.object import CandidatesFile, FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
+from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
@@ -27,6 +28,7 @@ MODELS: tuple[type[Stored], ...] = (
     CameraFile,
     TrajectoryHealth,
     StoredDepthCalibration,
+    ReconstructionFile,
     FloorFile,
     QualityFile,
     ViewsFile,

@@ -78,7 +78,9 @@ def inspect(
     camera = settings_from_options(CameraSettings, said, overrides or [], "camera")
     path = DEFAULT_CONFIG.parent / known.path if known else Path(recording)
     ignored = known is not None and known.trajectory == "ignore"
-    diagnosis, look = look_over(path, camera if said or overrides else None, without_trajectory=ignored)
+    given = camera if said or overrides else None
+    fusion = Common().settings.fusion if known else None
+    diagnosis, look = look_over(path, given, without_trajectory=ignored, fusion=fusion)
     if page is not None:
         from kinectbench.doctor.page import write_page
 

@@ -6,11 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.reconstruction import DepthRangePart
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera
 from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.fit import image_normals
 from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.settings.models import FusionSettings
+from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
 from kinectbench.stages.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
 
 # Of cameras that people hold: horizontal field of view, degrees.
@@ -198,6 +201,28 @@ def _valid(look: Look) -> Iterator[Finding]:
         what = f"only {np.median(shares):.0%} of the pixels have a depth"
         advice = "sun, black or shining surfaces, or a camera too near: record again where it sees more"
         yield Finding("little_depth", "warning", what, look.where, advice)
+
+
+def range_by_look(
+    look: Look, T_world_camera: NDArray[np.float64] | None, fusion: FusionSettings | None
+) -> DepthRangePart:
+    """How far depth would make surface, and what would lie beyond, as `build` chooses it.
+
+    Args:
+        look: at the recording.
+        T_world_camera: (n, 4, 4) of frames that have a pose; None: depth alone tells.
+        fusion: what a person says of it.
+    """
+    poses = np.zeros((0, 4, 4)) if T_world_camera is None else T_world_camera
+    sampled = sample_depth(frame.depth_m[::2, ::2] for frame in look.frames)
+    return depth_range(look.recording.camera, poses, sampled, fusion or FusionSettings())
+
+
+def check_range(look: Look, chosen: DepthRangePart) -> Iterator[Finding]:
+    """Judge whether depth that may be of the object is too far to make surface."""
+    for line in range_warnings(chosen):
+        what, _, advice = line.rpartition("; ")
+        yield Finding("far_depth", "warning", what, look.where, advice)
 
 
 def camera_heights_m(look: Look) -> NDArray[np.float64]:

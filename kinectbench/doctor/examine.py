@@ -19,12 +19,14 @@ from kinectbench.doctor.depth import (
     check_depth,
     check_floor,
     check_intrinsics,
+    check_range,
     depth_quantiles_m,
+    range_by_look,
 )
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
-from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.models import CameraSettings, FusionSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
@@ -65,7 +67,11 @@ def _with(settings: CameraSettings | None, values: dict[str, float]) -> CameraSe
 
 
 def inspect(
-    path: Path, settings: CameraSettings | None = None, *, without_trajectory: bool = False
+    path: Path,
+    settings: CameraSettings | None = None,
+    *,
+    without_trajectory: bool = False,
+    fusion: FusionSettings | None = None,
 ) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
@@ -73,6 +79,7 @@ def inspect(
         path: folder or file.
         settings: of its camera, as under `camera:` in benchmark.yaml.
         without_trajectory: take no notice of a given trajectory.
+        fusion: how far depth is to make surface; None: by the recording.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
@@ -91,11 +98,15 @@ def inspect(
     facts = _facts(look)
     if look.frames and not HOPELESS & {finding.name for finding in early}:
         edges, poses, heights_m = fit_edges(look), fit_trajectory(look), camera_heights_m(look)
-        late = list(_late(look, edges, poses, heights_m))
+        depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
+        late = [*_late(look, edges, poses, heights_m), *check_range(look, depth_range)]
         # Poses do not fit depth that is wrong: only the cause is said.
         explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
         found += [finding for finding in late if not (explained and finding.name == "trajectory_wrong")]
         facts |= _late_facts(edges, poses, heights_m)
+        if poses is not None:
+            known = ("max_depth_m", "beyond_share")
+            facts |= {name: getattr(depth_range, name) for name in known}
     return Diagnosis(facts, gravest_first(found)), look
 
 

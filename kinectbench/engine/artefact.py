@@ -27,8 +27,8 @@ FORMAT_VERSION = 1
 VERSIONS: dict[str, int] = {
     "ingest": 1,
     "track": 1,
-    "fuse": 2,
-    "segment": 2,
+    "fuse": 3,
+    "segment": 3,
     "sample-views": 1,
     "pairs": 2,
     "suggest": 1,

@@ -7,6 +7,7 @@ from kinectbench.core.types import Progress
 from kinectbench.core.voxels.observation import merge
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import observe
+from kinectbench.stages.fuse.depth_range import grid_range_m
 from kinectbench.stages.segment.choose import segment
 from kinectbench.stages.segment.grids import (
     floor_layers,
@@ -41,7 +42,7 @@ def build_object(
         scene: the fused scene's surface, world frame.
         given_box: a person's box (floor frame), or None to choose the object automatically.
         segmentation: floor and object settings.
-        fusion: voxel size and depth range.
+        fusion: voxel size, and the range of depth that a person gives, if any.
         progress: called with (done, total).
 
     Raises:
@@ -51,6 +52,8 @@ def build_object(
     chosen = segment(scene, trajectory, given_box, segmentation)
     frames, voxel_size_m = trajectory.good_frames, fusion.voxel_size_m
     grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
+    max_depth_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
+    fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
     odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion, progress) for k in (0, 1))
     layers = floor_layers(chosen.floor, segmentation, voxel_size_m)
     rules = chosen.excluded(grid), layers, usual_ray_width_m(sequence.camera, trajectory, grid)
@@ -63,5 +66,5 @@ def build_object(
     del together
     around = surround_grid(grid, chosen.floor)
     surround = observe(sequence, trajectory, surround_frames(frames), around, fusion)
-    seen = witness(sequence, trajectory, scene, chosen)
+    seen = witness(sequence, trajectory, scene, chosen, grid, max_depth_m)
     return object_model(chosen, (whole, *halves), sigma_m, seen, surround, usual_pose_error_m(trajectory))

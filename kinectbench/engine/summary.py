@@ -7,6 +7,7 @@ from typing import TypeVar
 from pydantic import Field, field_serializer
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
@@ -64,6 +65,8 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
 
     sequence, health = read("ingest", CameraFile), read("track", TrajectoryHealth)
     quality, views = read("segment", QualityFile), read("sample-views", ViewsFile)
+    # Of the object more exactly by the next stage.
+    scene = None if quality else read("fuse", ReconstructionFile)
     pairs = read("pairs", PairsFile)
     rows = pairs.pairs if pairs else ()
     return RecordingSummary(
@@ -82,7 +85,9 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         refused=len(pairs.refused) + (len(views.refused) if views else 0) if pairs else None,
         containment=_median(row.containment for row in rows),
         residual_m=_median(row.residual_m for row in rows),
-        warnings=tuple(line for part in (sequence, health, quality, views) if part for line in part.warnings),
+        warnings=tuple(
+            line for part in (sequence, health, scene, quality, views) if part for line in part.warnings
+        ),
         status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
         error=outcome.error,
         made=outcome.made,

@@ -13,6 +13,9 @@ from kinectbench.core.types import Framing, PartialRule, Split
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+# Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
+# (the rules for solids were chosen with it).
+LEAST_RANGE_M = 3.0
 
 CITED = {
     "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
@@ -128,11 +131,18 @@ class FusionSettings(Settings):
     scene_voxel_size_m: float = Field(0.01, ge=0.002, le=0.1, description="edge of a voxel of the scene")
     truncation_voxels: float = Field(4.0, ge=2, le=20, description="TSDF truncation, in voxels")
     min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")
-    max_depth_m: float = Field(3.0, gt=0.1, le=20, description="farther depth is not fused")
+    max_depth_m: float | None = Field(
+        None, gt=0.1, le=20, description="farther depth makes no surface; default: by the recording, 3 to 8 m"
+    )
 
     @model_validator(mode="after")
     def _some_depth(self) -> "FusionSettings":
-        if self.min_depth_m >= self.max_depth_m:
+        if self.max_depth_m is None and self.min_depth_m >= LEAST_RANGE_M:
+            raise ValueError(
+                f"min_depth_m is {self.min_depth_m:g}, and of some recordings no depth beyond "
+                f"{LEAST_RANGE_M:g} m would be fused: give max_depth_m, too"
+            )
+        if self.max_depth_m is not None and self.min_depth_m >= self.max_depth_m:
             raise ValueError(
                 f"min_depth_m is {self.min_depth_m:g} and max_depth_m {self.max_depth_m:g}, so that no depth "
                 "would be fused: min_depth_m must be less"

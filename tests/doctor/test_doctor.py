@@ -17,7 +17,7 @@ from kinectbench.doctor.during_build import doubted_scale, refuse_hopeless
 from kinectbench.doctor.finding import Diagnosis, gravest_first
 from kinectbench.doctor.look import frames_to_read
 from kinectbench.lab.simulate.simulate import simulate
-from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.models import CameraSettings, FusionSettings
 from kinectbench.stages.ingest.readers import open_recording
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -37,6 +37,15 @@ def test_no_alarm_on_the_samples(name: str) -> None:
     assert diagnosis.facts["poses_read_as"] == "as given"
     assert diagnosis.facts["arc_deg"] > 300  # type: ignore[operator]
     assert diagnosis.facts["pose_residual_mm"] < 5  # type: ignore[operator]
+    assert diagnosis.facts["max_depth_m"] == 3.0 and 0 < diagnosis.facts["beyond_share"] < 0.3  # type: ignore[operator]
+
+
+def test_depth_of_the_object_that_would_make_no_surface_is_told() -> None:
+    """The chair's middle is 1.5 m away: of what is in the middle of the images much lies beyond 1.4 m."""
+    diagnosis, _ = inspect(CHAIR, fusion=FusionSettings(max_depth_m=1.4))
+    (found,) = diagnosis.findings
+    assert (found.name, found.severity) == ("far_depth", "warning")
+    assert "beyond 1.4 m" in found.what and "fusion.max_depth_m" in found.advice
 
 
 def test_camera_height_is_that_of_the_truth() -> None:

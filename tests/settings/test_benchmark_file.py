@@ -285,7 +285,7 @@ def test_wrong_overrides_name_the_override(tmp_path: Path, override: str, expect
     [
         (
             "fusion.min_depth_m=3",
-            "fusion: min_depth_m is 3 and max_depth_m 3, so that no depth would be fused",
+            "fusion: min_depth_m is 3, and of some recordings no depth beyond 3 m would be fused: give",
         ),
         ("fusion={min_depth_m: 2, max_depth_m: 0.2}", "min_depth_m is 2 and max_depth_m 0.2, so"),
         ("fusion.max_depth_m=0.2", "fusion: min_depth_m is 0.3 and max_depth_m 0.2, so"),

@@ -14,6 +14,7 @@ from kinectbench.stages.fuse import fuse
 from kinectbench.stages.sample_views.views import Views, sample_views
 from kinectbench.stages.segment.candidates import Candidates, find_candidates
 from kinectbench.stages.segment.choose import Segmentation, segment
+from kinectbench.stages.segment.grids import object_grid
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.witness import Witness, witness
 from kinectbench.stages.track import Trajectory
@@ -43,7 +44,11 @@ class Recorded:
         return find_candidates(self.scene, self.trajectory, SEGMENTATION)
 
     def witness(self, given: OrientedBox | None = None) -> Witness:
-        return witness(self.sequence, self.trajectory, self.scene, self.segment(given))
+        return self.witness_of(self.segment(given), given is not None)
+
+    def witness_of(self, chosen: Segmentation, given: bool = False, max_depth_m: float = 3.0) -> Witness:
+        grid = object_grid(chosen.box, chosen.floor, FUSION.voxel_size_m, given=given)
+        return witness(self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
 
     def model(self, given: OrientedBox | None = None) -> ObjectModel:
         return build_object(self.sequence, self.trajectory, self.scene, given, SEGMENTATION, FUSION)

@@ -175,6 +175,8 @@ class QualityFile(Stored):
     good_frames: int | None = Field(None, description="frames that were fused")
     unseen_side: UnseenSidePart | None = Field(None, description="side that no camera looked at")
     moving: MovingPart | None = Field(None, description="frames in which something moves")
+    max_depth_m: float | None = Field(None, description="farther depth made no surface of it, metres")
+    beyond_share: float | None = Field(None, description="of the depth that falls around it: farther")
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: the mesh")
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")

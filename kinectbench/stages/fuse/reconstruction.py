@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core.artefacts.reconstruction import DepthRangePart, ReconstructionFile
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry import Grid, TriangleMesh
 from kinectbench.core.geometry.mesh import write_ply
@@ -23,6 +24,7 @@ from kinectbench.stages.fuse.blocks import (
     in_cubes,
     unique_blocks,
 )
+from kinectbench.stages.fuse.depth_range import FARTHEST_M, depth_range_of, grid_range_m, range_warnings
 from kinectbench.stages.fuse.integrate import MAX_SLANT, DepthFrame, integrate
 from kinectbench.stages.fuse.mesh import color_vertices, extract_mesh
 from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
@@ -30,9 +32,9 @@ from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
 # frames see at the steepest slant that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
-# Depth is believed to be beyond the fused range up to so many times that, and up to the distance for which
-# integrate's quarter of a metre is enough; farther, it is often none at all.
-FAR_RANGES, FARTHEST_M = 2.0, 8.0
+# Depth is believed to be beyond the fused range up to so many times that, and up to 8 m, for which
+# integrate's quarter of a metre is enough.
+FAR_RANGES = 2.0
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,12 @@ class Reconstruction:
     Attributes:
         volume: TSDF, weights and votes near the surfaces; its frame is the world.
         mesh: the surface, world frame, metres, coloured where colour is registered to depth.
+        depth_range: how far depth made surface, and how much lay beyond.
     """
 
     volume: BlockVolume
     mesh: TriangleMesh
+    depth_range: DepthRangePart
 
 
 def fuse(
@@ -53,12 +57,16 @@ def fuse(
 ) -> Reconstruction:
     """Fuse every good frame (Curless & Levoy 1996, block-sparse) and extract the surface.
 
+    Without a range of depth in the settings, the recording decides (`depth_range`).
+
     Raises:
         TrackingError: no frame has a pose.
     """
     frames = trajectory.good_frames
     if len(frames) == 0:
         raise TrackingError("no frame has a pose: nothing to fuse; trajectory/health.json has the reasons")
+    chosen = depth_range_of(sequence, frames, trajectory.T_world_camera[frames], settings)
+    settings = settings.model_copy(update={"max_depth_m": chosen.max_depth_m})
     voxel_size_m = settings.scene_voxel_size_m
     truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
     found, distances_m = [], []
@@ -77,17 +85,19 @@ def fuse(
     distance_m = float(np.median(distances_m)) if distances_m else 0.0
     width_m = ray_width_m(sequence.camera, trajectory.usual_pose_sigma_m, distance_m)
     mesh = extract_mesh(volume, min_weight=least, trust=trust_in_votes(width_m, voxel_size_m))
-    return Reconstruction(volume, color_vertices(mesh, sequence, trajectory))
+    return Reconstruction(volume, color_vertices(mesh, sequence, trajectory), chosen)
 
 
 def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
-    """Write the surface and the volume, its blocks joined to cubes of 16^3.
+    """Write the surface, reconstruction.json, and the volume, its blocks joined to cubes of 16^3.
 
     volume.npz: `blocks` (n, 3) int32, `tsdf` and `weight` (n, 16, 16, 16) float16 in metres and 1/mm^2,
     `free` and `surface` (n, 16, 16, 16) uint16 votes, `voxel_size_m`, `T_world_grid` (4, 4).
     """
     volume = reconstruction.volume
     write_ply(reconstruction.mesh, folder / "mesh.ply")
+    chosen = reconstruction.depth_range
+    ReconstructionFile(depth_range=chosen, warnings=range_warnings(chosen)).write(folder)
     values = {
         "tsdf": volume.tsdf.astype(np.float16),
         "weight": np.minimum(volume.weight, 6e4).astype(np.float16),
@@ -115,8 +125,9 @@ def observe(
 ) -> Observation:
     """Fuse frames into a dense grid, so that empty space has votes, too.
 
-    Depth beyond the range that is fused says that all before it is free: under a table's top the cameras look
-    at a floor farther away than the table.
+    Depth makes surface as far as the grid reaches (`grid_range_m`), unless the settings say how far. What
+    lies beyond says that all before it is free: under a table's top the cameras look at a floor farther away
+    than the table.
 
     Args:
         sequence: the recording.
@@ -126,6 +137,9 @@ def observe(
         settings: depth range, truncation (in voxels of this grid).
         progress: called with (done, total).
     """
+    frames = np.asarray(list(frames), np.int64)
+    max_depth_m = grid_range_m(trajectory.T_world_camera[frames], grid, settings)
+    settings = settings.model_copy(update={"max_depth_m": max_depth_m})
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress, far=True)
     return Observation(
@@ -139,11 +153,15 @@ def observe(
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
     """Depth of a frame in metres, 0 outside the range that is fused; `far`: with what lies beyond it."""
-    depth_m, farthest_m = sequence.depth_m(index), settings.max_depth_m
+    depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
     depth_m[(depth_m < settings.min_depth_m) | (depth_m > farthest_m)] = 0.0
     return depth_m
+
+
+def _max_depth_m(settings: FusionSettings) -> float:
+    return np.inf if settings.max_depth_m is None else settings.max_depth_m
 
 
 def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionSettings) -> float:
@@ -189,4 +207,4 @@ def _integrate_frames(
             if progress:
                 progress(done, len(chosen))
 
-    integrate(volume, read(), sequence.camera, truncation_m, settings.max_depth_m)
+    integrate(volume, read(), sequence.camera, truncation_m, _max_depth_m(settings))

@@ -123,6 +123,8 @@ def measure_quality(
         good_frames=seen.good_frames,
         unseen_side=seen.unseen_side,
         moving=seen.moving,
+        max_depth_m=seen.max_depth_m,
+        beyond_share=seen.beyond_share,
         method=METHOD,
     )
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
-from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
+from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.floor import Floor
 
-JUDGED_FRAMES = 40
 COLUMNS = 160
 NEARER_M = 0.1
 NEARER_SIGMAS = 5.0
@@ -26,6 +26,8 @@ SEEN_WITHIN_RAD = np.radians(75.0)
 MIN_FRAMES = 10
 # Real floors scatter by up to 6 mm, what is refused as no plane by 20 mm.
 MAX_FLOOR_NOISE_M = 0.010
+# Of the depth around the object, what may be dropped without a warning (own choice): a corner of the grid.
+MAX_BEYOND_SHARE = 0.01
 
 
 def moving_frames(
@@ -46,7 +48,7 @@ def moving_frames(
     import cv2
 
     good = trajectory.good_frames
-    judged = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), JUDGED_FRAMES)).astype(int))]
+    judged = some_frames(good)
     step_px = max(1, round(sequence.camera.width / COLUMNS))
     camera = sequence.camera.every(step_px)
     renderer = DepthRenderer(scene)
@@ -65,6 +67,28 @@ def moving_frames(
         shares.append(float(opened.mean()))
     found: Int64 = judged[np.array(shares) > MOVING_SHARE]
     return MovingPart(judged=len(judged), frames=tuple(found.tolist()), largest_share=round(max(shares), 4))
+
+
+def beyond_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
+    """Of the depth that falls into the object's grid, the share that is too far to make surface (own rule).
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses; at most 40 good frames are looked at, every fourth pixel or fewer.
+        grid: around the object.
+        max_depth_m: how far depth makes surface.
+    """
+    step_px = max(1, round(sequence.camera.width / COLUMNS))
+    rays = sequence.camera.every(step_px).rays()
+    inside, beyond = 0, 0
+    for frame in map(int, some_frames(trajectory.good_frames)):
+        depth_m = sequence.depth_m(frame)[::step_px, ::step_px]
+        T_grid_camera = invert_rigid(grid.T_world_grid) @ trajectory.T_world_camera[frame]
+        points = transform_points(T_grid_camera, rays[depth_m > 0] * depth_m[depth_m > 0, None])
+        within = ((points >= 0) & (points <= grid.size_m)).all(axis=1)
+        inside += int(within.sum())
+        beyond += int((within & (depth_m[depth_m > 0] > max_depth_m)).sum())
+    return beyond / max(inside, 1)
 
 
 @dataclass(frozen=True)
@@ -89,6 +113,8 @@ class Witness:
     good_frames: int
     unseen_side: UnseenSidePart
     moving: MovingPart
+    max_depth_m: float
+    beyond_share: float
     warnings: tuple[str, ...]
 
 
@@ -136,14 +162,23 @@ def _of_floor(floor: Floor) -> list[str]:
     ]
 
 
-def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, chosen: Segmentation) -> Witness:
-    """Say what speaks against the recording: bad poses, a side never seen, few frames, movement, the choice.
+def witness(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    scene: TriangleMesh,
+    chosen: Segmentation,
+    grid: Grid,
+    max_depth_m: float,
+) -> Witness:
+    """Say what speaks against the recording: poses, a side never seen, few frames, movement, range, choice.
 
     Args:
         sequence: the recording.
         trajectory: its poses.
         scene: the fused surface, world frame.
         chosen: floor and object.
+        grid: around the object.
+        max_depth_m: how far depth makes surface in it.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
@@ -164,9 +199,15 @@ def witness(sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, cho
             "something stands before the scene that the others do not see: a person walking through, or "
             "poses that are off? record without, or let the poses be tracked"
         )
+    too_far = beyond_share(sequence, trajectory, grid, max_depth_m)
+    if too_far > MAX_BEYOND_SHARE:
+        warnings.append(
+            f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no "
+            "surface: its far side and cavities may be wrong; raise `fusion.max_depth_m`, or leave it out"
+        )
     figures = UnseenSidePart(
         gap_rad=np.radians(round(np.degrees(side.gap_rad), 1)),
         towards_rad=np.radians(round(np.degrees(side.towards_rad), 1)),
         share=round(side.share, 4),
     )
-    return Witness(len(good), figures, moving, tuple(warnings))
+    return Witness(len(good), figures, moving, max_depth_m, round(too_far, 4), tuple(warnings))

@@ -141,7 +141,7 @@ def test_same_input_same_bytes(ball, tmp_path):
         write_reconstruction(fuse(sequence, few, FusionSettings()), folder)
         written.append({path.name: path.read_bytes() for path in folder.iterdir()})
     assert written[0] == written[1]
-    assert set(written[0]) == {"mesh.ply", "volume.npz"}
+    assert set(written[0]) == {"mesh.ply", "reconstruction.json", "volume.npz"}
     with np.load(tmp_path / "one" / "volume.npz") as volume:
         assert volume["tsdf"].shape == volume["free"].shape == (len(volume["blocks"]), 16, 16, 16)
 

@@ -12,7 +12,7 @@ from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.stages.segment.select import select_in_box
-from kinectbench.stages.segment.witness import unseen_side, witness
+from kinectbench.stages.segment.witness import unseen_side
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 
@@ -185,8 +185,19 @@ def test_a_floor_that_is_not_flat_may_be_something_else():
     chosen = plain().segment()
     rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
     for each, told in ((chosen, False), (rough, True)):
-        found = witness(plain().sequence, plain().trajectory, plain().scene, each)
+        found = plain().witness_of(each)
         assert warned(found.warnings, "the floor found scatters by 19 mm") is told
+
+
+def test_depth_of_the_object_that_is_out_of_range():
+    """The box's middle is 1.4 m away from all cameras: what they see of it lies in part beyond 1.4 m."""
+    chosen = plain().segment()
+    whole, half = (plain().witness_of(chosen, max_depth_m=each) for each in (3.0, 1.4))
+    assert whole.beyond_share == 0 and not warned(whole.warnings, "makes no surface")
+    assert 0.1 < half.beyond_share < 0.5
+    assert warned(half.warnings, f"{half.beyond_share:.0%} of the depth around the object lies beyond 1.4 m")
+    quality = plain().model().quality
+    assert (quality.max_depth_m, quality.beyond_share) == (3.0, 0.0)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])

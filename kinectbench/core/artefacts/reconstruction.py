@@ -1,0 +1,40 @@
+"""reconstruction.json of `build/<recording>/reconstruction/`: how far depth made surface, and what is beyond.
+
+mesh.ply beside it is binary PLY (`core.geometry.mesh`); volume.npz belongs to the stage `fuse`.
+"""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import Part, Stored
+
+
+class DepthRangePart(Part):
+    """How far depth makes surface of the scene, why so far, and how much depth lies beyond."""
+
+    max_depth_m: float = Field(description="farther depth makes no surface of the scene, metres")
+    chosen_by: Literal["recording", "setting"] = Field(
+        description="setting: benchmark.yaml has fusion.max_depth_m"
+    )
+    looked_at_m: float | None = Field(
+        description="how far from the cameras what they look at lies, along their axes, metres; null if "
+        "neither poses nor depth tell"
+    )
+    reach_m: float | None = Field(
+        description="how far it may extend: the far side of a ball around it that fills the view, metres"
+    )
+    beyond_share: float = Field(description="of the depth: farther than max_depth_m")
+    missed_share: float = Field(
+        description="of the depth in the middle of the images: farther than max_depth_m, but within reach_m"
+    )
+
+
+class ReconstructionFile(Stored):
+    """reconstruction.json: what is to be known of the fused scene."""
+
+    FILE: ClassVar[str] = "reconstruction.json"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    depth_range: DepthRangePart = Field(description="how far depth makes surface")
+    warnings: tuple[str, ...] = Field((), description="what people should know, one line each")

@@ -1,0 +1,157 @@
+"""How far depth makes surface: as far as what the cameras look at may reach, unless a person says how far.
+
+What is looked at lies where the optical axes meet, and no nearer than the nearest tenth of the depth in the
+middle of the images: where axes do not meet, as along a shelf, that depth alone tells. It may reach as far
+behind that as a ball that fills the wider side of the image. Own rules; what is nearer than 3 m is fused in
+any case.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.artefacts.reconstruction import DepthRangePart
+from kinectbench.core.geometry import Camera, Grid, invert_rigid, transform_points
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.core.types import Float32, Float64, Int64
+from kinectbench.settings.models import LEAST_RANGE_M, FusionSettings
+
+# The noise of a Kinect is 0.11 m there; what is recorded as farther is often no depth at all.
+FARTHEST_M = 8.0
+# Rounded up to it, so that poses that differ by a hair give the same range.
+RANGE_STEP_M = 0.1
+# So many frames, evenly spread, and of their pixels one in so many along rows and columns tell.
+SAMPLE_FRAMES, SAMPLE_STEP_PX = 40, 8
+NEAREST_SHARE, USUAL_SHARE = 0.1, 0.95
+# Of the depth in the middle of the images: a warning if more of it is missed (own choice).
+MAX_MISSED_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class SampledDepth:
+    """Measured depth of some frames, thinned out.
+
+    Attributes:
+        whole_m: (n,) float32, metres, all of it.
+        middle_m: (m,) of this, what lies in the middle third of rows and of columns.
+        nearest_m: (k,) for each frame with depth there: a tenth of that depth is nearer.
+    """
+
+    whole_m: Float32
+    middle_m: Float32
+    nearest_m: Float32
+
+
+def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
+    """Gather what is measured in depth images (height, width), metres, 0 = none."""
+    whole, middle = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
+    nearest = []
+    for depth_m in depths_m:
+        height, width = depth_m.shape
+        inner_m = depth_m[height // 3 : height - height // 3, width // 3 : width - width // 3]
+        whole.append(depth_m[depth_m > 0])
+        middle.append(inner_m[inner_m > 0])
+        if len(middle[-1]):
+            nearest.append(np.quantile(middle[-1], NEAREST_SHARE))
+    return SampledDepth(np.concatenate(whole), np.concatenate(middle), np.array(nearest, np.float32))
+
+
+def some_frames(frames: Int64) -> Int64:
+    """At most 40 of the frames (n,), evenly spread."""
+    places = np.linspace(0, len(frames) - 1, min(SAMPLE_FRAMES, len(frames))).astype(int)
+    chosen: Int64 = frames[np.unique(places)]
+    return chosen
+
+
+def depth_range_of(
+    sequence: Sequence, frames: Int64, T_world_camera: Float64, settings: FusionSettings
+) -> DepthRangePart:
+    """`depth_range` of a sequence's frames (n,), n > 0, with their poses (n, 4, 4)."""
+    thin = slice(None, None, SAMPLE_STEP_PX)
+    sampled = sample_depth(sequence.depth_m(int(index))[thin, thin] for index in some_frames(frames))
+    return depth_range(sequence.camera, T_world_camera, sampled, settings)
+
+
+def depth_range(
+    camera: Camera, T_world_camera: Float64, sampled: SampledDepth, settings: FusionSettings
+) -> DepthRangePart:
+    """Choose how far depth makes surface of the scene, and count what lies beyond.
+
+    Args:
+        camera: of the depth images.
+        T_world_camera: (n, 4, 4), finite; none (n = 0) if no poses are known.
+        sampled: depth of some frames.
+        settings: the range that a person gives, or none.
+    """
+    looked_at_m = _looked_at_m(T_world_camera, sampled)
+    reach_m = None if looked_at_m is None else (1 + _ball_share(camera)) * looked_at_m
+    given_m = settings.max_depth_m
+    max_depth_m = _range_m(reach_m or 0.0) if given_m is None else given_m
+    whole_m, middle_m = sampled.whole_m, sampled.middle_m
+    missed = (middle_m > max_depth_m) & (middle_m <= (reach_m or 0.0))
+    return DepthRangePart(
+        max_depth_m=max_depth_m,
+        chosen_by="recording" if given_m is None else "setting",
+        looked_at_m=None if looked_at_m is None else round(looked_at_m, 3),
+        reach_m=None if reach_m is None else round(reach_m, 3),
+        beyond_share=round(float((whole_m > max_depth_m).mean()), 4) if len(whole_m) else 0.0,
+        missed_share=round(float(missed.mean()), 4) if len(middle_m) else 0.0,
+    )
+
+
+def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
+    """A line for people if what the cameras look at may lie beyond the depth that makes surface."""
+    if part.missed_share <= MAX_MISSED_SHARE:
+        return ()
+    remedy = "raise `fusion.max_depth_m`, or leave it out"
+    if part.chosen_by == "recording":
+        remedy = "record from nearer"
+    return (
+        f"{part.missed_share:.0%} of the depth in the middle of the images makes no surface: it lies beyond "
+        f"{part.max_depth_m:g} m, and what the cameras look at may reach to {part.reach_m:.1f} m; {remedy}",
+    )
+
+
+def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
+    """How far depth makes surface in a grid, metres: as far as the grid itself reaches, 3 to 8 m.
+
+    All depth that falls into the grid counts, with its weight: depth that hits the far wall of a cavity
+    carves the cavity. The grid bounds what it costs. A person's `fusion.max_depth_m` holds, though.
+
+    Args:
+        T_world_camera: (n, 4, 4) of the frames, finite.
+        grid: the grid.
+        settings: the range that a person gives, or none.
+    """
+    if settings.max_depth_m is not None:
+        return settings.max_depth_m
+    corners = np.stack(np.meshgrid(*([0.0, side] for side in grid.size_m)), axis=-1).reshape(-1, 3)
+    corners_world = transform_points(grid.T_world_grid, corners)
+    ahead_m = [transform_points(invert_rigid(T), corners_world)[:, 2].max() for T in T_world_camera]
+    return _range_m(float(max(ahead_m, default=0.0)))
+
+
+def _range_m(reach_m: float) -> float:
+    # A part of a millionth less, or 4.1 / 0.1 would be rounded up to 42 steps.
+    stepped_m = np.ceil(reach_m / RANGE_STEP_M - 1e-6) * RANGE_STEP_M
+    return round(float(np.clip(stepped_m, LEAST_RANGE_M, FARTHEST_M)), 3)
+
+
+def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None:
+    """How far what is looked at lies from most cameras, along their axes, metres; None if nothing tells."""
+    told_m = []
+    if len(T_world_camera):
+        towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]
+        ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
+        told_m.append(float(np.quantile(np.maximum(ahead_m, 0), USUAL_SHARE)))
+    if len(sampled.nearest_m):
+        told_m.append(float(np.median(sampled.nearest_m)))
+    return max(told_m, default=None)
+
+
+def _ball_share(camera: Camera) -> float:
+    """Radius of a ball that fills the wider side of the image, as a share of its middle's distance."""
+    half_view = np.arctan(max(camera.width / camera.fx, camera.height / camera.fy) / 2)
+    return float(np.sin(half_view))
