@@ -16,12 +16,13 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.lab.evaluate.surface import SurfaceFigures, surface_errors, surface_figures
 from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
-from kinectbench.settings.models import FusionSettings, TrackingSettings
+from kinectbench.settings.models import LEAST_RANGE_M, FusionSettings, TrackingSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.track import track
 
 CUBE_M, VOXEL_M = 2.0, 0.005
-SETTINGS = FusionSettings(scene_voxel_size_m=VOXEL_M)
+# One range for both rivals: that of what is recorded from less than 2 m.
+SETTINGS = FusionSettings(scene_voxel_size_m=VOXEL_M, max_depth_m=LEAST_RANGE_M)
 # What is judged: the object's box and this much around it, but not the floor that it stands on.
 MARGIN_M, FLOOR_M = 0.03, 0.015
 TRUE_F, TRACKED_F, TRUE_MEAN_M = 0.98, 0.95, 0.001
