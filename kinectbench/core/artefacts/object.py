@@ -134,7 +134,7 @@ class SolidMethod(Part):
     min_free_votes: int | None = Field(None, description="frames that must see through to carve a voxel")
     min_free_share: float | None = Field(None, description="of the frames that look there, that must do so")
     free_by_noise: tuple[float, float] | None = Field(
-        None, description="share of frames that noise lets see through a surface, and its growth a voxel"
+        None, description="share of frames that may see through what lies behind, and its growth a voxel"
     )
     voxels_per_free_share: float | None = Field(
         None, description="how far the other frames that see through move the surface inward, voxels"

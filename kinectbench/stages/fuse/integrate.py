@@ -10,6 +10,7 @@ import numpy as np
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 from kinectbench.core.types import Float32, Float64
+from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HIDDEN_SHARE
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, visible_blocks
 
@@ -17,7 +18,7 @@ from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, visibl
 BATCH_FRAMES = 8
 SURFACE_SIGMAS = 2.0
 BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
-HALF_DIAGONAL = 0.87
+HIDDEN = np.float32(HIDDEN_SHARE)
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
 SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
@@ -27,6 +28,8 @@ NEAREST_M = np.float32(1e-3)
 BEHIND_CAMERA_M = np.float32(1e6)
 # Twice the noise of a depth of 8 m.
 BEFORE_FAR_M = np.float32(0.25)
+# Weights are in 1/mm^2, all else in metres.
+PER_MM2 = np.float32(1e6)
 SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 BORDER_PX = 1
@@ -63,10 +66,12 @@ def integrate(
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
     s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
     clipped at +-truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
-    where s > max(2 sigma, half a voxel's diagonal), else `surface`. Voxels farther behind the surface get
-    nothing: where two standard deviations of the depth are more than the truncation, from there on, or the
-    mean of what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a metre
-    in front of it hear: they are free.
+    where s > max(2 sigma, half a voxel's diagonal), else `surface`. What lies farther behind the surface than
+    that, along its normal, is hidden: it may be solid or air, and the frame's weight on it fades within half
+    a voxel to a thousandth, so that any frame that looks at it from elsewhere decides. Voxels farther behind
+    get nothing: where two standard deviations of the depth are more than the truncation, from there on, or
+    the mean of what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a
+    metre in front of it hear: they are free.
 
     Args:
         volume: blocks to fuse into.
@@ -82,7 +87,7 @@ def integrate(
     slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
     while batch := list(islice(remaining, BATCH_FRAMES)):
         for values, frame in zip(pixels, batch, strict=False):
-            noise_m = _noise_m(volume.voxel_size_m, frame.pose_sigma_m)
+            noise_m = _noise_m(volume.voxel_size_m, frame)
             _set_pixels(values, frame.depth_m, slope, noise_m, np.float32(farthest_m))
         _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
 
@@ -101,7 +106,7 @@ def _integrate_batch(
     # fraction, round to the nearest pixel.
     to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
     middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
-    noise_m = np.stack([_noise_m(volume.voxel_size_m, frame.vote_sigma_m) for frame in batch])
+    noise_m = np.stack([_noise_m(volume.voxel_size_m, frame) for frame in batch])
     tsdf, weight, votes = (
         values.reshape(-1, BLOCK_CELLS)
         for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
@@ -112,10 +117,12 @@ def _integrate_batch(
     )  # fmt: skip
 
 
-def _noise_m(voxel_size_m: float, pose_sigma_m: float) -> Float32:
-    """What weights and the width of `surface` votes are made of: depth noise (3), pose, half a diagonal."""
+def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
+    """What weights and votes are made of: depth noise (3), the pose (2), half a diagonal, 1 / fading."""
     depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
-    return np.array([*depth, pose_sigma_m, HALF_DIAGONAL * voxel_size_m], np.float32)
+    poses = (frame.pose_sigma_m, frame.vote_sigma_m)
+    fading_per_m = 1 / (FADING_VOXELS * voxel_size_m)
+    return np.array([*depth, *poses, HALF_DIAGONAL * voxel_size_m, fading_per_m], np.float32)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -184,22 +191,29 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
     """Add a frame's weighted distances, weights and votes; whether there were any."""
-    near, growth, near_depth, pose, half_diagonal = noise[0], noise[1], noise[2], noise[3], noise[4]
-    any_added = np.float32(0)
+    f32 = np.float32
+    near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
+    half_diagonal, fading_per_m = noise[5], noise[6]
+    any_added = f32(0)
     for n in range(BLOCK_CELLS):
-        depth = np.uint32(fetched[n] & LOWER_HALF).view(np.float32)
-        weight = np.uint32(fetched[n] >> HALF_BITS).view(np.float32)
+        depth = np.uint32(fetched[n] & LOWER_HALF).view(f32)
+        weight = np.uint32(fetched[n] >> HALF_BITS).view(f32)
         distance = depth - z[n]
         sigma = near + growth * (depth - near_depth) * (depth - near_depth)
         least = -max(truncation, BEHIND_SIGMAS * sigma) if weight >= 0 else BEFORE_FAR_M
-        added = abs(weight) if distance >= least else np.float32(0)
+        added = abs(weight) if distance >= least else f32(0)
         any_added += added
-        new_total[n] += added * max(min(distance, truncation), -truncation)
-        new_weight[n] += added
         # (max(2 sigma, half a diagonal))^2
-        reach = max(SURFACE_SIGMAS_SQUARED * (sigma * sigma + pose * pose), half_diagonal * half_diagonal)
+        reach = max(
+            SURFACE_SIGMAS_SQUARED * (sigma * sigma + vote_pose * vote_pose), half_diagonal * half_diagonal
+        )
         vote = FREE_VOTE if distance > 0 and distance * distance > reach else SURFACE_VOTE
         new_votes[n] += vote if added > 0 else NO_VOTE
+        # The weight holds the square of the cosine: along the normal, distances are shorter by that.
+        behind = -distance * np.sqrt(added * PER_MM2 * (sigma * sigma + pose * pose)) - np.sqrt(reach)
+        added *= max(min(f32(1) - behind * fading_per_m, f32(1)), HIDDEN)
+        new_total[n] += added * max(min(distance, truncation), -truncation)
+        new_weight[n] += added
     return any_added > 0
 
 

@@ -8,7 +8,7 @@ from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
-from kinectbench.core.voxels.observation import without_fringe
+from kinectbench.core.voxels.observation import evident_weight, without_fringe
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 
 BRICK_BLOCKS = 16
@@ -24,7 +24,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
 
     Args:
         volume: fused blocks.
-        min_weight: voxels of less weight (1/mm^2) count as not observed.
+        min_weight: voxels of less weight (`evident_weight`, 1/mm^2) count as not observed.
         trust: what part of the votes is believed, `trust_in_votes`.
     """
     bricks = np.unique(volume.blocks // BRICK_BLOCKS, axis=0)
@@ -40,7 +40,8 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
         free = volume.dense(free_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         surface = volume.dense(surface_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         signed_m = without_fringe(tsdf, free, surface, volume.voxel_size_m, trust)
-        part = isosurface(signed_m, weight > min_weight)
+        evident = evident_weight(tsdf, weight, volume.voxel_size_m) > min_weight
+        part = isosurface(signed_m, evident)
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

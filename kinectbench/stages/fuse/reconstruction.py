@@ -14,7 +14,13 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float32, Progress
 from kinectbench.core.voxels.npz import npz_bytes
-from kinectbench.core.voxels.observation import Observation, pose_reach_m, ray_width_m, trust_in_votes
+from kinectbench.core.voxels.observation import (
+    Observation,
+    evident_weight,
+    pose_reach_m,
+    ray_width_m,
+    trust_in_votes,
+)
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.blocks import (
     BlockVolume,
@@ -142,10 +148,11 @@ def observe(
     settings = settings.model_copy(update={"max_depth_m": max_depth_m})
     volume = empty_volume(blocks_of_grid(grid), grid.voxel_size_m, grid.T_world_grid)
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress, far=True)
+    tsdf, weight = dense_grid(volume.tsdf, grid.shape), dense_grid(volume.weight, grid.shape)
     return Observation(
         grid,
-        tsdf=dense_grid(volume.tsdf, grid.shape),
-        weight=dense_grid(volume.weight, grid.shape),
+        tsdf=tsdf,
+        weight=evident_weight(tsdf, weight, grid.voxel_size_m),
         free=dense_grid(volume.free, grid.shape),
         surface=dense_grid(volume.surface, grid.shape),
     )

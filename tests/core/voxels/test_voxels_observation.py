@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry import Camera, Grid
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.voxels.observation import (
+    Observation,
+    evident_weight,
+    merge,
     ray_width_m,
     seen_through_share,
     trust_in_votes,
@@ -37,8 +40,29 @@ def test_share_of_the_frames_with_a_vote() -> None:
 
 @pytest.mark.parametrize("trust", [1.0, 0.4])
 def test_what_frames_saw_through_moves_the_surface_inward(trust):
-    """By hand, 5 mm voxels: 200 mm for each share of free votes above 0.1, and 2 a voxel in front."""
+    """By hand, 5 mm voxels: 200 mm for each share of free votes above 0.15, which grows from -5 mm on."""
     free, surface = np.array([0, 1, 6, 6, 10, 0], np.uint32), np.array([10, 9, 4, 4, 0, 0], np.uint32)
-    tsdf = np.array([-0.004, -0.004, -0.004, 0.001, 0.012, 0.0], np.float32)
+    tsdf = np.array([-0.008, -0.008, -0.008, -0.0045, 0.0, -0.02], np.float32)
     raised = without_fringe(tsdf, free, surface, 0.005, trust) - tsdf
-    assert raised == pytest.approx(trust * np.array([0, 0, 0.1, 0.02, 0, 0]), abs=1e-6)
+    assert raised == pytest.approx(trust * np.array([0, 0, 0.09, 0.08, 0.07, 0]), abs=1e-6)
+
+
+def test_evidence_is_what_weights_were_before_they_faded() -> None:
+    """By hand, 5 mm voxels: in full to 4.35 mm behind the surface, half 1.25 mm on, then a thousandth."""
+    tsdf = np.array([0.02, 0.0, -0.0043, -0.0056, -0.0069, -0.02], np.float32)
+    weight = np.array([3.0, 2.0, 1.0, 0.5, 0.002, 0.002], np.float32)
+    assert evident_weight(tsdf, weight, 0.005) == pytest.approx(np.array([3, 2, 1, 1, 2, 2]), rel=1e-4)
+
+
+def test_a_frame_that_looks_from_elsewhere_outweighs_those_that_see_it_hidden() -> None:
+    """A voxel 15 mm behind what fifty say, and 2 mm before what one measures."""
+    grid = Grid((1, 1, 1), 0.005, np.eye(4))
+
+    def seen(tsdf_m: float, weight: float) -> Observation:
+        votes = np.zeros((1, 1, 1), np.uint16)
+        of_one = (np.full((1, 1, 1), value, np.float32) for value in (tsdf_m, weight))
+        return Observation(grid, *of_one, votes, votes)
+
+    both = merge(seen(-0.015, 50.0), seen(0.002, 1.0))
+    assert both.tsdf.item() == pytest.approx((-0.015 * 0.05 + 0.002) / 1.05, abs=1e-7)
+    assert both.weight.item() == pytest.approx(1.05, rel=1e-5)

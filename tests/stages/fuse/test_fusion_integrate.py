@@ -13,6 +13,7 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HIDDEN_SHARE
 from kinectbench.stages.fuse.blocks import (
     BLOCK_VOXELS,
     BlockVolume,
@@ -25,7 +26,6 @@ from kinectbench.stages.fuse.blocks import (
 from kinectbench.stages.fuse.integrate import (
     BATCH_FRAMES,
     BEFORE_FAR_M,
-    HALF_DIAGONAL,
     SURFACE_SIGMAS,
     DepthFrame,
     integrate,
@@ -76,9 +76,11 @@ def reference(volume, frames, farthest_m=np.inf):
         sigma = np.sqrt(depth_sigma_m(d) ** 2 + POSE_SIGMA_M**2)
         slant = slants(depth_m)[np.where(inside, v, 0), np.where(inside, u, 0)]
         added = np.where(measured, 1e-6 / (sigma * slant) ** 2, 0)
-        total += added * np.minimum(sdf, TRUNCATION_M)
-        weight += added
         margin = np.maximum(SURFACE_SIGMAS * sigma, HALF_DIAGONAL * VOXEL_M)
+        hidden_voxels = (-sdf / slant - margin) / VOXEL_M
+        faded = added * np.clip(1 - hidden_voxels / FADING_VOXELS, HIDDEN_SHARE, 1)
+        total += faded * np.minimum(sdf, TRUNCATION_M)
+        weight += faded
         free += measured & (sdf > margin)
         surface += measured & (sdf <= margin)
         tie |= (np.abs(uv - np.floor(uv) - 0.5) < 1e-3).any(-1) | (np.abs(z) < 5e-3)
@@ -119,7 +121,7 @@ def test_kernel_against_numpy(count, farthest_m):
     assert (weight > 0).mean() > 0.3 and surface.sum() > 1000 and free.sum() > 1000
     np.testing.assert_array_equal(volume.free[sure], free[sure])
     np.testing.assert_array_equal(volume.surface[sure], surface[sure])
-    np.testing.assert_allclose(volume.weight[sure], weight[sure], rtol=2e-5)
+    np.testing.assert_allclose(volume.weight[sure], weight[sure], rtol=1e-4)
     np.testing.assert_allclose(volume.tsdf[sure], tsdf[sure], atol=2e-6)
 
 
@@ -130,7 +132,7 @@ def test_camera_inside_the_volume_fuses_nothing_behind_it():
     behind = voxel_centers_world(volume)[..., 2] < 0.999
     assert behind.any() and not volume.weight[behind].any()
     _, weight, _, _, tie = reference(volume, frames)
-    np.testing.assert_allclose(volume.weight[~tie], weight[~tie], rtol=2e-5)
+    np.testing.assert_allclose(volume.weight[~tie], weight[~tie], rtol=1e-4)
 
 
 @pytest.mark.parametrize("slant_deg", [0.0, 40.0, 70.0])

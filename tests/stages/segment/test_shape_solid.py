@@ -308,11 +308,11 @@ def test_sigma_without_a_common_surface():
 @pytest.mark.parametrize(("ray_width_voxels", "trust"), [(0.5, 1.0), (1.0, 0.45), (1.2, 0.225), (2.0, 0.0)])
 def test_frames_that_saw_through_move_the_surface(ray_width_voxels: float, trust: float) -> None:
     every = np.full(SHAPE, 1.0, np.float32)
-    # Of 100 frames 30 see through: 20 more than by noise.
+    # Of 100 frames 30 see through: 15 more than may.
     free = np.full(SHAPE, 30, np.uint16)
-    seen = Observation(GRID, -np.float32(0.25 * VOXEL_M) * every, every, free=free, surface=100 - free)
+    seen = Observation(GRID, -np.float32(1.5 * VOXEL_M) * every, every, free=free, surface=100 - free)
     moved_m = _signed_distance_m(seen, ray_width_voxels * VOXEL_M)
-    expected_voxels = -0.25 + 40 * trust * (0.30 - 0.1)
+    expected_voxels = -1.5 + 40 * trust * (0.30 - 0.15)
     np.testing.assert_allclose(moved_m, expected_voxels * VOXEL_M, rtol=1e-4)
 
 
