@@ -9,6 +9,8 @@ from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m
 from kinectbench.stages.segment.choose import segment
+from kinectbench.stages.segment.evidence import weigh
+from kinectbench.stages.segment.frontiers import find_frontiers
 from kinectbench.stages.segment.grids import (
     floor_layers,
     object_grid,
@@ -16,9 +18,9 @@ from kinectbench.stages.segment.grids import (
     surround_grid,
     usual_ray_width_m,
 )
-from kinectbench.stages.segment.object_model import ObjectModel, object_model, usual_pose_error_m
+from kinectbench.stages.segment.object_model import ObjectModel, object_model, usual_pose_error
 from kinectbench.stages.segment.quality import surface_sigma_m
-from kinectbench.stages.segment.solid import solidify
+from kinectbench.stages.segment.solid import make_solid, solidify
 from kinectbench.stages.segment.witness import witness
 
 
@@ -62,9 +64,14 @@ def build_object(
     together = merge(odd, even)
     # Of a large object each of them is a gigabyte.
     del odd, even
-    whole = solidify(together, *rules)
+    evidence = weigh(together, *rules)
+    whole = make_solid(together, evidence, layers)
     del together
+    T_floor_grid = chosen.floor.T_floor_world @ grid.T_world_grid
+    frontiers = find_frontiers(whole, evidence, T_floor_grid)
+    del evidence
     around = surround_grid(grid, chosen.floor)
     surround = observe(sequence, trajectory, surround_frames(frames), around, fusion)
     seen = witness(sequence, trajectory, scene, chosen, grid, max_depth_m)
-    return object_model(chosen, (whole, *halves), sigma_m, seen, surround, usual_pose_error_m(trajectory))
+    pose_error = usual_pose_error(trajectory)
+    return object_model(chosen, (whole, *halves), sigma_m, seen, surround, pose_error, frontiers)

@@ -90,6 +90,17 @@ class RuleProbabilities(Part):
     beside_empty: float = Field(description="elsewhere, and called empty")
 
 
+class OpenProbabilities(Part):
+    """Probabilities that a voxel is occupied that lies open to free space, and that no frame saw."""
+
+    among_m: float = Field(description="edge of the cube in which sealed voxels are counted, metres")
+    among: Curve = Field(description="[share of sealed voxels among those not seen, probability]")
+    crack: tuple[float, ...] = Field(description="by how many of nine directions upwards are open")
+    beside: tuple[float, ...] = Field(description="by how many of eight level directions are open")
+    below: tuple[float, ...] = Field(description="the same where most directions downwards are open, too")
+    cavity: tuple[float, ...] = Field(description="in a cavity, by how many directions upwards are open")
+
+
 class SolidMethod(Part):
     """The constants by which a solid was made from what the frames saw."""
 
@@ -149,8 +160,40 @@ class SolidMethod(Part):
     probability_by_signed_voxels: Curve | None = Field(
         None, description="[signed distance in voxels, probability] of observed voxels"
     )
+    shell_m: float | None = Field(
+        None, description="a surface tells what lies so far behind it, metres; deeper it is unseen"
+    )
+    opening_m: float | None = Field(
+        None, description="edge of the cube that passes through an opening, metres; a narrower one is none"
+    )
+    wide_open_above: int | None = Field(
+        None, description="of nine ways up, so many lead outside below the mouth of a cavity"
+    )
+    probability_open: OpenProbabilities | None = Field(
+        None, description="of what lies open to free space through an opening that nobody looked into"
+    )
+    stand_m: float | None = Field(
+        None,
+        description="what lies no higher above the floor is open: a thing may stand on its edges; metres",
+    )
     probability_by_rule: RuleProbabilities | None = Field(None, description="where a rule says so")
     chosen_on: str | None = Field(None, description="the data that the constants were chosen on")
+
+
+class FrontierPart(Part):
+    """An opening that nobody looked into: unseen space borders on free space without any surface."""
+
+    direction: Literal["up", "side", "down"] = Field(description="from the unseen region outward")
+    area_m2: float = Field(description="of its projection along that direction, square metres")
+    size_m: tuple[float, float] = Field(
+        description="seen from above the longer and the shorter side; at the side width and height; metres"
+    )
+    center_m: Triple = Field(description="its middle, floor frame, metres")
+    look_from: Triple = Field(description="unit vector, floor frame: to where a camera would look into it")
+    advice: str = Field(description="one line for the person who records")
+    volume_m3: float = Field(description="of the unseen region behind it, cubic metres")
+    inside_share: float = Field(description="of that region, expected to be inside the object")
+    solid_share: float = Field(description="of that region, what the solid takes for inside")
 
 
 class QualityFile(Stored):
@@ -163,6 +206,16 @@ class QualityFile(Stored):
     warnings: tuple[str, ...] = Field((), description="one line each")
     repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
     estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
+    estimated_iou_low: float | None = Field(
+        None, description="95 % interval: least; if the other guess is right behind every opening"
+    )
+    estimated_iou_high: float | None = Field(
+        None, description="95 % interval: most; if the guess is right behind every opening"
+    )
+    estimated_iou_reasons: tuple[str, ...] = Field((), description="what widens the interval, a line each")
+    frontiers: tuple[FrontierPart, ...] = Field(
+        (), description="openings that nobody looked into, that with the largest volume behind it first"
+    )
     surface_sigma_m: float | None = Field(None, description="standard deviation of the surface, metres")
     unknown_share: float | None = Field(None, description="of the solid: never seen")
     doubtful_share: float | None = Field(None, description="of the solid: perhaps a hollow")

@@ -1,4 +1,4 @@
-"""How enclosed is a voxel that no camera saw? Votes along 26 directions, and steps of the outline."""
+"""What a seat or a top hides: hollows behind aprons, and the shadow under the object."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,17 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools, Float32
 from kinectbench.stages.segment.morphology import opened
+from kinectbench.stages.segment.rays import (
+    BEYOND,
+    INSIDE,
+    NEUTRAL,
+    OUTSIDE,
+    SEALED,
+    UNSEEN,
+    Tally,
+    tally_rays,
+)
 
-UNSEEN, OUTSIDE, INSIDE, NEUTRAL = 0, 1, 2, 3
 # From so many directions of 26 on an unseen voxel is inside more often than not.
 ENCLOSED = 14.5 / 26
 # So many of the 8 horizontal directions enclose what is of the object and not under it.
@@ -33,28 +42,6 @@ FULL_OVERHANG = 0.6
 NOT_UNDER = 30_000
 
 
-def enclosure(state: NDArray[np.uint8]) -> Float32:
-    """In what share of 26 directions one first meets the inside of a surface.
-
-    From a voxel one walks through UNSEEN voxels until the first other one; leaving the grid counts as
-    OUTSIDE, and a direction that ends in NEUTRAL does not count. Deep inside a solid all directions
-    meet its surface from behind; in the shadow beside it only some do. Own rule: a lattice version of
-    the generalised winding number (Jacobson et al. 2013) for surfaces with large holes; 26 sweeps,
-    linear in voxels.
-
-    Args:
-        state: (nx, ny, nz) uint8 of UNSEEN, OUTSIDE (seen empty, seen floor, neighbours), INSIDE (just
-            behind a measured surface of the object) and NEUTRAL (below a floor that was not seen).
-
-    Returns:
-        (nx, ny, nz) float32 in [0, 1]; 0 where no direction counts.
-    """
-    inside, outside = _votes(_bordered(state), -1, 1)
-    share = np.zeros(state.shape, np.float32)
-    np.divide(inside, inside + outside, out=share, where=inside > 0, dtype=np.float32)
-    return share
-
-
 @dataclass(frozen=True)
 class Hollows:
     """What may be empty under a top; bool, of the grid's shape.
@@ -68,7 +55,7 @@ class Hollows:
     doubtful: Bools
 
 
-def hollows(state: NDArray[np.uint8], enclosed: Float32, voxel_size_m: float) -> Hollows:
+def hollows(state: NDArray[np.uint8], tally: Tally, voxel_size_m: float) -> Hollows:
     """Unseen voxels behind an apron: under a top, open from below.
 
     From no camera above the seat can the space between the aprons of a chair be told from a thick slab: top
@@ -83,12 +70,14 @@ def hollows(state: NDArray[np.uint8], enclosed: Float32, voxel_size_m: float) ->
     those of no seat do, or a hollow begins under it. Own rule.
 
     Args:
-        state: as for `enclosure`; the grid is upright, its last axis points up.
-        enclosed: `enclosure` of it.
+        state: as for `tally_rays`; the grid is upright, its last axis points up.
+        tally: of its rays.
         voxel_size_m: edge of a voxel, metres.
     """
+    state = np.where(state == SEALED, np.uint8(OUTSIDE), state)
     bordered = _bordered(state)
-    _, outside = _votes(bordered, -1, -1)
+    enclosed = tally.enclosed
+    outside = tally.down(OUTSIDE, SEALED, BEYOND)
     least, second = _overhang(bordered)
     below = _under_inside(bordered)
     overhang, reach, doubtful_reach = (
@@ -97,7 +86,7 @@ def hollows(state: NDArray[np.uint8], enclosed: Float32, voxel_size_m: float) ->
     unseen = state == UNSEEN
     possible = unseen & (below <= reach) & (second > overhang)
     sure = possible & (least > overhang) & (outside >= OPEN_BELOW)
-    without_sure = enclosure(np.where(sure, np.uint8(OUTSIDE), state))
+    without_sure = tally_rays(np.where(sure, np.uint8(OUTSIDE), state)).enclosed if sure.any() else enclosed
     found = sure | (possible & (without_sure < ENCLOSED))
     high = (3, 3, max(1, round(MIN_HOLLOW_M / voxel_size_m)))
     open_below = opened(found, high)
@@ -148,7 +137,7 @@ class Shadow:
     empty: Bools
 
 
-def shadow(state: NDArray[np.uint8], enclosed: Float32) -> Shadow:
+def shadow(state: NDArray[np.uint8], tally: Tally) -> Shadow:
     """Unseen voxels in a shadow of the object: hidden by it, but not of it.
 
     What is of the object is enclosed at its own height, too. So a voxel is under the object if straight up
@@ -160,55 +149,25 @@ def shadow(state: NDArray[np.uint8], enclosed: Float32) -> Shadow:
     object is inside, 7 % of what is called empty there, and 0.1 % of what is called empty elsewhere.
 
     Args:
-        state: as for `enclosure`; the grid is upright.
-        enclosed: `enclosure` of it.
+        state: as for `tally_rays`; the grid is upright.
+        tally: of its rays.
     """
     seen_around = np.pad(state, 1, constant_values=NEUTRAL)
-    level, level_empty = _votes(seen_around, 0, 0)
-    down, _ = _votes(seen_around, -1, -1)
-    inside, empty = _votes(seen_around, -1, 1)
+    level, level_empty = tally.level(INSIDE), tally.level(OUTSIDE, SEALED)
+    down = tally.down(INSIDE)
+    inside, empty = tally.all(INSIDE), tally.all(OUTSIDE, SEALED)
     overhung = _under_inside(seen_around) < NOT_UNDER
     held = _under_inside(np.ascontiguousarray(seen_around[:, :, ::-1]))[:, :, ::-1] < NOT_UNDER
     beneath = (state == UNSEEN) & overhung & ~held & (level < LEVEL_ENCLOSED)
     under = beneath & _passable(seen_around)
     below = under & (level + down <= EMPTY_UNDER) & (level + level_empty == 8)
-    beside = (state == UNSEEN) & (inside + empty == 26) & (enclosed < EMPTY_BESIDE)
+    beside = (state == UNSEEN) & (inside + empty == 26) & (tally.enclosed < EMPTY_BESIDE)
     return Shadow(under, below | beside)
 
 
 def _bordered(state: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """With a layer of OUTSIDE around it."""
     return np.pad(state, 1, constant_values=OUTSIDE)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _votes(state, lowest, highest):  # type: ignore[no-untyped-def]
-    """How many of the directions with lowest <= dz <= highest end INSIDE and OUTSIDE, without the border."""
-    nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
-    inside, outside = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.uint8)
-    met = state.copy()
-    for direction in range(27):
-        dx, dy, dz = direction // 9 - 1, direction // 3 % 3 - 1, direction % 3 - 1
-        if direction == 13 or dz < lowest or dz > highest:
-            continue
-        # Visit the neighbour in the direction before the voxel itself.
-        for a in range(nx):
-            i = nx - a if dx > 0 else a + 1
-            for b in range(ny):
-                j = ny - b if dy > 0 else b + 1
-                own, into = state[i, j, 1 : nz + 1], met[i, j, 1 : nz + 1]
-                if dx == 0 and dy == 0:
-                    _walk_column(state[i, j], met[i, j], dz)
-                else:
-                    source = met[i + dx, j + dy, 1 + dz : nz + 1 + dz]
-                    for k in range(nz):
-                        into[k] = source[k] if own[k] == UNSEEN else own[k]
-                ins, outs = inside[i - 1, j - 1], outside[i - 1, j - 1]
-                for k in range(nz):
-                    unseen = own[k] == UNSEEN
-                    ins[k] += np.uint8(unseen & (into[k] == INSIDE))
-                    outs[k] += np.uint8(unseen & (into[k] == OUTSIDE))
-    return inside, outside
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -235,15 +194,6 @@ def _passable(state):  # type: ignore[no-untyped-def]
                 for k in range(nz):
                     passable[i, j, k] |= not blocked[i, j, k]
     return passable
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _walk_column(own, met, dz):  # type: ignore[no-untyped-def]
-    """Straight up or down, one voxel after the other."""
-    n = len(own)
-    for c in range(1, n - 1):
-        k = n - 1 - c if dz > 0 else c
-        met[k] = met[k + dz] if own[k] == UNSEEN else own[k]
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -11,8 +11,8 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Int64
 from kinectbench.core.voxels.observation import Observation, ray_width_m
 from kinectbench.settings.models import SegmentationSettings
+from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.floor import Floor, low_cut_m
-from kinectbench.stages.segment.solid import FloorLayers
 
 MARGIN_M = 0.05
 FLOOR_LAYERS = 4

@@ -36,6 +36,15 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
     return ~apart
 
 
+def broad(mask: Bools, cells: int) -> Bools:
+    """What a cube of so many cells covers of a mask, and the corners that the cube does not reach."""
+    from scipy import ndimage
+
+    covered = opened(mask, (cells, cells, cells))
+    reached: Bools = ndimage.binary_dilation(covered, iterations=max(1, cells // 2)) & mask
+    return reached
+
+
 def _runs(mask: Bools, axis: int, length: int) -> Bools:
     """Where a run of so many set cells along an axis begins."""
     runs, done = np.moveaxis(mask, axis, 0), 1

@@ -15,7 +15,9 @@ from kinectbench.core.geometry.mesh import read_ply, write_ply
 from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M, Trajectory
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.estimate import PoseError
 from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.frontiers import Frontier
 from kinectbench.stages.segment.grids import surround_labels
 from kinectbench.stages.segment.quality import measure_quality, solid_box
 from kinectbench.stages.segment.solid import SolidShape
@@ -53,7 +55,8 @@ def object_model(
     sigma_m: float,
     seen: Witness,
     around: Observation,
-    pose_error_m: float,
+    pose_error: PoseError,
+    frontiers: tuple[Frontier, ...] = (),
 ) -> ObjectModel:
     """Judge an object's solid, and put together all that is known of it.
 
@@ -63,20 +66,21 @@ def object_model(
         sigma_m: standard deviation of the surface, metres.
         seen: what the recording could see of it.
         around: what some frames say about the surround.
-        pose_error_m: `usual_pose_error_m`.
+        pose_error: `usual_pose_error`.
+        frontiers: openings that nobody looked into.
     """
     floor, whole = chosen.floor, shapes[0]
     box = solid_box(whole, floor)
-    quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error_m)
+    quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error, frontiers)
     return ObjectModel(floor, box, whole, around.grid, surround_labels(around, floor), sigma_m, quality)
 
 
-def usual_pose_error_m(trajectory: Trajectory) -> float:
-    """By how much a usual pose may be off, metres; given poses are taken at their word."""
-    if trajectory.source == "trust":
-        return 0.0
+def usual_pose_error(trajectory: Trajectory) -> PoseError:
+    """By how much a usual pose may be off; given poses are taken at their word."""
     usual_m = trajectory.usual_pose_sigma_m
-    return UNCHECKED_POSE_SIGMA_M if usual_m is None else usual_m
+    if trajectory.source == "trust":
+        return PoseError(0.0, usual_m is not None)
+    return PoseError(UNCHECKED_POSE_SIGMA_M if usual_m is None else usual_m, usual_m is not None)
 
 
 def write_object(model: ObjectModel, folder: Path) -> None:

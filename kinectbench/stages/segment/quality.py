@@ -3,26 +3,28 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import BoxPart, LabelCounts, QualityFile
+from kinectbench.core.artefacts.object import BoxPart, FrontierPart, LabelCounts, QualityFile
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.estimate import (
+    MAX_VOLUME_SHARE_PER_MM,
+    PoseError,
+    estimate_iou,
+    volume_share_per_mm,
+)
 from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.frontiers import Frontier
+from kinectbench.stages.segment.method import METHOD
 from kinectbench.stages.segment.select import fit_box
-from kinectbench.stages.segment.solid import METHOD, SolidShape
+from kinectbench.stages.segment.solid import SolidShape
 from kinectbench.stages.segment.witness import Witness
 
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
 MAX_DOUBTFUL_SHARE = 0.1
-# What is missing from an IoU of 1 to the truth, fitted on simulated objects of 4 families (seeds 18 to 27):
-# of what the probabilities expect to be missing, of what halves disagree by, and of what changes if the
-# surface is off by as much as a usual pose.
-MISSING_PER_EXPECTED, MISSING_PER_DISAGREEMENT, MISSING_PER_SHIFT = 0.22, 0.92, 2.3
 GOOD_ESTIMATED_IOU = 0.82
-# A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
-MAX_VOLUME_SHARE_PER_MM = 0.1
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
 # So that a handle or a speck that one half of the frames shows does not move a side of the box.
@@ -44,47 +46,14 @@ def surface_sigma_m(odd: Observation, even: Observation) -> float:
     return float(1.4826 * np.median(np.abs(odd.tsdf[near] - even.tsdf[near])) / 2)
 
 
-def volume_share_per_mm(mesh: TriangleMesh) -> float:
-    """What share of the volume of a closed mesh (metres) changes if its surface moves by 1 mm."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    area_m2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
-    return 0.001 * area_m2 / max(mesh.volume_m3, 1e-9)
-
-
-def expected_iou(shape: SolidShape) -> float:
-    """The IoU to the truth that the probabilities of the voxels expect: expected intersection over union."""
-    solid, probability = shape.solid, shape.probability
-    inside = float(probability[solid].sum(dtype=np.float64))
-    return inside / (int(solid.sum()) + float(probability[~solid].sum(dtype=np.float64)))
-
-
-def estimated_iou(expected: float, repeatability: float, shifted_share: float) -> float:
-    """An estimate of the IoU to the unknown truth, in [0, 1].
-
-    What is missing from 1 is a sum of what the voxels' probabilities expect to be missing, of what odd and
-    even frames disagree by, and of what the poses' errors cost, which both share (own rule, fitted on
-    simulated objects; docs/ground-truth.md has its errors).
-
-    Args:
-        expected: `expected_iou` of the solid.
-        repeatability: IoU of the solids from odd and from even frames.
-        shifted_share: of the volume, what changes if the surface moves by what a usual pose may be off.
-    """
-    missing = (
-        MISSING_PER_EXPECTED * (1 - expected)
-        + MISSING_PER_DISAGREEMENT * (1 - repeatability)
-        + MISSING_PER_SHIFT * shifted_share
-    )
-    return float(np.clip(1 - missing, 0, 1))
-
-
 def measure_quality(
     chosen: Segmentation,
     box: OrientedBox,
     shapes: tuple[SolidShape, SolidShape, SolidShape],
     sigma_m: float,
     seen: Witness,
-    pose_error_m: float,
+    pose_error: PoseError,
+    frontiers: tuple[Frontier, ...],
 ) -> QualityFile:
     """Repeatability (IoU of the solids from odd and from even frames), estimated IoU, boxes, warnings.
 
@@ -94,15 +63,19 @@ def measure_quality(
         shapes: the solid from all, from the odd and from the even frames.
         sigma_m: standard deviation of the surface, metres.
         seen: what the recording could see of it; its warnings come first.
-        pose_error_m: by how much a usual pose may be off, metres; 0 if the poses are taken at their word.
+        pose_error: of a usual pose.
+        frontiers: openings that nobody looked into.
     """
     together, odd, even = shapes
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     solid = int(together.solid.sum())
     unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
-    shifted_share = 1000 * pose_error_m * volume_share_per_mm(together.mesh)
-    estimated = estimated_iou(expected_iou(together), repeatability, shifted_share)
-    warnings = (*seen.warnings, *_warnings(chosen, together, repeatability, estimated, unknown))
+    estimate = estimate_iou(together, repeatability, pose_error, frontiers)
+    warnings = (
+        *seen.warnings,
+        *(frontier.advice for frontier in frontiers),
+        *_warnings(chosen, together, repeatability, estimate.value, unknown),
+    )
     boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
     whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
     return QualityFile(
@@ -110,7 +83,11 @@ def measure_quality(
         verdict="look at the warnings" if warnings else "good",
         warnings=warnings,
         repeatability_iou=round(repeatability, 4),
-        estimated_iou=round(estimated, 4),
+        estimated_iou=round(estimate.value, 4),
+        estimated_iou_low=round(estimate.low, 4),
+        estimated_iou_high=round(estimate.high, 4),
+        estimated_iou_reasons=estimate.reasons,
+        frontiers=tuple(_frontier_part(frontier) for frontier in frontiers),
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
         doubtful_share=round(together.doubtful_share, 4),
@@ -126,6 +103,25 @@ def measure_quality(
         max_depth_m=seen.max_depth_m,
         beyond_share=seen.beyond_share,
         method=METHOD,
+    )
+
+
+def _frontier_part(frontier: Frontier) -> FrontierPart:
+    """A frontier as quality.json writes it: rounded."""
+    (length, width), (x, y, z), (u, v, w) = (
+        (round(value, 4) for value in vector)
+        for vector in (frontier.size_m, frontier.center_m, frontier.look_from)
+    )
+    return FrontierPart(
+        direction=frontier.direction,
+        area_m2=round(frontier.area_m2, 5),
+        size_m=(length, width),
+        center_m=(x, y, z),
+        look_from=(u, v, w),
+        advice=frontier.advice,
+        volume_m3=round(frontier.volume_m3, 6),
+        inside_share=round(frontier.inside_share, 4),
+        solid_share=round(frontier.solid_share, 4),
     )
 
 

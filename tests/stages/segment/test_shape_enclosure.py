@@ -1,71 +1,10 @@
-"""Votes along 26 directions against a plain walk."""
-
-import itertools
+"""What a top hides: hollows behind aprons, and shadows under the object."""
 
 import numpy as np
 import pytest
 
-from kinectbench.stages.segment.enclosure import (
-    INSIDE,
-    NEUTRAL,
-    OUTSIDE,
-    UNSEEN,
-    Hollows,
-    _open_beneath,
-    enclosure,
-    hollows,
-    shadow,
-)
-
-
-def walked(state: np.ndarray) -> np.ndarray:
-    share = np.zeros(state.shape)
-    for cell in np.ndindex(*state.shape):
-        if state[cell] != UNSEEN:
-            continue
-        votes = {INSIDE: 0, OUTSIDE: 0, NEUTRAL: 0}
-        for direction in itertools.product((-1, 0, 1), repeat=3):
-            if direction == (0, 0, 0):
-                continue
-            at, met = np.array(cell), UNSEEN
-            while met == UNSEEN:
-                at = at + direction
-                within = np.all((at >= 0) & (at < state.shape))
-                met = int(state[tuple(at)]) if within else OUTSIDE
-            votes[met] += 1
-        if votes[INSIDE]:
-            share[cell] = votes[INSIDE] / (votes[INSIDE] + votes[OUTSIDE])
-    return share
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_against_a_walk(seed):
-    rng = np.random.default_rng(seed)
-    state = rng.choice([UNSEEN, OUTSIDE, INSIDE, NEUTRAL], (9, 11, 7), p=[0.7, 0.1, 0.15, 0.05]).astype(
-        np.uint8
-    )
-    share = enclosure(state)
-    assert share.dtype == np.float32
-    np.testing.assert_allclose(share, walked(state), atol=1e-6)
-
-
-def test_by_hand():
-    state = np.full((5, 5, 5), INSIDE, np.uint8)
-    state[1:4, 1:4, 1:4] = UNSEEN
-    np.testing.assert_array_equal(enclosure(state)[1:4, 1:4, 1:4], 1.0)
-    state[4] = OUTSIDE  # one open side: nine of the 26 directions from the middle of its layer
-    assert enclosure(state)[3, 2, 2] == np.float32(17 / 26)
-    state[0] = NEUTRAL  # directions that end there do not count
-    assert enclosure(state)[3, 2, 2] == np.float32(walked(state)[3, 2, 2])
-    assert not enclosure(np.full((3, 3, 3), UNSEEN, np.uint8)).any()
-    assert not enclosure(np.full((3, 3, 3), NEUTRAL, np.uint8)).any()
-
-
-def test_input_is_left_alone():
-    state = np.asfortranarray(np.random.default_rng(0).integers(0, 4, (6, 5, 4)).astype(np.uint8))
-    before = state.copy()
-    np.testing.assert_allclose(enclosure(state), walked(before), atol=1e-6)
-    np.testing.assert_array_equal(state, before)
+from kinectbench.stages.segment.enclosure import Hollows, Shadow, _open_beneath, hollows, shadow
+from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, SEALED, UNSEEN, tally_rays
 
 
 def seat(*, apron_inset: int | None, thick: int = 3) -> np.ndarray:
@@ -83,8 +22,12 @@ def seat(*, apron_inset: int | None, thick: int = 3) -> np.ndarray:
     return state
 
 
+def shadow_of(state: np.ndarray) -> Shadow:
+    return shadow(state, tally_rays(state))
+
+
 def hollows_of(state: np.ndarray, voxel_size_m: float) -> Hollows:
-    return hollows(state, enclosure(state), voxel_size_m)
+    return hollows(state, tally_rays(state), voxel_size_m)
 
 
 @pytest.mark.parametrize("inset", [1, 2, 4])
@@ -94,6 +37,18 @@ def test_behind_an_apron_is_hollow(inset):
     inner[10 + inset + 2 : 50 - inset - 2, 10 + inset + 2 : 50 - inset - 2, 18:30] = True
     # Not in the corners, which two aprons enclose.
     assert found[26:34, 26:34, 18:30].all() and found[inner].mean() > 0.8 and not found[~inner].any()
+
+
+def test_a_narrow_opening_is_as_empty_as_a_wide_one():
+    """What is sealed was seen to be empty all the same: a hollow or a shadow ends there."""
+    state, table = seat(apron_inset=2), under_a_top(*FOUR)
+    sealed, sealed_table = (np.where(each == OUTSIDE, np.uint8(SEALED), each) for each in (state, table))
+    sealed[:, :30], sealed_table[:, :4] = state[:, :30], table[:, :4]
+    np.testing.assert_array_equal(hollows_of(sealed, 0.005).sure, hollows_of(state, 0.005).sure)
+    np.testing.assert_array_equal(hollows_of(sealed, 0.005).doubtful, hollows_of(state, 0.005).doubtful)
+    assert hollows_of(state, 0.005).sure.any() and shadow_of(table).under.any()
+    np.testing.assert_array_equal(shadow_of(sealed_table).under, shadow_of(table).under)
+    np.testing.assert_array_equal(shadow_of(sealed_table).empty, shadow_of(table).empty)
 
 
 def test_a_frayed_edge_of_the_top_is_no_hollow():
@@ -182,7 +137,7 @@ CORNERS = ((2, 2), (2, 6), (6, 2), (6, 6))
 )
 def test_what_is_only_under_a_top_is_in_its_shadow(level, under, empty):
     state = under_a_top(*level)
-    found = shadow(state, enclosure(state))
+    found = shadow_of(state)
     assert found.under[4, 4, 1] == under and found.empty[4, 4, 1] == empty
     assert not (found.under | found.empty)[:, :, 4:].any()
 
@@ -191,29 +146,29 @@ def test_a_corner_that_only_two_sides_enclose_is_in_the_object():
     """Seen from one corner only: no camera looked at the other sides; nothing says one can pass there."""
     state = np.full((9, 9, 6), UNSEEN, np.uint8)
     state[:, :, 4:], state[0], state[:, 0] = INSIDE, INSIDE, INSIDE
-    assert not shadow(state, enclosure(state)).under[1:5, 1:5].any()
+    assert not shadow_of(state).under[1:5, 1:5].any()
     state[:, 0] = UNSEEN
-    assert shadow(state, enclosure(state)).under[4, 4, 1]
+    assert shadow_of(state).under[4, 4, 1]
 
 
 def test_what_stands_under_a_top_is_not_in_its_shadow():
     """A leg was seen but for its upper end: what goes on above it is no shadow."""
     state = under_a_top()
     state[4, 4, 1:3] = INSIDE
-    assert not shadow(state, enclosure(state)).under[4, 4, 3]
-    assert shadow(state, enclosure(state)).under[4, 5, 3]
+    assert not shadow_of(state).under[4, 4, 3]
+    assert shadow_of(state).under[4, 5, 3]
 
 
 def test_what_little_encloses_is_in_a_shadow():
     state = np.full((9, 9, 9), OUTSIDE, np.uint8)
     state[1:8, 1:8, 1:8] = UNSEEN
     state[6, 2:7, 4] = INSIDE  # 3 of 26 directions from two voxels beside it
-    found = shadow(state, enclosure(state))
+    found = shadow_of(state)
     assert found.empty[4, 4, 4] and not found.empty[0].any() and not found.empty[6, 4, 4]
     assert not found.under[4, 4, 4]
     thicker = state.copy()
     thicker[6, 2:7, 2:7] = INSIDE  # 9 of 26
-    assert not shadow(thicker, enclosure(thicker)).empty[4, 4, 4]
+    assert not shadow_of(thicker).empty[4, 4, 4]
 
 
 def test_what_lies_beyond_the_frames_is_in_no_shadow():
@@ -221,8 +176,8 @@ def test_what_lies_beyond_the_frames_is_in_no_shadow():
     state = np.full((9, 9, 9), OUTSIDE, np.uint8)
     state[1:8, 1:8, :8] = UNSEEN
     state[6, 2:7, 4] = INSIDE
-    assert not shadow(state, enclosure(state)).empty[4, 4, 4]
+    assert not shadow_of(state).empty[4, 4, 4]
     table = under_a_top()
-    assert shadow(table, enclosure(table)).empty[4, 4, 1]
+    assert shadow_of(table).empty[4, 4, 1]
     table[4, 0] = UNSEEN
-    assert not shadow(table, enclosure(table)).empty[4, 4, 1]
+    assert not shadow_of(table).empty[4, 4, 1]

@@ -1,0 +1,96 @@
+"""What the stage `segment` decides on, of objects that `known.py` has built, beside the truth."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.observation import Observation, merge
+from kinectbench.engine.steps import read_tracked
+from kinectbench.lab.evaluate.build import read_build, register
+from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.simulate.objects import LOOKED_AT, REPORTED_ONLY
+from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
+from kinectbench.settings.models import FusionSettings, SegmentationSettings
+from kinectbench.stages.fuse import observe
+from kinectbench.stages.segment.choose import segment
+from kinectbench.stages.segment.evidence import FloorLayers
+from kinectbench.stages.segment.grids import floor_layers, object_grid, usual_ray_width_m
+
+SPLITS = {"looked-at": LOOKED_AT, "reported-only": REPORTED_ONLY, "all": (*LOOKED_AT, *REPORTED_ONLY)}
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One object.
+
+    Attributes:
+        name: of the recording.
+        family: of the object.
+        halves: what the odd and the even frames say.
+        whole: what both say.
+        excluded: bool, voxels that cannot be the object.
+        layers: about the floor.
+        ray_width_m: of the frames at the object.
+        pose_error_m: of a usual pose.
+        true: bool, the voxel's middle lies in the true solid.
+        distance_m: float32, of the voxel's middle from the true surface.
+    """
+
+    name: str
+    family: str
+    halves: tuple[Observation, Observation]
+    whole: Observation
+    excluded: Bools
+    layers: FloorLayers
+    ray_width_m: float
+    pose_error_m: float
+    true: Bools
+    distance_m: NDArray[np.float32]
+
+
+def observed(root: Path, recordings: Path, families: Sequence[str]) -> Iterator[Observed]:
+    """Every object of the families that was built up to `segment`, one after the other.
+
+    Args:
+        root: what `known.py` was given as --build.
+        recordings: its recordings, with their truth.
+        families: which.
+    """
+    for folder in sorted((root / "build").iterdir()):
+        family = folder.name.partition("-")[0].rstrip("0123456789")
+        if family in families and (folder / "object").is_dir():
+            yield _observed(folder, recordings / folder.name, family)
+
+
+def _observed(build: Path, recording: Path, family: str) -> Observed:
+    sequence, trajectory = read_tracked(build)[:2]
+    fusion, segmentation = FusionSettings(), SegmentationSettings()
+    scene = read_ply(build / "reconstruction" / "mesh.ply")
+    chosen = segment(scene, trajectory, None, segmentation)
+    grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m)
+    frames = trajectory.good_frames
+    odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion) for k in (0, 1))
+    truth = read_truth(truth_folder(recording))
+    registration = register(read_build(build), truth)
+    in_truth = replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid)
+    cells = np.stack(np.indices(grid.shape), axis=-1).reshape(-1, 3)
+    middles = transform_points(in_truth.T_world_grid, (cells + 0.5) * grid.voxel_size_m)
+    distance_m = Surface(truth.mesh_world).distance_m(middles).astype(np.float32)
+    return Observed(
+        name=build.name,
+        family=family,
+        halves=(odd, even),
+        whole=merge(odd, even),
+        excluded=chosen.excluded(grid),
+        layers=floor_layers(chosen.floor, segmentation, fusion.voxel_size_m),
+        ray_width_m=usual_ray_width_m(sequence.camera, trajectory, grid),
+        pose_error_m=trajectory.usual_pose_sigma_m or 0.0,
+        true=mesh_occupancy(truth.mesh_world, in_truth),
+        distance_m=distance_m.reshape(grid.shape),
+    )

@@ -1,0 +1,282 @@
+"""What the frames say of each voxel: seen through, behind a surface, never seen, and then how open it is."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.types import Bools, Float32
+from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
+from kinectbench.stages.segment.enclosure import Shadow, hollows, shadow
+from kinectbench.stages.segment.morphology import broad, opened
+from kinectbench.stages.segment.rays import (
+    BEYOND,
+    INSIDE,
+    NEUTRAL,
+    OUTSIDE,
+    SEALED,
+    UNSEEN,
+    tally_rays,
+)
+
+# A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
+LEAST_WEIGHT_SHARE = 0.015
+# An unseen voxel is carved by so many frames, and by this share of those that look at the object: along
+# edges depth wanders, and a few frames seem to see through the last millimetres of a board.
+MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
+# A measured surface tells what lies so far behind it; deeper it may be the far side of a thin wall.
+SHELL_M = 0.0125
+# An opening is one if a cube of this edge passes: farther into a narrower one no sensor sees.
+OPENING_M = 0.03
+# Rings, feet and edges lift what stands on the floor by up to 30 mm that nobody sees: up to this height above
+# the floor one is more than 10 mm below such a bottom (own choice).
+STAND_M = 0.02
+# Where so many of the nine directions upwards lead outside in a whole cube of that edge, it is a cavity.
+WIDE_OPEN_ABOVE = 4
+
+
+@dataclass(frozen=True)
+class FloorLayers:
+    """Layers of an upright grid's cells about the floor, from the grid's bottom up.
+
+    Attributes:
+        below: layers below the floor.
+        contact: layers above it in which floor and object cannot be told apart.
+        low: layers above those in which a surface is the object's only where it goes on above them.
+    """
+
+    below: int
+    contact: int
+    low: int = 0
+
+    @property
+    def first(self) -> int:
+        """The first layer in which surface may be the object's."""
+        return self.below + self.contact
+
+    @property
+    def cut(self) -> int:
+        """The first layer in which whatever stands there is not the floor."""
+        return self.first + self.low
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the frames say of each voxel, in the grid's shape.
+
+    Attributes:
+        signed_m: float32, signed distance of the surface, corrected by the frames that saw through.
+        observed: bool, some surface is near.
+        carved: bool, seen to be empty.
+        behind: bool, just behind a surface, as far as depth was fused.
+        excluded: bool, cannot be the object.
+        unseen: bool, none of these, and in no hollow.
+        hollow: bool, behind an apron, and empty.
+        doubtful: bool, perhaps a hollow.
+        shadow: hidden by the object, and not of it.
+        enclosed: float32, of unseen voxels, the share of 26 directions that meets the object.
+        open: bool, unseen or farther behind a surface than `SHELL_M`, and free space lies above or beside it
+            through an opening that nobody looked into.
+        ups: uint8, of open voxels, how many of the nine directions upwards lead to where it was seen empty.
+        levels: uint8, how many of the eight horizontal ones do.
+        downs: uint8, how many of the nine directions downwards do, narrow openings counted.
+        cavity: bool, of these, what lies in a region that is wide open above.
+        contact: the layers right above the floor.
+    """
+
+    signed_m: Float32
+    observed: Bools
+    carved: Bools
+    behind: Bools
+    excluded: Bools
+    unseen: Bools
+    hollow: Bools
+    doubtful: Bools
+    shadow: Shadow
+    enclosed: Float32
+    open: Bools
+    ups: NDArray[np.uint8]
+    levels: NDArray[np.uint8]
+    downs: NDArray[np.uint8]
+    cavity: Bools
+    contact: slice
+
+
+def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float) -> Evidence:
+    """Carving, and what lies around the voxels that no frame saw.
+
+    Args:
+        observation: TSDF and votes on an upright grid.
+        excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
+        layers: of the grid's cells about the floor.
+        ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
+    """
+    voxel_m = observation.grid.voxel_size_m
+    near = np.abs(observation.tsdf) < voxel_m
+    weights = observation.weight[near & (observation.weight > 0)]
+    least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
+    observed = observation.weight > least
+    contact = slice(layers.below, layers.first)
+    signed_m = _signed_distance_m(observation, ray_width_m)
+    carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
+    behind = observed & ~carved
+    excluded = excluded | _loose(behind & ~excluded, layers)
+
+    state = np.full(observation.grid.shape, UNSEEN, np.uint8)
+    state[behind] = INSIDE
+    state[:, :, contact][behind[:, :, contact]] = UNSEEN
+    state[carved | excluded] = OUTSIDE
+    # Below the object no camera sees the floor: walking down says nothing there.
+    measured = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
+    floor_seen = measured[:, :, : contact.stop].any(axis=2)
+    state[:, :, : layers.below] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
+    tally = tally_rays(state)
+    found = hollows(state, tally, voxel_m)
+    hollow = found.sure
+    hollow[:, :, : contact.stop] = False
+    unseen = (state == UNSEEN) & ~hollow
+    deep = behind & (observation.tsdf < -_shell_m(voxel_m))
+    openings = _openings(state, unseen, behind, deep, layers, voxel_m)
+    return Evidence(
+        signed_m,
+        observed,
+        carved,
+        behind,
+        excluded,
+        unseen,
+        hollow,
+        found.doubtful,
+        shadow(state, tally),
+        tally.enclosed,
+        openings.open,
+        openings.ups,
+        openings.levels,
+        openings.downs,
+        openings.cavity,
+        contact,
+    )
+
+
+def _shell_m(voxel_m: float) -> np.float32:
+    """How far behind a surface what it tells ends, metres; no nearer than one and a half voxels."""
+    return np.float32(max(SHELL_M, 1.5 * voxel_m))
+
+
+class _Openings(NamedTuple):
+    """What lies open to free space, as `Evidence` has it."""
+
+    open: Bools
+    ups: NDArray[np.uint8]
+    levels: NDArray[np.uint8]
+    downs: NDArray[np.uint8]
+    cavity: Bools
+
+
+def _openings(
+    state: NDArray[np.uint8],
+    unseen: Bools,
+    behind: Bools,
+    deep: Bools,
+    layers: FloorLayers,
+    voxel_m: float,
+) -> _Openings:
+    """What of the unseen, and of what is deep behind a surface, lies open to free space.
+
+    Args:
+        state: as for `tally_rays`; INSIDE as far as depth was fused.
+        unseen: bool.
+        behind: bool, just behind a surface.
+        deep: bool, of these, farther behind than a thin wall's thickness: the surface says nothing there.
+        layers: of the grid's cells about the floor.
+        voxel_m: edge of a voxel, metres.
+    """
+    contact = slice(layers.below, layers.first)
+    state = np.where(deep & (state == INSIDE), np.uint8(UNSEEN), state)
+    state[_sealed(state, voxel_m)] = SEALED
+    rays = tally_rays(state)
+    ups, levels = rays.up(OUTSIDE, BEYOND), rays.level(OUTSIDE, BEYOND)
+    is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
+    cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), voxel_m)
+    is_open |= (unseen | deep) & _beside_cavity(state, cavity, voxel_m)
+    # Next to the floor nothing was measured: what stands above goes on down to it.
+    is_open[:, :, contact] = is_open[:, :, contact.stop, None]
+    # It may stand on its edges.
+    cells = _opening_cells(voxel_m)
+    near_floor = slice(layers.below, layers.below + round(STAND_M / voxel_m))
+    untold = (unseen & ~behind) | deep
+    is_open[:, :, near_floor] |= opened(untold[:, :, near_floor], (cells, cells, 1))
+    return _Openings(is_open, ups, levels, rays.down(OUTSIDE, SEALED, BEYOND), cavity)
+
+
+def _cavity(open_above: Bools, ups: NDArray[np.uint8], voxel_m: float) -> Bools:
+    """What of the voxels that are open above lies in a region that is wide open there (own rule).
+
+    A crack between cushions leads into a body, the mouth of a bin into a cavity. Just below a mouth most
+    directions upwards lead outside; below a crack most meet its sides, and few voxels see it.
+
+    Args:
+        open_above: bool.
+        ups: uint8, how many of nine directions upwards lead outside.
+        voxel_m: edge of a voxel, metres.
+    """
+    from scipy import ndimage
+
+    cells = _opening_cells(voxel_m)
+    region = broad(open_above, cells)
+    pieces, count = ndimage.label(region)
+    held = np.zeros(count + 1, dtype=bool)
+    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), cells)]] = True
+    held[0] = False
+    cavity: Bools = held[pieces]
+    return cavity
+
+
+def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, voxel_m: float) -> Bools:
+    """What is unseen and lies open above or beside to a cavity, as the toe of a shoe: bool."""
+    if not cavity.any():
+        return cavity
+    rays = tally_rays(np.where(cavity, np.uint8(OUTSIDE), state))
+    near = (state == UNSEEN) & ~cavity & ((rays.up(OUTSIDE) > 0) | (rays.level(OUTSIDE) > 0))
+    return broad(near, max(1, _opening_cells(voxel_m) // 2))
+
+
+def _opening_cells(voxel_m: float) -> int:
+    return max(1, round(OPENING_M / voxel_m))
+
+
+def _sealed(state: NDArray[np.uint8], voxel_m: float) -> Bools:
+    """Seen empty, in an opening between measured surfaces through which no cube of `OPENING_M` passes."""
+    cells = _opening_cells(voxel_m)
+    passable = np.pad(state != INSIDE, cells, constant_values=True)
+    wide = opened(passable, (cells, cells, cells))[cells:-cells, cells:-cells, cells:-cells]
+    sealed: Bools = (state == OUTSIDE) & ~wide
+    return sealed
+
+
+def _loose(behind: Bools, layers: FloorLayers) -> Bools:
+    """What lies behind a surface in the low layers and is connected (26 neighbours) to nothing above them."""
+    from scipy import ndimage
+
+    loose = np.zeros_like(behind)
+    if layers.low:
+        # One layer above them is enough to see what goes on there.
+        low = behind[:, :, layers.first : layers.cut + 1]
+        pieces, count = ndimage.label(low, np.ones((3, 3, 3)))
+        held = np.zeros(count + 1, dtype=bool)
+        held[pieces[:, :, -1]] = True
+        loose[:, :, layers.first : layers.cut] = (low & ~held[pieces])[:, :, :-1]
+    return loose
+
+
+def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
+    """Of the surface, where a voxel was observed."""
+    voxel_m = observation.grid.voxel_size_m
+    trust = trust_in_votes(ray_width_m, voxel_m)
+    return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
+
+
+def _least_free_votes(observation: Observation) -> int:
+    """How many frames must have seen through a voxel that was never observed near a surface."""
+    looking = int((observation.free.astype(np.uint32) + observation.surface).max())
+    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))

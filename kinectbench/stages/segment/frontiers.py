@@ -1,0 +1,220 @@
+"""Openings that nobody looked into: how large they are, where, and from where they would be seen."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.types import Bools, Float64
+from kinectbench.stages.segment.evidence import OPENING_M, Evidence
+from kinectbench.stages.segment.morphology import broad
+from kinectbench.stages.segment.solid import SolidShape
+
+Direction = Literal["up", "side", "down"]
+
+# A frontier is told of if what lies behind it is so much of the solid's volume, and if it is so large (own
+# choices).
+LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
+# What is all but certainly air says nothing of the object.
+LEAST_PROBABILITY = 0.025
+# Above an open box most level ways out end in the air inside of it, under a shelf most ways down on the shelf
+# below: from above, and then from beside, one sees most (own choices).
+ABOVE_FIRST, BESIDE_FIRST = 2.0, 1.5
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """The boundary between a region that nobody saw and free space, where nothing was measured.
+
+    Attributes:
+        direction: from the unseen region outward.
+        area_m2: of its projection along that direction.
+        size_m: (2,) extents of its faces: for up and down the longer and the shorter one seen from above, for
+            side the width and the height.
+        center_m: (3,) middle of its faces, floor frame, metres.
+        look_from: (3,) unit vector, floor frame: from the frontier to where a camera would look into it.
+        volume_m3: of the unseen region behind it.
+        inside_share: how much of that is expected to be inside, 0 to 1.
+        solid_share: how much of it the solid takes for inside, 0 to 1.
+        inside_solid_share: how much of it is expected to be inside and taken for it, 0 to 1.
+    """
+
+    direction: Direction
+    area_m2: float
+    size_m: tuple[float, float]
+    center_m: tuple[float, float, float]
+    look_from: tuple[float, float, float]
+    volume_m3: float
+    inside_share: float
+    solid_share: float
+    inside_solid_share: float
+
+    @property
+    def advice(self) -> str:
+        """One line for the person who records."""
+        size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
+        if self.direction == "up":
+            return f"nobody looked into the opening at the top, {size}: record from above"
+        if self.direction == "down":
+            return f"nobody saw the underside, {size}: record from low down, too"
+        # Not -0.0.
+        x, y = (round(along, 1) + 0.0 for along in self.look_from[:2])
+        return (
+            f"nobody looked into the opening at the side, {size}: record from the direction "
+            f"({x:.1f}, {y:.1f}) of the floor frame, at the height of {100 * self.center_m[2]:.0f} cm"
+        )
+
+
+def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64) -> tuple[Frontier, ...]:
+    """Every frontier of some size, that with the largest volume behind it first.
+
+    A frontier is what of the surface of a piece of open voxels (26 neighbours) lies at free space. Its
+    direction is the one in which most of the ways out of the piece lead, of those in which it borders on free
+    space. Unseen layers that are thinner than an opening, as under a seat, have none.
+
+    Args:
+        shape: the solid.
+        evidence: what the frames say of each of its voxels.
+        T_floor_grid: (4, 4), of its grid.
+    """
+    from scipy import ndimage
+
+    grid, solid, probability = shape.grid, shape.solid, shape.probability
+    # What is hidden under the object, and not of it, is no opening.
+    hidden = evidence.shadow.under | evidence.shadow.empty
+    is_open = evidence.open & ~hidden & (shape.labels == Label.UNKNOWN) & (probability > LEAST_PROBABILITY)
+    is_open = broad(is_open, max(1, round(OPENING_M / grid.voxel_size_m)))
+    pieces, count = ndimage.label(is_open, np.ones((3, 3, 3)))
+    if not count:
+        return ()
+    index = np.arange(1, count + 1)
+    voxel_m3 = grid.voxel_size_m**3
+    volumes_m3 = voxel_m3 * np.bincount(pieces.reshape(-1), minlength=count + 1)[1:]
+    least_m3 = LEAST_SHARE * voxel_m3 * int(solid.sum())
+    windows = ndimage.find_objects(pieces)
+    free = np.pad(evidence.carved, 1)
+    found = []
+    for piece in index[volumes_m3 >= least_m3]:
+        window = windows[piece - 1]
+        inner = pieces[window] == piece
+        taken = solid[window][inner]
+        expected = probability[window][inner].astype(np.float64)
+        cells = _Piece(
+            grid.voxel_size_m,
+            inner,
+            free[tuple(slice(part.start, part.stop + 2) for part in window)],
+            np.array([part.start for part in window]),
+        )
+        behind = (
+            float(volumes_m3[piece - 1]),
+            float(expected.mean()),
+            float(taken.mean()),
+            float((expected * taken).mean()),
+        )
+        for way in _ways_out(evidence, window, inner):
+            frontier = _frontier(cells, way, T_floor_grid, behind)
+            if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
+                found.append(frontier)
+                break
+    return tuple(sorted(found, key=lambda frontier: -frontier.volume_m3))
+
+
+def _ways_out(evidence: Evidence, window: tuple[slice, ...], inner: Bools) -> list[Direction]:
+    """In which directions some way leads out of a piece in its window, that of the most ways first.
+
+    Most of them may end in a crack below a piece that borders on free space above it only.
+    """
+    ups, levels, downs = (
+        float(rays[window][inner].mean()) for rays in (evidence.ups, evidence.levels, evidence.downs)
+    )
+    ways: dict[Direction, float] = {
+        "up": ABOVE_FIRST * ups / 9,
+        "side": BESIDE_FIRST * levels / 8,
+        "down": downs / 9,
+    }
+    return sorted((way for way in ways if ways[way] > 0), key=lambda way: -ways[way])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A piece of open voxels in its window of a grid; `free` has one more voxel on each side."""
+
+    voxel_m: float
+    cells: Bools
+    free: Bools
+    corner: NDArray[np.int64]
+
+    def faces_m(self, axis: int, sign: int) -> Float64:
+        """Middles (n, 3) of its faces at free space that look along an axis, grid frame, metres."""
+        step = np.zeros(3, np.int64)
+        step[axis] = sign
+        beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, self.cells.shape, strict=True))
+        at: Float64 = (
+            self.corner + np.argwhere(self.cells & self.free[beside]) + 0.5 + step / 2
+        ) * self.voxel_m
+        return at
+
+
+def _frontier(
+    piece: _Piece, direction: Direction, T_floor_grid: Float64, behind: tuple[float, float, float, float]
+) -> Frontier | None:
+    """Of one piece of open voxels; None where it touches no free space in that direction.
+
+    Its faces along the grid's axes, added up as vectors, are the area of a smooth surface in their place.
+    """
+    faces = {(axis, sign): piece.faces_m(axis, sign) for axis in range(3) for sign in (-1, 1)}
+    areas_m2 = {way: len(points) * piece.voxel_m**2 for way, points in faces.items()}
+    slant = np.array([areas_m2[axis, 1] - areas_m2[axis, -1] for axis in (0, 1)])
+    if direction == "side":
+        # What is open on both sides, such as a gap, is looked into from the side that shows more of it.
+        widest = max(((axis, sign) for axis in (0, 1) for sign in (-1, 1)), key=lambda way: areas_m2[way])
+        points, area_m2, normal = faces[widest], areas_m2[widest], np.zeros(3)
+        normal[widest[0]] = widest[1]
+        if np.hypot(*slant) >= area_m2:
+            area_m2, normal[:2] = float(np.hypot(*slant)), slant
+    else:
+        sign = 1 if direction == "up" else -1
+        points, area_m2 = faces[2, sign], areas_m2[2, sign]
+        # At least half from above, or from below: its own walls hide the rest.
+        normal = np.array([*slant, sign * max(area_m2, float(np.hypot(*slant)))])
+    if not len(points):
+        return None
+    look = T_floor_grid[:3, :3] @ (normal / np.linalg.norm(normal))
+    points_floor = transform_points(T_floor_grid, points)
+    return Frontier(
+        direction,
+        area_m2,
+        _extents_m(points_floor, look, direction == "side", piece.voxel_m),
+        _three(points_floor.mean(axis=0)),
+        _three(look),
+        *behind,
+    )
+
+
+def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
+    """Two extents of a frontier's faces: width and height at the side, else the sides of the least box."""
+    if side:
+        across = np.array([-look[1], look[0], 0.0])
+        return _extent_m(points_floor @ across, voxel_m), _extent_m(points_floor[:, 2], voxel_m)
+    turns = np.linspace(0, np.pi / 2, 31)[:-1]
+    boxes: list[list[float]] = []
+    for turn in turns:
+        along = np.array([np.cos(turn), np.sin(turn), 0.0])
+        across = np.array([-along[1], along[0], 0.0])
+        boxes.append([_extent_m(points_floor @ axis, voxel_m) for axis in (along, across)])
+    least = min(boxes, key=lambda box: box[0] * box[1])
+    return max(least), min(least)
+
+
+def _extent_m(values: Float64, voxel_m: float) -> float:
+    """Without the outermost hundredth at either end: streaks of single voxels reach far."""
+    low, high = np.quantile(values, [0.01, 0.99])
+    return float(high - low) + voxel_m
+
+
+def _three(vector: Float64) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z

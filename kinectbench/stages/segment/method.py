@@ -1,0 +1,113 @@
+"""The constants by which a solid is made, as quality.json keeps them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object import Curve, OpenProbabilities, RuleProbabilities, SolidMethod
+from kinectbench.core.voxels.observation import (
+    RAY_WIDTHS_VOXELS,
+    TRUST_IN_VOTES,
+    USUAL_FREE_SHARE,
+    USUAL_FREE_SHARE_PER_VOXEL,
+    VOXELS_PER_FREE_SHARE,
+)
+from kinectbench.stages.segment.enclosure import (
+    APRON_BENEATH,
+    EMPTY_BESIDE,
+    EMPTY_UNDER,
+    ENCLOSED,
+    FULL_OVERHANG,
+    LEVEL_ENCLOSED,
+    MAX_DOUBTFUL_M,
+    MAX_HOLLOW_M,
+    MIN_ENCLOSED_HOLLOW_M,
+    MIN_HOLLOW_M,
+    OPEN_BENEATH,
+    OVERHANG_M,
+)
+from kinectbench.stages.segment.enclosure import OPEN_BELOW as HOLLOW_OPEN_BELOW
+from kinectbench.stages.segment.evidence import (
+    LEAST_WEIGHT_SHARE,
+    MIN_FREE_SHARE,
+    MIN_FREE_VOTES,
+    OPENING_M,
+    SHELL_M,
+    STAND_M,
+    WIDE_OPEN_ABOVE,
+)
+from kinectbench.stages.segment.probability import (
+    AMONG_INSIDE_SHARE,
+    AMONG_M,
+    AMONG_SHARE,
+    BELOW_INSIDE_SHARE,
+    BESIDE_INSIDE_SHARE,
+    CAVITY_INSIDE_SHARE,
+    CRACK_INSIDE_SHARE,
+    DOUBTFUL_INSIDE_SHARE,
+    EMPTY_BESIDE_SHARE,
+    EMPTY_UNDER_SHARE,
+    ENCLOSING,
+    HOLLOW_INSIDE_SHARE,
+    INSIDE_SHARE,
+    INTERIOR_SHARE,
+    SIGNED_INSIDE_SHARE,
+    SIGNED_VOXELS,
+    UNDER_INSIDE_SHARE,
+)
+from kinectbench.stages.segment.solid import SMOOTHING_VOXELS
+
+
+def _curve(at: NDArray[np.floating], share: NDArray[np.floating]) -> Curve:
+    """Support points and values of an interpolated probability, for the record."""
+    return tuple((round(float(x), 4), round(float(y), 4)) for x, y in zip(at, share, strict=True))
+
+
+def _shares(table: NDArray[np.floating]) -> tuple[float, ...]:
+    """A table of probabilities, for the record."""
+    return tuple(round(float(share), 4) for share in table)
+
+
+METHOD = SolidMethod(
+    name="carving + openings + hollows behind aprons + 26-direction enclosure + floor contact + smoothing",
+    occupied_share=round(ENCLOSED, 4),
+    interior_share=round(INTERIOR_SHARE, 4),
+    level_enclosed=LEVEL_ENCLOSED,
+    empty_under=EMPTY_UNDER,
+    empty_share=round(EMPTY_BESIDE, 4),
+    hollow_overhang_m=OVERHANG_M,
+    hollow_full_overhang=FULL_OVERHANG,
+    hollow_height_m=(MIN_HOLLOW_M, MAX_HOLLOW_M),
+    doubtful_height_m=MAX_DOUBTFUL_M,
+    hollow_enclosed_height_m=MIN_ENCLOSED_HOLLOW_M,
+    hollow_beneath_share=(round(OPEN_BENEATH, 4), round(APRON_BENEATH, 4)),
+    hollow_open_below=HOLLOW_OPEN_BELOW,
+    least_weight_share=LEAST_WEIGHT_SHARE,
+    min_free_votes=MIN_FREE_VOTES,
+    min_free_share=MIN_FREE_SHARE,
+    free_by_noise=(USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL),
+    voxels_per_free_share=VOXELS_PER_FREE_SHARE,
+    trust_in_votes=(RAY_WIDTHS_VOXELS, TRUST_IN_VOTES),
+    smoothing_voxels=SMOOTHING_VOXELS,
+    probability_by_enclosure=_curve(ENCLOSING, INSIDE_SHARE),
+    probability_by_signed_voxels=_curve(SIGNED_VOXELS, SIGNED_INSIDE_SHARE),
+    shell_m=SHELL_M,
+    opening_m=OPENING_M,
+    wide_open_above=WIDE_OPEN_ABOVE,
+    stand_m=STAND_M,
+    probability_open=OpenProbabilities(
+        among_m=AMONG_M,
+        among=_curve(AMONG_SHARE, AMONG_INSIDE_SHARE),
+        crack=_shares(CRACK_INSIDE_SHARE),
+        beside=_shares(BESIDE_INSIDE_SHARE),
+        below=_shares(BELOW_INSIDE_SHARE),
+        cavity=_shares(CAVITY_INSIDE_SHARE),
+    ),
+    probability_by_rule=RuleProbabilities(
+        hollow=round(float(HOLLOW_INSIDE_SHARE), 4),
+        doubtful=round(float(DOUBTFUL_INSIDE_SHARE), 4),
+        under=round(float(UNDER_INSIDE_SHARE), 4),
+        under_empty=round(float(EMPTY_UNDER_SHARE), 4),
+        beside_empty=round(float(EMPTY_BESIDE_SHARE), 4),
+    ),
+    chosen_on="simulated objects: furniture of 4 families, seeds 1 to 42; openings on the families looked at",
+)

@@ -1,0 +1,209 @@
+"""The estimated IoU and its interval, against values computed by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from evidence_by_hand import shape_of
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M
+from kinectbench.stages.segment.estimate import (
+    DOUBTED_SHARE,
+    MAX_SHIFTED_SHARE,
+    MAX_VOLUME_SHARE_PER_MM,
+    MISSED_LEAST,
+    MISSED_SHARE,
+    MISSING_PER_DISAGREEMENT,
+    MISSING_PER_MM,
+    MISSING_PER_SHIFT,
+    IouEstimate,
+    PoseError,
+    estimate_iou,
+    expected_iou,
+    volume_share_per_mm,
+)
+from kinectbench.stages.segment.frontiers import Frontier
+from kinectbench.stages.segment.solid import SolidShape
+
+CERTAIN = PoseError(0.0)
+VOXEL_M = 0.01
+
+
+def block_mesh(*size_m: float) -> TriangleMesh:
+    box = trimesh.creation.box(size_m)
+    return TriangleMesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32))
+
+
+# A cube of 0.3 m: of its volume 2 % lie within 1 mm of the surface.
+CUBE, CUBE_PER_MM = block_mesh(0.3, 0.3, 0.3), 0.001 * 6 / 0.3
+
+
+def known_solid(mesh: TriangleMesh = CUBE) -> SolidShape:
+    """Eight voxels, all of them measured, beside eight that were seen to be empty."""
+    solid = np.zeros((4, 2, 2), bool)
+    solid[:2] = True
+    labels = np.where(solid, Label.SURFACE, Label.FREE).astype(np.uint8)
+    return shape_of(solid, labels=labels, mesh=mesh, voxel_m=VOXEL_M)
+
+
+def partly_known(inside: float, outside: float) -> SolidShape:
+    """The same; of two of its voxels, and of two beside it, the probability is all that is known."""
+    shape = known_solid()
+    labels, probability = shape.labels.copy(), shape.probability.copy()
+    labels[1, 0], labels[2, 0] = Label.UNKNOWN, Label.UNKNOWN
+    probability[1, 0], probability[2, 0] = inside, outside
+    return replace(shape, labels=labels, probability=probability)
+
+
+def frontier(voxels: float, inside: float, solid: float, both: float) -> Frontier:
+    """So many voxels lie behind it, of which so much is expected inside, called solid, and both."""
+    volume_m3 = voxels * VOXEL_M**3
+    return Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), volume_m3, inside, solid, both)
+
+
+def iou_of_known(missing: float) -> float:
+    """A solid that lacks half of what is missing, and has the other half too much."""
+    return (1 - missing / 2) / (1 + missing / 2)
+
+
+def check(estimate: IouEstimate) -> None:
+    assert 0 <= estimate.low <= estimate.value <= estimate.high <= 1
+
+
+def test_of_a_thin_board_a_millimetre_is_much() -> None:
+    area_m2, volume_m3 = 2 * (0.6 + 0.02 + 0.012), 0.012
+    board = block_mesh(1.0, 0.6, 0.02)
+    assert volume_share_per_mm(board) == pytest.approx(0.001 * area_m2 / volume_m3)
+    assert volume_share_per_mm(CUBE) == pytest.approx(CUBE_PER_MM)
+
+
+def test_expected_iou_by_hand() -> None:
+    solid = np.array([[[True, True, False, False]]])
+    assert expected_iou(shape_of(solid)) == 1
+    # 0.9 + 0.7 of two voxels are inside; outside, 0.4 more are expected.
+    assert expected_iou(shape_of(solid, np.array([[[0.9, 0.7, 0.4, 0.0]]]))) == pytest.approx(1.6 / 2.4)
+
+
+def test_expected_iou_of_calibrated_voxels_is_the_actual_one() -> None:
+    rng = np.random.default_rng(0)
+    probability = rng.uniform(size=(60, 60, 60)) ** 3
+    true, solid = rng.uniform(size=probability.shape) < probability, probability > 0.5
+    actual = (true & solid).sum() / (true | solid).sum()
+    shape = shape_of(solid, probability, mesh=CUBE)
+    assert expected_iou(shape) == pytest.approx(actual, abs=0.01)
+    # Where nothing was measured, that is the estimate.
+    assert estimate_iou(shape, 1.0, CERTAIN, ()).value == pytest.approx(expected_iou(shape))
+
+
+@pytest.mark.parametrize(("repeatability", "usual_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 0.002), (0.95, 0.001)])
+def test_of_a_solid_that_is_known(repeatability: float, usual_m: float) -> None:
+    found = estimate_iou(known_solid(), repeatability, PoseError(usual_m), ())
+    missing = (
+        MISSING_PER_MM * CUBE_PER_MM
+        + MISSING_PER_DISAGREEMENT * (1 - repeatability)
+        + MISSING_PER_SHIFT * 1000 * usual_m * CUBE_PER_MM
+    )
+    assert found.value == pytest.approx(iou_of_known(missing))
+    assert found.low == pytest.approx(iou_of_known(missing * (1 + MISSED_SHARE) + MISSED_LEAST))
+    assert found.high == pytest.approx(iou_of_known(max(0, missing * (1 - MISSED_SHARE) - MISSED_LEAST)))
+    check(found)
+
+
+def test_of_a_solid_that_is_unknown_in_part() -> None:
+    found = estimate_iou(partly_known(0.9, 0.3), 1.0, CERTAIN, ())
+    missing = MISSING_PER_MM * CUBE_PER_MM
+    # Of eight voxels six are known, 2 * 0.9 are expected of the other two, and 2 * 0.3 beside them.
+    inside, union = 6 * (1 - missing / 2) + 1.8, 8 + 6 * missing / 2 + 0.6
+    assert found.value == pytest.approx(inside / union)
+    most = missing * (1 + MISSED_SHARE) + MISSED_LEAST
+    # Their variance is 2 * 0.9 * 0.1 and 2 * 0.3 * 0.7.
+    in_doubt, beside_in_doubt = 0.18 * DOUBTED_SHARE, 0.42 * DOUBTED_SHARE
+    worst = (6 * (1 - most / 2) + 1.8 - in_doubt) / (8 + 6 * most / 2 + 0.6 + beside_in_doubt)
+    assert found.low == pytest.approx(worst)
+    least = max(0, missing * (1 - MISSED_SHARE) - MISSED_LEAST)
+    best = (6 * (1 - least / 2) + min(2, 1.8 + in_doubt)) / (
+        8 + 6 * least / 2 + max(0, 0.6 - beside_in_doubt)
+    )
+    assert found.high == pytest.approx(best)
+    check(found)
+
+
+def test_behind_a_frontier_the_other_guess_may_be_right() -> None:
+    shape = partly_known(0.9, 0.3)
+    alone = estimate_iou(shape, 1.0, CERTAIN, ())
+    most = MISSING_PER_MM * CUBE_PER_MM * (1 + MISSED_SHARE) + MISSED_LEAST
+    known, union = 6 * (1 - most / 2), 8 + 6 * most / 2 + 0.42 * DOUBTED_SHARE
+    # The two unknown voxels of the solid lie behind it: if they are air, 1.8 are lost.
+    solid = estimate_iou(shape, 1.0, CERTAIN, (frontier(2, 0.9, 1.0, 0.9),))
+    assert solid.low == pytest.approx(known / (union + 0.6))
+    # The two beside it: if they are solid, they are two in the union, not 0.6.
+    air = estimate_iou(shape, 1.0, CERTAIN, (frontier(2, 0.3, 0.0, 0.0),))
+    assert air.low == pytest.approx((known + 1.8 - 0.18 * DOUBTED_SHARE) / (union + 2))
+    # All four, behind one frontier or two.
+    of_two = estimate_iou(shape, 1.0, CERTAIN, (frontier(2, 0.9, 1.0, 0.9), frontier(2, 0.3, 0.0, 0.0)))
+    of_one = estimate_iou(shape, 1.0, CERTAIN, (frontier(4, 0.6, 0.5, 0.45),))
+    assert of_two.low == pytest.approx(known / (union + 2)) == of_one.low
+    for found in (solid, air, of_one, of_two):
+        check(found)
+        assert found.low < alone.low
+        # At best the guess behind it is right.
+        assert found.value == alone.value and found.high >= alone.high
+        assert found.reasons == ("an opening that nobody looked into: what is behind it is a guess",)
+    assert alone.reasons == ()
+
+
+def test_poses_that_no_frame_could_check_widen_it_downwards_only() -> None:
+    checked = estimate_iou(known_solid(), 1.0, PoseError(0.002), ())
+    unchecked = estimate_iou(known_solid(), 1.0, PoseError(0.002, checked=False), ())
+    assert (unchecked.value, unchecked.high) == (checked.value, checked.high)
+    missing = MISSING_PER_MM * CUBE_PER_MM + MISSING_PER_SHIFT * 2 * CUBE_PER_MM
+    most = missing * (1 + MISSED_SHARE) + MISSED_LEAST
+    most += MISSING_PER_SHIFT * 1000 * UNCHECKED_POSE_SIGMA_M * CUBE_PER_MM
+    assert unchecked.low == pytest.approx(max(0, iou_of_known(most)))
+    assert unchecked.low < checked.low
+    check(unchecked)
+
+
+def test_what_is_better_is_never_estimated_to_be_worse() -> None:
+    thin = known_solid(block_mesh(1.0, 0.6, 0.02))
+    steps = [
+        estimate_iou(thin, 0.8, PoseError(0.002), (frontier(2, 0.9, 1.0, 0.9),)),
+        estimate_iou(thin, 0.8, PoseError(0.002), ()),
+        estimate_iou(thin, 0.9, PoseError(0.002), ()),
+        estimate_iou(thin, 0.9, PoseError(0.001), ()),
+        estimate_iou(known_solid(), 0.9, PoseError(0.001), ()),
+        estimate_iou(known_solid(), 1.0, PoseError(0.001), ()),
+        estimate_iou(known_solid(), 1.0, CERTAIN, ()),
+    ]
+    for figures in ([one.low for one in steps], [one.value for one in steps], [one.high for one in steps]):
+        assert figures == sorted(figures)
+    assert len({round(one.value, 6) for one in steps}) == len(steps) - 1
+    for one in steps:
+        check(one)
+
+
+@pytest.mark.parametrize("repeatability", [0.0, 0.5])
+def test_nothing_is_below_zero(repeatability: float) -> None:
+    paper = known_solid(block_mesh(1.0, 1.0, 0.001))
+    worst = estimate_iou(paper, repeatability, PoseError(0.05, checked=False), (frontier(100, 0.5, 1, 0.5),))
+    check(worst)
+    assert worst.low == 0
+
+
+def test_reasons_are_those_that_hold() -> None:
+    thin_m = 0.002 / MAX_VOLUME_SHARE_PER_MM
+    for thick_m, told in ((0.9 * thin_m, True), (1.1 * thin_m, False)):
+        # Without edges to speak of, 1 mm on both faces.
+        found = estimate_iou(known_solid(block_mesh(50.0, 50.0, thick_m)), 1.0, CERTAIN, ())
+        assert [line[:34] for line in found.reasons] == ["thin parts: 1 mm of surface is 11%"] * told
+    much_m = MAX_SHIFTED_SHARE / CUBE_PER_MM / 1000
+    for usual_m, told in ((1.1 * much_m, True), (0.9 * much_m, False)):
+        found = estimate_iou(known_solid(), 1.0, PoseError(usual_m), ())
+        assert [line.split(",")[0] for line in found.reasons] == [
+            "poses: what they may be off by moves 3% of the volume"
+        ] * told
+    (line,) = estimate_iou(known_solid(), 1.0, PoseError(0.0, checked=False), ()).reasons
+    assert line.endswith(", and other frames could not check them")

@@ -1,0 +1,43 @@
+"""Evidence and solids written down by hand, voxel by voxel."""
+
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.geometry import Grid, TriangleMesh
+from kinectbench.stages.segment.enclosure import Shadow
+from kinectbench.stages.segment.evidence import Evidence
+from kinectbench.stages.segment.solid import SolidShape
+
+NO_MESH = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+
+
+def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
+    """Nothing is said of any voxel but what is given; `under` and `empty` are of the shadow."""
+    no, none = np.zeros(shape, bool), np.zeros(shape, np.uint8)
+    fields: dict[str, Any] = {
+        "signed_m": np.zeros(shape, np.float32),
+        "enclosed": np.zeros(shape, np.float32),
+        "shadow": Shadow(given.pop("under", no), given.pop("empty", no)),
+        "contact": slice(0, 0),
+        **dict.fromkeys(("ups", "levels", "downs"), none),
+    }
+    masks = ("observed", "carved", "behind", "excluded", "unseen", "hollow", "doubtful", "open", "cavity")
+    return Evidence(**{**dict.fromkeys(masks, no), **fields, **given})
+
+
+def shape_of(
+    solid: np.ndarray,
+    probability: np.ndarray | None = None,
+    labels: np.ndarray | None = None,
+    mesh: TriangleMesh = NO_MESH,
+    voxel_m: float = 0.01,
+) -> SolidShape:
+    """All of it is unknown, and as probable as it is solid, if nothing else is given."""
+    if labels is None:
+        labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
+    if probability is None:
+        probability = solid
+    grid = Grid(solid.shape, voxel_m, np.eye(4))
+    return SolidShape(grid, solid, labels, probability.astype(np.float32), mesh)

@@ -1,0 +1,85 @@
+"""What many frames say of things made of boxes that stand on a floor: observations without a camera."""
+
+import numpy as np
+
+from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.voxels.observation import Observation
+from kinectbench.stages.segment.evidence import FloorLayers
+
+VOXEL_M, FLOOR_LAYERS, CUT_LAYERS = 0.005, 4, 4
+LAYERS = FloorLayers(FLOOR_LAYERS, CUT_LAYERS)
+TRUNCATION_M = 4 * VOXEL_M
+SHAPE = (64, 48, 80)
+T_WORLD_GRID = rigid(rotation_from_quaternion_xyzw([0.1, 0.5, -0.2, 0.8]), [1.0, -0.5, 0.2])
+GRID = Grid(SHAPE, VOXEL_M, T_WORLD_GRID)
+
+
+def centers() -> np.ndarray:
+    """Cell centres with the floor at z = 0."""
+    index = np.stack(np.meshgrid(*map(np.arange, SHAPE), indexing="ij"), -1)
+    return (index + 0.5) * VOXEL_M - [0, 0, FLOOR_LAYERS * VOXEL_M]
+
+
+def box_distance(low, high) -> np.ndarray:
+    """Signed distance of a box, negative inside."""
+    p, middle, half = centers(), (np.array(low) + high) / 2, (np.array(high) - low) / 2
+    q = np.abs(p - middle) - half
+    return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+
+
+def within(low, high) -> np.ndarray:
+    """The voxels whose middle lies in a box, bool."""
+    return box_distance(low, high) < 0
+
+
+def looked_into(outer_m: np.ndarray, hole_m: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Distance of what the frames measured of a body with a hole that they looked into in part.
+
+    Where they did not, they measured the body from outside only, as if it had no hole.
+
+    Args:
+        outer_m: distance of the body without its hole.
+        hole_m: distance of the hole, negative in it.
+        seen: bool, where frames looked into the hole.
+    """
+    return np.where(seen, np.maximum(outer_m, -hole_m), outer_m)
+
+
+def observation(
+    distance_m: np.ndarray,
+    hidden: np.ndarray | None = None,
+    floor: bool = True,
+    truncation_m: float = TRUNCATION_M,
+) -> Observation:
+    """What many frames from all around say: nothing deeper than the truncation, nor where hidden."""
+    if floor:
+        distance_m = np.minimum(distance_m, centers()[..., 2])
+    seen = distance_m > -truncation_m
+    if hidden is not None:
+        seen &= ~hidden
+    tsdf = np.where(seen, np.clip(distance_m, -truncation_m, truncation_m), 0).astype(np.float32)
+    free = np.where(seen & (distance_m > VOXEL_M), 20, 0).astype(np.uint16)
+    surface = np.where(seen & (np.abs(distance_m) <= VOXEL_M), 20, 0).astype(np.uint16)
+    return Observation(GRID, tsdf, np.where(seen, np.float32(5), np.float32(0)), free, surface)
+
+
+# A body that stands on the floor; no camera sees where it does.
+BODY = ((0.06, 0.05, -1.0), (0.26, 0.19, 0.3))
+
+
+def bin_seen_to(height_m: float) -> np.ndarray:
+    """Distance of `BODY` with a cavity, its walls and bottom 20 mm thick: nobody looked below a height."""
+    cavity_m = box_distance((0.08, 0.07, 0.02), (0.24, 0.17, 1.0))
+    return looked_into(box_distance(*BODY), cavity_m, centers()[..., 2] > height_m)
+
+
+def body_with_a_crack(width_m: float) -> np.ndarray:
+    """Distance of `BODY` with a crack across its top, that was looked into 60 mm deep."""
+    crack_m = box_distance((0.16 - width_m / 2, 0.0, 0.02), (0.16 + width_m / 2, 0.24, 1.0))
+    return looked_into(box_distance(*BODY), crack_m, centers()[..., 2] > 0.24)
+
+
+def cupboard_seen_to(y_m: float) -> np.ndarray:
+    """Distance of `BODY` with a compartment that is open towards y: nobody looked farther in than that."""
+    inner_m = box_distance((0.08, 0.07, 0.02), (0.24, 1.0, 0.28))
+    return looked_into(box_distance(*BODY), inner_m, centers()[..., 1] > y_m)
