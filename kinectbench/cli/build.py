@@ -52,11 +52,14 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
-    """The table of what `build_recordings` returned for this last stage."""
+    """The table of what `build_recordings` returned for this last stage, and what is to be said below it."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
-    console.out.print(console.summary_table(rows, STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]))
+    stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
+    console.out.print(console.summary_table(rows, stages))
+    if "segment" in stages:
+        console.object_lines(rows)
 
 
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":

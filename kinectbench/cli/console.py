@@ -60,6 +60,23 @@ def waiting(what: str, holder: str) -> None:
     lines("waiting", [f"{what}: for {holder}; Ctrl-C to stop"], "yellow")
 
 
+def object_lines(rows: "Sequence[RecordingSummary]") -> None:
+    """What the table has no room for: why an object's estimate is uncertain, and what to record again.
+
+    Of what was made in this run the latter stands among the warnings already.
+    """
+    from kinectbench.core.artefacts.object import with_interval
+
+    for row in rows:
+        estimate = with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, 2)
+        if estimate and row.estimated_iou_reasons:
+            out.print(Text(f"{row.recording}: estimated IoU {estimate}, because of"), soft_wrap=True)
+            for reason in row.estimated_iou_reasons:
+                out.print(Text(f"  {reason}"), soft_wrap=True)
+        for frontier in () if row.made else row.frontiers or ():
+            out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
+
+
 def failures(rows: "Sequence[RecordingSummary]") -> None:
     """The last line of a run over several recordings of which some failed: which, and how to go on."""
     failed = [row.recording for row in rows if row.error is not None]
@@ -79,7 +96,16 @@ def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> 
         columns |= COLUMNS.get(stage, {})
     columns["status"] = "status"
     medians = "contained and residual: medians over the pairs" if "residual_mm" in columns else None
-    return table([row.json_value() for row in rows], columns, FORMATS, caption=medians)
+    shown = [row.json_value() | {"estimated_iou": _estimate(row)} for row in rows]
+    return table(shown, columns, FORMATS, caption=medians)
+
+
+def _estimate(row: "RecordingSummary") -> str | None:
+    """With two decimals where there is an interval, which is wider than that."""
+    from kinectbench.core.artefacts.object import with_interval
+
+    decimals = 3 if row.estimated_iou_low is None else 2
+    return with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, decimals)
 
 
 def table(

@@ -115,12 +115,31 @@ def cast_pieces(
 
 def render(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int, color: Color = CLAY) -> Rgb:
     """Draw a mesh, shaded, on paper: (size_px, size_px, 3) uint8 RGB."""
-    distance_m, normals_view = cast(mesh, viewpoint, round(size_px * SUPERSAMPLING))
+    return render_pieces([(mesh, color)], viewpoint, size_px)
+
+
+def render_pieces(
+    pieces: Sequence[tuple[TriangleMesh, Color]], viewpoint: Viewpoint, size_px: int, contrast: float = 1.0
+) -> Rgb:
+    """Draw meshes, each in its colour, shaded, on paper: (size_px, size_px, 3) uint8 RGB.
+
+    Args:
+        pieces: meshes and their colours.
+        viewpoint: of the picture.
+        size_px: its edge.
+        contrast: of the shading, 0 to 1: less tells colours in the shade apart.
+    """
+    shown = [piece for piece in pieces if len(piece[0].faces)]
+    if not shown:
+        return np.full((size_px, size_px, 3), PAPER, np.uint8)
+    meshes = [mesh for mesh, _ in shown]
+    distance_m, normals_view, which = cast_pieces(meshes, viewpoint, round(size_px * SUPERSAMPLING))
+    colors = np.array([*(color for _, color in shown), PAPER])[which]
     lit = 0.52 + 0.6 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
     # What lies farther back is a little darker, so that a leg stands out from the leg behind it.
     far = np.clip((distance_m - viewpoint.depth_m) / (2 * viewpoint.depth_m) + 0.5, 0.0, 1.0)
-    shade = (lit * (1.08 - 0.3 * far))[..., None]
-    picture = np.where(np.isfinite(distance_m)[..., None], shade * np.array(color), np.array(PAPER))
+    shade = 1 - contrast * (1 - (lit * (1.08 - 0.3 * far))[..., None])
+    picture = np.where(np.isfinite(distance_m)[..., None], shade * colors, np.array(PAPER))
     return shrunk(np.clip(picture, 0, 255).astype(np.uint8), size_px)
 
 

@@ -32,9 +32,9 @@ VERSIONS: dict[str, int] = {
     "sample-views": 1,
     "pairs": 2,
     "suggest": 1,
-    "publish": 4,
+    "publish": 5,
     "synthesize": 2,
-    "score": 2,
+    "score": 3,
     "baselines": 1,
 }
 

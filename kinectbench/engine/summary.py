@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from pydantic import Field, field_serializer
 
-from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.object import FrontierPart, QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Part, Stored
@@ -33,6 +33,10 @@ class RecordingSummary(Part):
     recommended: str | None = Field(description="the setting `trajectory` that is recommended")
     repeatability_iou: float | None = Field(description="IoU of the solids made of odd and of even frames")
     estimated_iou: float | None = Field(description="estimate of the solid's IoU to the unknown truth")
+    estimated_iou_low: float | None = Field(description="least that it is in 95 of 100 objects")
+    estimated_iou_high: float | None = Field(description="most that it is in 95 of 100 objects")
+    estimated_iou_reasons: tuple[str, ...] | None = Field(description="what widens that interval")
+    frontiers: tuple[FrontierPart, ...] | None = Field(description="openings that nobody looked into")
     views: int | None = Field(description="their number")
     pairs: int | None = Field(description="their number")
     refused: int | None = Field(description="frames that were no views, and views without a pair")
@@ -80,6 +84,10 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         recommended=health.recommended if health else None,
         repeatability_iou=quality.repeatability_iou if quality else None,
         estimated_iou=quality.estimated_iou if quality else None,
+        estimated_iou_low=quality.estimated_iou_low if quality else None,
+        estimated_iou_high=quality.estimated_iou_high if quality else None,
+        estimated_iou_reasons=quality.estimated_iou_reasons if quality else None,
+        frontiers=quality.frontiers if quality else None,
         views=len(views.views) if views else None,
         pairs=len(rows) if pairs else None,
         refused=len(pairs.refused) + (len(views.refused) if views else 0) if pairs else None,

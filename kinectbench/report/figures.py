@@ -11,6 +11,8 @@ from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
 UNITS = {"_mm": "mm", "_m": "m", "_s": "s", "_ns": "ns", "_px": "px", "_rad": "rad", "_deg": "deg"}
 MAX_LISTED = 6
 HIDDEN = ("verdict", "warnings", "format_version")
+# Said in words of their own, beside the object's other figures.
+OF_THE_ESTIMATE = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons")
 # The colour of each grade of health.json; warnings turn "good" into "warn".
 TONES: Mapping[Grade, str] = {"5 mm": "good", "10 mm": "good", "not good": "bad"}
 GRADE_WORDS: Mapping[Grade, str] = {"5 mm": "good at 5 mm", "10 mm": "good at 10 mm", "not good": "not good"}
@@ -26,6 +28,9 @@ class Figures:
         grade: of a trajectory, in a few words; else "".
         warnings: the stage's warnings.
         rows: (name, value) of every other figure.
+        estimate: the estimated IoU with its interval, or "".
+        reasons: what widens that interval, one line each.
+        advice: what to record again, a line for each opening that nobody looked into.
     """
 
     verdict: str
@@ -33,6 +38,9 @@ class Figures:
     grade: str
     warnings: tuple[str, ...]
     rows: tuple[tuple[str, str], ...]
+    estimate: str = ""
+    reasons: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
 
 
 def health_figures(health: TrajectoryHealth) -> Figures:
@@ -40,18 +48,27 @@ def health_figures(health: TrajectoryHealth) -> Figures:
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
-    return Figures(health.verdict, tone, GRADE_WORDS[health.grade], health.warnings, _shown(health))
+    return Figures(health.verdict, tone, GRADE_WORDS[health.grade], health.warnings, _shown(health, HIDDEN))
 
 
 def quality_figures(quality: QualityFile) -> Figures:
-    """An object's figures, which are good where nothing is warned of."""
+    """An object's figures, which are good where nothing is warned of; advice is no warning beside itself."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
-    return Figures(quality.verdict or "", tone, "", quality.warnings, _shown(quality))
+    return Figures(
+        quality.verdict or "",
+        tone,
+        "",
+        tuple(line for line in quality.warnings if line not in quality.advice),
+        _shown(quality, (*HIDDEN, *OF_THE_ESTIMATE, "frontiers")),
+        quality.estimated_iou_words() or "",
+        quality.estimated_iou_reasons,
+        quality.advice,
+    )
 
 
-def _shown(part: Part) -> tuple[tuple[str, str], ...]:
+def _shown(part: Part, hidden: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     values = part.json_value()
-    return tuple(_rows({key: value for key, value in values.items() if key not in HIDDEN}, ""))
+    return tuple(_rows({key: value for key, value in values.items() if key not in hidden}, ""))
 
 
 def text_of(value: Any) -> str:

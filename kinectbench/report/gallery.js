@@ -3,7 +3,7 @@
 (() => {
 const N = 64, PANES = ["partial", "truth", "prediction", "error"], PAGE = 6;
 const COLORS = {
-  partial: [118, 160, 205], truth: [205, 186, 160], prediction: [150, 178, 142],
+  partial: [118, 160, 205], truth: [205, 186, 160], unseen: [240, 150, 20], prediction: [150, 178, 142],
   agreed: [190, 186, 178], missing: [43, 108, 180], extra: [208, 84, 40], uncounted: [222, 196, 96],
 };
 // A viewer stands 32 degrees to the right of the view's camera and somewhat above it.
@@ -92,6 +92,13 @@ function errorMeshes(truth, prediction, known) {
   });
 }
 
+// The truth's cells, in a colour of their own where nobody saw them.
+function truthMeshes(truth, unseen) {
+  const classes = truth.map((t, i) => t ? (unseen[i] ? 2 : 1) : 0);
+  return [[1, "truth"], [2, "unseen"]].map(([of, name]) =>
+    new THREE.Mesh(surface(classes, of, truth, COLORS[name]), solidLook));
+}
+
 // The ball around every cell that is set in one of the grids.
 function ball(grids) {
   const low = [N, N, N], high = [0, 0, 0], set = [];
@@ -152,12 +159,12 @@ function draw(card) {
 
 async function load(card) {
   const { pair, shown } = card;
-  const [partial, truth, known, prediction] =
-    await Promise.all([pair.partial, pair.full, pair.known, shown.cells].map(unpack));
+  const [partial, truth, known, unseen, prediction] =
+    await Promise.all([pair.partial, pair.full, pair.known, pair.unseen, shown.cells].map(unpack));
   if (!card.element.isConnected) return;
   const plain = (cells, name) => [new THREE.Mesh(surface(cells, 1, cells, COLORS[name]), solidLook)];
   card.ball = ball([partial, truth, prediction]);
-  card.meshes = [plain(partial, "partial"), plain(truth, "truth"), plain(prediction, "prediction"),
+  card.meshes = [plain(partial, "partial"), truthMeshes(truth, unseen), plain(prediction, "prediction"),
     errorMeshes(truth, prediction, known)];
   draw(card);
 }

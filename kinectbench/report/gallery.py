@@ -105,6 +105,7 @@ class PairTruth:
         partial: (64, 64, 8) uint8, packed.
         full: likewise, of the truth.
         known: likewise, where the truth is trusted: at one voxel within each cell.
+        unseen: likewise, cells of `full` of whose shape at least a half is not known: nobody saw it.
     """
 
     category: str
@@ -113,6 +114,7 @@ class PairTruth:
     partial: Packed
     full: Packed
     known: Packed
+    unseen: Packed
 
 
 def read_pair_truth(release: Release, target: Target) -> PairTruth:
@@ -125,7 +127,15 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
     names = ("partial", "full", "known", "T_world_grid")
     partial, full, known, T_world_grid = read_parts(path, target.sha256, names)
     up = _up_grid(release.folder / "objects" / target.recording, T_world_grid)
-    return PairTruth(target.category, target.object, up, partial, reduced(full), _sampled(known))
+    drawn = reduced(full)
+    unseen = _unseen(full, known) & drawn
+    return PairTruth(target.category, target.object, up, partial, drawn, _sampled(known), unseen)
+
+
+def _unseen(full: Packed, known: Packed) -> Packed:
+    """Cells (64, 64, 8), packed, of whose set voxels at least a half is not known."""
+    share_unknown = block_density(full & ~known)
+    return pack(share_unknown >= block_density(full) / np.float32(2))
 
 
 def _up_grid(folder: Path, T_world_grid: Float64) -> Float64:
@@ -194,7 +204,7 @@ def gallery_json(
 
 
 def _truth(truth: PairTruth) -> dict[str, Any]:
-    grids = {name: _text(getattr(truth, name)) for name in ("partial", "full", "known")}
+    grids = {name: _text(getattr(truth, name)) for name in ("partial", "full", "known", "unseen")}
     up = [round(float(value), 5) for value in truth.up]
     return {"category": truth.category, "object": truth.object, "up": up, **grids}
 

@@ -16,10 +16,7 @@ from kinectbench.report.figures import text_of
 
 FRAMES_SHOWN = 6
 FRAME_PX = 320
-OBJECT_PX = 280
 TILE_PX = 120
-# Three looks at the object, about the vertical, from a person's height: degrees.
-OBJECT_LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
 # A pair is seen from beside and above its camera, so that the partial's empty back shows.
 TILE_AZIMUTH_DEG = 32.0
 TILE_RAISED_DEG = 10.0
@@ -37,12 +34,6 @@ def outlines(mesh_floor: TriangleMesh) -> list[Float64]:
     viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
     center = viewpoint.center_m[:2]
     return [center + o * np.array([1, -1]) for o in pictures.silhouette(mesh_floor, viewpoint, 256)]
-
-
-def object_pictures(mesh_floor: TriangleMesh) -> tuple[str, ...]:
-    """Draw the object from three sides, as `data:` addresses; the floor's z points up."""
-    viewpoints = pictures.viewpoints_around(mesh_floor.vertices, OBJECT_LOOKS_DEG)
-    return tuple(images.data_uri(pictures.render(mesh_floor, each, OBJECT_PX)) for each in viewpoints)
 
 
 def pair_picture(

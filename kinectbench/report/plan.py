@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
+from kinectbench.core.artefacts.object import FrontierPart
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
 
@@ -18,6 +19,9 @@ MAX_PIECES = 48
 MAX_TICKS = 60
 TICK_PX = 13.0
 MAX_BAR_PX = 130
+# What is looked into more steeply than this is looked into from above or below: a ring (own choice).
+LEVEL_COSINE = 0.5
+HEAD_PX = 11.0
 BAR_LENGTHS_M = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 # Start to end of the recording: blue, violet, magenta, orange; legible on a light and a dark page.
 TIME_COLORS = np.array([(47, 107, 196), (124, 88, 190), (196, 78, 142), (232, 140, 46)], np.float64)
@@ -35,18 +39,41 @@ def svg_path(points_px: Iterable[Sequence[float]]) -> str:
     return "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in points_px)
 
 
-def draw_plan(T_floor_camera: Float64, left_out_floor: Float64, outlines_floor: Sequence[Float64]) -> Markup:
+def look_arrows(T_floor_camera: Float64, frontiers: Sequence[FrontierPart]) -> list[Float64]:
+    """From where each frontier would be seen, to its middle: (2, 2) metres, x and y of the floor frame.
+
+    That is as far away as the cameras stood in the mean, which is the length of each arrow. What is looked
+    into from above or below has both ends in its middle, and is drawn as a ring.
+    """
+    arrows = []
+    for frontier in frontiers:
+        center, look = np.array(frontier.center_m[:2]), np.array(frontier.look_from[:2])
+        level = float(np.hypot(*look))
+        away_m = float(np.linalg.norm(T_floor_camera[:, :2, 3] - center, axis=1).mean())
+        tail = center + away_m * look / level if level >= LEVEL_COSINE else center
+        arrows.append(np.stack([tail, center]))
+    return arrows
+
+
+def draw_plan(
+    T_floor_camera: Float64,
+    left_out_floor: Float64,
+    outlines_floor: Sequence[Float64],
+    frontiers: Sequence[FrontierPart] = (),
+) -> Markup:
     """Draw the plan as an SVG element, in frame `floor`: x to the right and y up, to scale.
 
     The path is coloured by time, ticks show where the cameras look (short if straight down), crosses are
-    frames left out, the closed shape is the object, and the bar gives the scale.
+    frames left out, the closed shape is the object, and the bar gives the scale; see `look_arrows`.
 
     Args:
         T_floor_camera: (n, 4, 4) the cameras in order of time, n > 0.
         left_out_floor: (k, 3) where the cameras of frames left out are believed to be.
         outlines_floor: closed polygons (m, 2) of the object.
+        frontiers: openings that nobody looked into.
     """
-    points_m = np.concatenate([T_floor_camera[:, :2, 3], left_out_floor[:, :2], *outlines_floor])
+    arrows = look_arrows(T_floor_camera, frontiers)
+    points_m = np.concatenate([T_floor_camera[:, :2, 3], left_out_floor[:, :2], *outlines_floor, *arrows])
     low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
     # Something that stands still is drawn too: never less than 0.2 m across.
     grow_m = np.maximum(0.2 - (high_m - low_m), 0) / 2
@@ -65,8 +92,7 @@ def draw_plan(T_floor_camera: Float64, left_out_floor: Float64, outlines_floor: 
     path = place(T_floor_camera[:, :3, 3])
     last = len(path) - 1
     # Pieces of one colour each, and a tick now and then.
-    cuts = np.unique(np.linspace(0, last, min(last, MAX_PIECES) + 1).astype(int)).tolist()
-    chosen = np.unique(np.linspace(0, last, MAX_TICKS).astype(int)).tolist()
+    cuts, chosen = _spread(last, min(last, MAX_PIECES) + 1), _spread(last, MAX_TICKS)
     ahead_px = (T_floor_camera[:, :2, 2] * [1, -1] * TICK_PX).tolist()
     bar_m = max((b for b in BAR_LENGTHS_M if b * px_per_m <= MAX_BAR_PX), default=BAR_LENGTHS_M[0])
     height_px = size_m[1] * px_per_m + 2 * MARGIN_PX + LEGEND_PX
@@ -80,6 +106,7 @@ def draw_plan(T_floor_camera: Float64, left_out_floor: Float64, outlines_floor: 
         "ticks": [(path[i], ahead_px[i], time_color(i / max(last, 1))) for i in chosen],
         "pieces": [(path[a : b + 1], time_color((a + b) / 2 / last)) for a, b in pairwise(cuts)],
         "left_out": place(left_out_floor),
+        "looks": [(tail, tip, _head(tail, tip)) for tail, tip in (place(arrow) for arrow in arrows)],
         "start": path[0],
         "bar_m": bar_m,
         "bar_end": MARGIN_PX + bar_m * px_per_m,
@@ -88,3 +115,21 @@ def draw_plan(T_floor_camera: Float64, left_out_floor: Float64, outlines_floor: 
     }
     # Only numbers of our own making go into the drawing: it is safe as it is.
     return Markup(render_page("report/plan.svg", content))
+
+
+def _spread(last: int, count: int) -> list[int]:
+    """At most so many of the numbers 0 to `last`, evenly."""
+    found: list[int] = np.unique(np.linspace(0, last, count).astype(int)).tolist()
+    return found
+
+
+def _head(tail_px: Sequence[float], tip_px: Sequence[float]) -> list[list[float]]:
+    """The triangle at an arrow's tip; none where it has no length."""
+    along = np.subtract(tip_px, tail_px)
+    length = float(np.hypot(*along))
+    if not length:
+        return []
+    back = -HEAD_PX * along / length
+    across = np.array([-back[1], back[0]]) * 0.45
+    corners: list[list[float]] = (np.array([back * 0, back + across, back - across]) + tip_px).tolist()
+    return corners

@@ -11,17 +11,20 @@ from markupsafe import Markup
 from kinectbench.core import images
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
+from kinectbench.core.artefacts.object_grids import ObjectVolume
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
+from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_ply
 from kinectbench.core.trajectory.trajectory import read_poses
-from kinectbench.core.types import Float64
+from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.report import looks
 from kinectbench.report.figures import Figures, health_figures, per_cent, quality_figures, text_of
 from kinectbench.report.plan import draw_plan
+from kinectbench.report.unseen import ObjectPicture, object_pictures, unseen_faces
 from kinectbench.settings.models import RecordingSettings
 
 File = TypeVar("File", bound=Stored)
@@ -48,7 +51,7 @@ class RecordingPart:
         health: figures of the trajectory, or None.
         quality: figures of the object, or None.
         plan: the path seen from above, or None.
-        object_pictures: the object from a few sides.
+        object_pictures: the object from a few sides, with what nobody saw of it in colour.
         frames: some views as recorded.
         tiles: every pair.
         refused: (view, frame, reason) of every frame refused as a view ("" for the view), and refused pair.
@@ -63,7 +66,7 @@ class RecordingPart:
     health: Figures | None
     quality: Figures | None
     plan: Markup | None
-    object_pictures: tuple[str, ...]
+    object_pictures: tuple[ObjectPicture, ...]
     frames: tuple[looks.FramePicture, ...]
     tiles: tuple[Tile, ...]
     refused: tuple[tuple[str, str, str], ...]
@@ -94,14 +97,16 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     health, floor = read("track", TrajectoryHealth), read("segment", FloorFile)
     cameras_world = read_poses(current["track"]).T_world_camera if "track" in current else None
     T_floor_world = None if floor is None else floor.T_floor_world
-    quality, mesh = read("segment", QualityFile), None
+    quality, mesh, unseen = read("segment", QualityFile), None, np.zeros(0, bool)
+    frontiers = quality.frontiers if quality else ()
     if T_floor_world is not None:
-        mesh = read_ply(current["segment"] / "mesh.ply").transformed(T_floor_world)
+        mesh, unseen = _mesh(current["segment"], T_floor_world)
     plan = None
     if cameras_world is not None and T_floor_world is not None:
         cameras_floor = T_floor_world @ cameras_world
         left_out_floor = _left_out(cameras_floor, health)
-        plan = draw_plan(cameras_floor, left_out_floor, looks.outlines(mesh) if mesh else [])
+        outlines = looks.outlines(mesh) if mesh else []
+        plan = draw_plan(cameras_floor, left_out_floor, outlines, frontiers)
     views, pairs = read("sample-views", ViewsFile), read("pairs", PairsFile)
     frames = () if views is None else looks.frame_pictures(folder / "views", views)
     rows = () if pairs is None else pairs.pairs
@@ -120,7 +125,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         health=None if health is None else health_figures(health),
         quality=None if quality is None else quality_figures(quality),
         plan=plan,
-        object_pictures=looks.object_pictures(mesh) if mesh else (),
+        object_pictures=object_pictures(mesh, unseen, frontiers) if mesh else (),
         frames=frames,
         tiles=tuple(_tile(folder / "pairs", row, T_floor_world) for row in rows),
         refused=tuple((row.view or "", text_of(row.frame), row.reason) for row in refused),
@@ -130,6 +135,13 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         outdated=tuple(name for name, stage, is_absent in absent if is_absent and stage in old),
         failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",
     )
+
+
+def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
+    """The object's closed surface, floor frame, and which of its faces (m,) nobody measured."""
+    mesh_world = read_ply(folder / "mesh.ply")
+    unseen = unseen_faces(mesh_world, ObjectVolume.read(folder))
+    return mesh_world.transformed(T_floor_world), unseen
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:

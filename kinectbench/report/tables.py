@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from kinectbench.core.artefacts.object import with_interval
 from kinectbench.core.artefacts.score_figures import SHARES, SurfaceMetrics, fields_of
 from kinectbench.core.artefacts.scores import OVERALL, CategoryAverages, Extremes, OverallAverages, ScoreTable
 from kinectbench.report.figures import per_cent, text_of
@@ -184,6 +185,12 @@ def _base_rate(averages: Averages) -> str:
     return " ".join(filter(None, (shown(averages.base_rate_ce), source)))
 
 
+def _truth_iou(averages: Averages) -> str | None:
+    """The estimated IoU of the truth, with the mean of its objects' intervals."""
+    low, high = averages.truth_estimated_iou_low, averages.truth_estimated_iou_high
+    return with_interval(averages.truth_estimated_iou, low, high, DECIMALS)
+
+
 def _surface(name: str) -> Callable[[Averages], str]:
     decimals = DECIMALS if name in SHARES else LENGTH_DECIMALS
     return lambda averages: shown(getattr(averages, name), decimals)
@@ -201,7 +208,7 @@ DETAILS: Mapping[str, Callable[[Averages], str]] = {
     **{field.title: _surface(name) for name, field in fields_of(SurfaceMetrics).items() if field.title},
     "voxels counted": lambda of: per_cent(of.coverage_voxels),
     "shape counted": lambda of: per_cent(of.coverage_shape),
-    "truth's IoU, estimated": lambda of: shown(of.truth_estimated_iou),
+    "truth's IoU, estimated": lambda of: _truth_iou(of) or "–",
     "repeatability": lambda of: shown(of.truth_repeatability_iou),
     "truth unknown": lambda of: per_cent(of.truth_unknown_share),
     "pairs": lambda of: text_of(of.pairs),

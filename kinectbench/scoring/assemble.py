@@ -161,9 +161,11 @@ def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> 
         shares = {row.pair: row.unknown_share or 0.0 for row in here}  # every protocol's row says the same
         found[name] = ObjectQuality(
             here[0].category,
-            _mean([part.estimated_iou for part in parts]),
-            _mean([part.repeatability_iou for part in parts]),
-            fmean(shares.values()),
+            estimated_iou=_mean([part.estimated_iou for part in parts]),
+            estimated_iou_low=_mean([part.estimated_iou_low for part in parts]),
+            estimated_iou_high=_mean([part.estimated_iou_high for part in parts]),
+            repeatability_iou=_mean([part.repeatability_iou for part in parts]),
+            unknown_share=fmean(shares.values()),
         )
     return found
 

@@ -32,12 +32,16 @@ class ObjectQuality:
     Attributes:
         category: of the object.
         estimated_iou: mean over its recordings; None if that of one is not known.
+        estimated_iou_low: likewise, the lower end of its interval.
+        estimated_iou_high: likewise, the upper one.
         repeatability_iou: likewise.
         unknown_share: of its true shape, not known: mean over all its pairs, of which each has all of it.
     """
 
     category: str
     estimated_iou: float | None
+    estimated_iou_low: float | None
+    estimated_iou_high: float | None
     repeatability_iou: float | None
     unknown_share: float
 
@@ -131,6 +135,8 @@ def _category(here: ObjectMeans | None, rate: BaseRate, quality: Sequence[Object
     """
     of_truth: dict[str, Any] = {
         "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
+        "truth_estimated_iou_low": _known_mean([of.estimated_iou_low for of in quality]),
+        "truth_estimated_iou_high": _known_mean([of.estimated_iou_high for of in quality]),
         "truth_repeatability_iou": _known_mean([of.repeatability_iou for of in quality]),
         "truth_unknown_share": _known_mean([of.unknown_share for of in quality]),
     }
@@ -154,7 +160,8 @@ def overall_averages(
 
     What is said of the truth is the mean over all categories.
     """
-    of_truth = ("truth_estimated_iou", "truth_repeatability_iou", "truth_unknown_share")
+    estimated = ("truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high")
+    of_truth = (*estimated, "truth_repeatability_iou", "truth_unknown_share")
     found = {}
     for protocol, categories in by_category.items():
         here = means[protocol]

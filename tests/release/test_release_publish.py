@@ -115,6 +115,35 @@ def test_a_doubtful_object_is_told(build: Path, tmp_path: Path) -> None:
     assert "chair_02: it hangs (and 1 more)" in summary.warnings
 
 
+def test_the_estimate_is_told_with_its_interval_and_its_reasons(build: Path, tmp_path: Path) -> None:
+    shutil.copytree(build, tmp_path / "build")
+    advice = "nobody looked into the opening at the top, 31 x 29 cm: record from above"
+    frontier = {
+        "direction": "up", "area_m2": 0.09, "size_m": [0.31, 0.29], "center_m": [0, 0, 0.6],
+        "look_from": [0, 0, 1], "advice": advice, "volume_m3": 0.05, "inside_share": 0.5, "solid_share": 1.0,
+    }  # fmt: skip
+    found = {
+        "warnings": [advice], "estimated_iou": 0.7412, "estimated_iou_low": 0.352, "estimated_iou_high": 0.8,
+        "estimated_iou_reasons": ["an opening"], "frontiers": [frontier], "repeatability_iou": 0.93,
+    }  # fmt: skip
+    (tmp_path / "build" / "chair_02" / "object" / "quality.json").write_text(json.dumps(found))
+    names = ["chair_01", "chair_02"]
+    summary = publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", names)
+    assert f"chair_02: {advice}" in summary.warnings
+    card = (summary.folder / "README.md").read_text()
+    assert "| recording | object | pairs | refused | estimated IoU | repeatability IoU |" in card
+    assert "| chair_02 | blue_chair | 1 | 0 | 0.741 (0.352 to 0.800) | 0.930 |" in card
+    assert "| chair_01 | red_chair | 2 | 0 |  | 0.930 |" in card
+    sheet = (summary.folder / "datasheet.md").read_text()
+    assert "- the least that this is in 95 of 100 objects: 0.352, of 1 recording\n" in sheet
+    assert "- the most that this is in 95 of 100 objects: 0.8, of 1 recording\n" in sheet
+    assert f"- chair_02: {advice}\n" in sheet
+    page = (summary.folder / "index.html").read_text()
+    assert "0.741 (0.352 to 0.800)" in page and "<li>an opening</li>" in page and f"<li>{advice}</li>" in page
+    quality = open_release(summary.folder).metadata.recordings["chair_02"].quality
+    assert quality.advice == (advice,) and quality.estimated_iou_words() == "0.74 (0.35 to 0.80)"
+
+
 def test_every_pair_states_its_share_of_unknown(build: Path, tmp_path: Path) -> None:
     """As the pair files tell; the half-known and the all-unknown pair are made by hand."""
     shutil.copytree(build, tmp_path / "build")

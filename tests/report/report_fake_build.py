@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from known_builds import write_manifests
 
+from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.geometry import invert_rigid, quaternion_xyzw_from_rotation, rigid
+from kinectbench.core.geometry import Grid, invert_rigid, quaternion_xyzw_from_rotation, rigid
 from kinectbench.core.pictures import look_along
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes
 from kinectbench.engine.stages import Job
@@ -25,6 +26,18 @@ SETTINGS = BenchmarkSettings.model_validate(
     }
 )
 N_FRAMES = 40
+# Nobody looked under the seat from the front, which is at -y.
+FRONTIER = {
+    "direction": "side",
+    "area_m2": 0.13,
+    "size_m": [0.39, 0.33],
+    "center_m": [0.0, -0.2, 0.2],
+    "look_from": [0.0, -1.0, 0.0],
+    "advice": "nobody looked into the opening at the side, 39 x 33 cm: record from the front <b>",
+    "volume_m3": 0.05,
+    "inside_share": 0.3,
+    "solid_share": 0.0,
+}
 # The world is the first camera's; the floor's z is the world's -y.
 T_FLOOR_WORLD = rigid([[1, 0, 0], [0, 0, 1], [0, -1, 0]], [0, -1.2, 1.0])
 
@@ -78,8 +91,20 @@ def make_pair(T_world_camera: np.ndarray) -> Pair:
     )
 
 
+def write_volume(folder: Path) -> None:
+    """volume.npz: voxels of 2 cm whose upper neighbour is not solid were measured."""
+    edge_m, shape = 0.02, (32, 28, 46)
+    T_floor_grid = rigid(np.eye(3), [-0.32, -0.28, -0.02])
+    cells = (np.stack(np.indices(shape), axis=-1) + 0.5) * edge_m + T_floor_grid[:3, 3]
+    solid = solid_floor(cells)
+    top = solid & ~np.roll(solid, -1, axis=2)
+    labels = np.where(top, Label.SURFACE, np.where(solid, Label.INTERIOR, Label.FREE)).astype(np.uint8)
+    grid = Grid(shape, edge_m, invert_rigid(T_FLOOR_WORLD) @ T_floor_grid)
+    ObjectVolume(grid, solid, labels, solid.astype(np.float16)).write(folder)
+
+
 def write_object(folder: Path) -> None:
-    """floor.json, mesh.ply and quality.json."""
+    """floor.json, mesh.ply, volume.npz (what faces up was measured) and quality.json."""
     import open3d as o3d
 
     parts = [
@@ -95,6 +120,7 @@ def write_object(folder: Path) -> None:
     whole.transform(invert_rigid(T_FLOOR_WORLD))
     folder.mkdir(parents=True)
     assert o3d.io.write_triangle_mesh(str(folder / "mesh.ply"), whole)
+    write_volume(folder)
     floor = {"plane_world": [0, -1, 0, 1], "T_floor_world": T_FLOOR_WORLD.tolist(), "noise_m": 0.002,
              "inlier_share": 0.5}  # fmt: skip
     (folder / "floor.json").write_text(json.dumps(floor))
@@ -103,6 +129,11 @@ def write_object(folder: Path) -> None:
         "warnings": [],
         "repeatability_iou": 0.95321,
         "voxels": {"surface": 12, "unknown": 3},
+        "estimated_iou": 0.7412,
+        "estimated_iou_low": 0.352,
+        "estimated_iou_high": 0.8,
+        "estimated_iou_reasons": ["an opening that nobody looked into"],
+        "frontiers": [FRONTIER],
     }
     (folder / "quality.json").write_text(json.dumps(quality))
 

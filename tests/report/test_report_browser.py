@@ -99,6 +99,19 @@ def test_a_pair_turns(browser: Browser) -> None:
     assert all((one != two).mean() > 0.01 for one, two in zip(before, after, strict=True))
 
 
+def test_the_truth_that_nobody_saw_is_orange(browser: Browser) -> None:
+    show(browser, method="moved", order="by name")
+    partial, truth = (picture(browser, pane) for pane in (0, 1))
+
+    def orange(image: np.ndarray) -> np.ndarray:
+        blue, _, red = (image[..., channel].astype(int) for channel in range(3))
+        return np.asarray((image[..., 3] == 255) & (red - blue > 90))
+
+    # A slab of the ball of three cells, of some forty.
+    assert 0.02 < orange(truth).sum() / (truth[..., 3] == 255).sum() < 0.2
+    assert not orange(partial).any()
+
+
 def test_keys_turn_it_too(browser: Browser) -> None:
     show(browser, method="moved", order="best first")
     browser.evaluate(f"{CARD}.querySelector('.panes').focus()")

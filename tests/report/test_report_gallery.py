@@ -121,7 +121,8 @@ def test_a_strangers_file_is_one_line(tmp_path: Path, kind: str) -> None:
 
 
 def truth(seed: int, category: str = "chair") -> PairTruth:
-    return PairTruth(category, "thing", np.array([0, -1.0, 0]), cells(seed), cells(seed + 1), cells(seed + 2))
+    grids = (cells(seed + k) for k in range(4))
+    return PairTruth(category, "thing", np.array([0, -1.0, 0]), *grids)
 
 
 def scored(method: str, names: list[str]) -> dict:
@@ -146,16 +147,17 @@ def test_the_data_come_back_and_cannot_end_their_element() -> None:
     assert (shown["iou"], shown["threshold"]) == (0.5, 0.35)
     np.testing.assert_array_equal(unpacked(shown["cells"]), unpack(cells(2)))
     np.testing.assert_array_equal(unpacked(found["pairs"]["a/000"]["full"]), unpack(cells(11)))
+    np.testing.assert_array_equal(unpacked(found["pairs"]["a/000"]["unseen"]), unpack(cells(13)))
 
 
 def test_the_page_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
     names = [f"a/{n:03d}" for n in range(6)]
     tables = parsed_tables([scored("x", names), scored("y", names)])
     kept = [{name: cells(1) for name in names}, {names[4]: cells(2)}]
-    # Random cells do not compress: 32 kB a grid, 44 as text; three of truth, one or two of predictions.
-    monkeypatch.setattr(gallery, "MAX_BYTES", 450_000)
+    # Random cells do not compress: 32 kB a grid, 44 as text; four of truth, one or two of predictions.
+    monkeypatch.setattr(gallery, "MAX_BYTES", 550_000)
     text, left_out = gallery_json(tables, kept, {name: truth(5) for name in names}, "known")
-    assert text is not None and len(text) < 450_000 and left_out == 4
+    assert text is not None and len(text) < 550_000 and left_out == 4
     assert "a/004" in json.loads(text)["pairs"]  # the one that most methods have comes first
     monkeypatch.setattr(gallery, "MAX_BYTES", 1000)
     assert gallery_json(tables, kept, {name: truth(5) for name in names}, "known") == (None, 6)
@@ -167,6 +169,10 @@ def test_truth_of_a_pair(release: Release) -> None:
     np.testing.assert_array_equal(found.partial, pair.partial)
     np.testing.assert_array_equal(found.full, reduced(pair.full))
     np.testing.assert_array_equal(unpack(found.known), unpack(pair.known)[2::4, 2::4, 2::4])
+    # What nobody knows of it is a slab of ten voxels along x, from 200 on: two and a half cells of its shape.
+    unseen = unpack(found.unseen)
+    assert np.flatnonzero(unseen.any(axis=(1, 2))).tolist() == [50, 51, 52]
+    np.testing.assert_array_equal(unseen[50:53], unpack(found.full)[50:53])
 
 
 def test_from_predictions_to_the_page(release: Release, tmp_path: Path) -> None:

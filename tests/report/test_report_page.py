@@ -80,9 +80,10 @@ def test_every_image_decodes_and_the_pairs_are_twice_as_wide_as_high(html: str) 
         cv2.imdecode(np.frombuffer(base64.b64decode(i, validate=True), np.uint8), cv2.IMREAD_COLOR).shape
         for i in images
     ]
-    # Three sides of the object, six views, three pairs; then three views with colour beside depth.
-    assert len(shapes) == 3 + 6 + 3 + 3 * 2
-    assert shapes[9:12] == [(120, 240, 3)] * 3
+    # The object from three sides and from where its opening would be seen, six views, three pairs; then three
+    # views with colour beside depth.
+    assert len(shapes) == 4 + 6 + 3 + 3 * 2
+    assert shapes[10:13] == [(120, 240, 3)] * 3
 
 
 def test_shows_figures_of_every_stage(html: str) -> None:

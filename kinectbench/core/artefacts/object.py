@@ -234,6 +234,23 @@ class QualityFile(Stored):
     source: str | None = Field(None, description="synthesised: the mesh")
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")
 
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """What to record again, a line for each opening that nobody looked into."""
+        return tuple(frontier.advice for frontier in self.frontiers)
+
+    def estimated_iou_words(self, decimals: int = 2) -> str | None:
+        """`0.74 (0.35 to 0.80)`: the estimated IoU with its interval, if there is one; None without it."""
+        return with_interval(self.estimated_iou, self.estimated_iou_low, self.estimated_iou_high, decimals)
+
+
+def with_interval(value: float | None, low: float | None, high: float | None, decimals: int) -> str | None:
+    """`0.74 (0.35 to 0.80)`; without the ends of its interval the value alone; None without a value."""
+    if value is None:
+        return None
+    ends = "" if low is None or high is None else f" ({low:.{decimals}f} to {high:.{decimals}f})"
+    return f"{value:.{decimals}f}{ends}"
+
 
 class SynthesisedQualityFile(Stored):
     """quality.json of an object that was made from a mesh; `QualityFile` reads it, too."""

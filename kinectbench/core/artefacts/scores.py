@@ -39,6 +39,8 @@ Intervals = Annotated[
 ]
 Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
 ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
+LOW = "mean of the lower ends of the objects' 95 % intervals; null if not known"
+HIGH = "mean of the upper ends of the objects' 95 % intervals; null if not known"
 UNKNOWN = "mean over objects of the share of their true shape that is not known; all-unknown pairs count"
 REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not known"
 
@@ -54,6 +56,8 @@ class CategoryAverages(Averages):
     )
     intervals: Intervals = Field(default_factory=dict)
     truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
+    truth_estimated_iou_low: OptionalUnitRange = Field(default=None, description=LOW)
+    truth_estimated_iou_high: OptionalUnitRange = Field(default=None, description=HIGH)
     truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
     truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
 
@@ -63,6 +67,8 @@ class OverallAverages(Averages):
     """Means over the categories under one protocol."""
 
     truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
+    truth_estimated_iou_low: OptionalUnitRange = Field(default=None, description=LOW)
+    truth_estimated_iou_high: OptionalUnitRange = Field(default=None, description=HIGH)
     truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
     truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
     pairs: Count = Field(default=None, description="sum over the categories")
@@ -271,7 +277,10 @@ LATER_KEYS = (
     *("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories"),
     "all_unknown_pairs",
 )
-LATER_AVERAGES = ("base_rate_source", "truth_estimated_iou", "truth_repeatability_iou", "truth_unknown_share")
+LATER_AVERAGES = (
+    *("base_rate_source", "truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high"),
+    *("truth_repeatability_iou", "truth_unknown_share"),
+)
 LATER = {*LATER_KEYS, *LATER_AVERAGES, *SURFACE_METRICS, *fields_of(Resolution), *fields_of(Unknown)}
 
 

@@ -44,11 +44,14 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
     Args:
         quality: quality.json; without a figure where it is held back or the pairs come from elsewhere.
     """
-    return {
+    words = {
         label: form.format(factor * value)
         for key, (label, form, factor) in QUALITY.items()
         if (value := getattr(quality, key)) is not None
     }
+    estimate = quality.estimated_iou_words(3)
+    # With its interval, in the same place.
+    return words | ({QUALITY["estimated_iou"][0]: estimate} if estimate else {})
 
 
 @dataclass(frozen=True)

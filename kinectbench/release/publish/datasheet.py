@@ -21,6 +21,8 @@ NOT_STATED = "Not stated."
 # Key of quality.json -> what it says, unit, factor.
 FIGURES = {
     "estimated_iou": ("estimated IoU of the solid to the unknown truth", "", 1.0),
+    "estimated_iou_low": ("the least that this is in 95 of 100 objects", "", 1.0),
+    "estimated_iou_high": ("the most that this is in 95 of 100 objects", "", 1.0),
     "repeatability_iou": ("IoU of solids made of odd and of even frames", "", 1.0),
     "surface_sigma_m": ("standard deviation of the surface", " mm", 1000.0),
     "unknown_share": ("share of the solid that no frame saw", " %", 100.0),

@@ -1,0 +1,141 @@
+"""The object with what nobody saw of it in colour, and from where it would be seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core import images, pictures
+from kinectbench.core.artefacts.object import FrontierPart
+from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
+from kinectbench.core.geometry import TriangleMesh, transform_points
+from kinectbench.core.types import Bools, Float64, Rgb
+
+OBJECT_PX = 320
+# Orange and blue, which everybody tells apart; on grey, so that only what is unseen has colour.
+SEEN_RGB, UNSEEN_RGB, ARROW_RGB = (184, 184, 180), (240, 150, 20), (0, 92, 160)
+# What is open is in the shade inside, and orange is brown there (own choice, by looking at pictures).
+CONTRAST = 0.45
+NEAR_VOXELS = 1.5
+# Three looks at the object, about the vertical, from a person's height: degrees.
+LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
+# From straight above or below one does not tell what one sees (own choice, by looking at pictures).
+ELEVATIONS_DEG = (-40.0, 62.0)
+LEVEL_COSINE = 0.2
+# More arrows hide the object (own choice).
+MARKED = 4
+# An arrow's length, of the object's longest edge; one of which less than this share shows is drawn as a ring.
+ARROW_SHARE, RING_SHARE = 0.4, 0.3
+# An arrow on the far side, by more than this cosine, would seem to lie on the near one.
+BEHIND_COSINE = -0.3
+
+
+@dataclass(frozen=True)
+class ObjectPicture:
+    """The object from one side: a `data:` address, and what is to be said of it, or ""."""
+
+    picture: str
+    caption: str
+
+
+def unseen_faces(mesh_world: TriangleMesh, volume: ObjectVolume) -> Bools:
+    """Which faces (m,) nobody measured: nothing around them was, or nobody saw what lies right before them.
+
+    Nothing around: no voxel within 1.5 voxels of a face's middle has the label surface (along each axis,
+    from the voxels' middles: none of 27 voxels). Right before: the voxel 1.5 voxels out from its middle is
+    unknown. Else the far side of a wall would count as seen that is as thin as what a measurement fills (own
+    rule; of a bin that is open at the top 11 % of the faces without the second part, 35 % with it; .333 to
+    .336 of them have the unknown before them at 1 to 2.5 voxels).
+
+    Args:
+        mesh_world: closed surface of the object, world frame, metres.
+        volume: its voxels.
+    """
+    corners_world = mesh_world.vertices[mesh_world.faces]
+    middles_world = corners_world.mean(axis=1)
+    outward = np.cross(corners_world[:, 1] - corners_world[:, 0], corners_world[:, 2] - corners_world[:, 0])
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    voxel_m = volume.grid.voxel_size_m
+    cells, before = (
+        # One more for the margin.
+        np.floor(transform_points(volume.grid.T_grid_world, points) / voxel_m).astype(np.int64) + 1
+        for points in (middles_world, middles_world + NEAR_VOXELS * voxel_m * outward)
+    )
+    # The margin is as wide as the window: what lies outside of the grid is near no voxel of it.
+    labels, last = np.pad(volume.labels, 1, constant_values=Label.OTHER), np.array(volume.grid.shape) + 1
+    measured = labels == Label.SURFACE
+    seen = np.zeros(len(cells), dtype=bool)
+    for offset in np.ndindex(3, 3, 3):
+        x, y, z = np.clip(cells + np.array(offset) - 1, 0, last).T
+        seen |= measured[x, y, z]
+    x, y, z = np.clip(before, 0, last).T
+    before_is_unknown: Bools = labels[x, y, z] == Label.UNKNOWN
+    return ~seen | before_is_unknown
+
+
+def object_pictures(
+    mesh_floor: TriangleMesh, unseen: Bools, frontiers: Sequence[FrontierPart]
+) -> tuple[ObjectPicture, ...]:
+    """Draw the object from three sides, and from where one would look into its first frontier.
+
+    Args:
+        mesh_floor: its closed surface, floor frame, metres.
+        unseen: faces (m,) that nobody measured, which are drawn orange; the others are grey.
+        frontiers: openings that nobody looked into; an arrow to each of the first four, with its number.
+    """
+    pieces = [
+        (mesh_floor.keep_faces(~unseen), SEEN_RGB),
+        (mesh_floor.keep_faces(unseen), UNSEEN_RGB),
+    ]
+    arrows = _arrows(mesh_floor, frontiers[:MARKED])
+    points = np.concatenate([mesh_floor.vertices, *arrows])
+    looks_deg = [*LOOKS_DEG, *(_look_deg(frontier) for frontier in frontiers[:1])]
+    shown: list[ObjectPicture] = []
+    for viewpoint in pictures.viewpoints_around(points, looks_deg):
+        picture = pictures.render_pieces(pieces, viewpoint, OBJECT_PX, CONTRAST)
+        for number, arrow in enumerate(arrows, start=1):
+            _draw_arrow(picture, viewpoint, arrow, str(number))
+        caption = "from where 1 would be seen" if len(shown) == len(LOOKS_DEG) else ""
+        shown.append(ObjectPicture(images.data_uri(picture), caption))
+    return tuple(shown)
+
+
+def _arrows(mesh_floor: TriangleMesh, frontiers: Sequence[FrontierPart]) -> list[Float64]:
+    """Tail and tip (2, 3) of the arrow along which one would look into each frontier, floor frame, metres."""
+    length_m = ARROW_SHARE * float(np.ptp(mesh_floor.vertices, axis=0).max())
+    centers = [np.array(frontier.center_m) for frontier in frontiers]
+    return [
+        np.stack([center + length_m * np.array(frontier.look_from), center])
+        for center, frontier in zip(centers, frontiers, strict=True)
+    ]
+
+
+def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
+    """Azimuth and elevation, degrees, from which the object is drawn to show a frontier."""
+    x, y, z = frontier.look_from
+    azimuth = LOOKS_DEG[0][0] if np.hypot(x, y) < LEVEL_COSINE else float(np.rad2deg(np.arctan2(y, x)))
+    elevation = np.clip(np.rad2deg(np.arctan2(z, np.hypot(x, y))), *ELEVATIONS_DEG)
+    return azimuth, float(elevation)
+
+
+def _draw_arrow(picture: Rgb, viewpoint: pictures.Viewpoint, arrow: Float64, number: str) -> None:
+    """Draw an arrow (2, 3), its number at its tail, into a picture; a ring where it points away from us."""
+    import cv2
+
+    along = arrow[1] - arrow[0]
+    length_m = float(np.linalg.norm(along))
+    if viewpoint.R_frame_view[:, 2] @ along < BEHIND_COSINE * length_m:
+        return
+    offsets = (arrow - viewpoint.center_m) @ viewpoint.R_frame_view[:, :2]
+    (u0, v0), (u1, v1) = np.rint((offsets / viewpoint.half_m + 1) / 2 * len(picture)).astype(int).tolist()
+    far_px = float(np.hypot(u1 - u0, v1 - v0))
+    if far_px < RING_SHARE * length_m / (2 * viewpoint.half_m) * len(picture):
+        for color, width in (((255, 255, 255), 5), (ARROW_RGB, 2)):
+            cv2.circle(picture, (u1, v1), 17, color, width, cv2.LINE_AA)
+        u0, v0 = u1, v1
+    else:
+        for color, width in (((255, 255, 255), 6), (ARROW_RGB, 3)):
+            cv2.arrowedLine(picture, (u0, v0), (u1, v1), color, width, cv2.LINE_AA, tipLength=14 / far_px)
+    cv2.circle(picture, (u0, v0), 11, ARROW_RGB, -1, cv2.LINE_AA)
+    at = (u0 - 5, v0 + 6)
+    cv2.putText(picture, number, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 2, cv2.LINE_AA)

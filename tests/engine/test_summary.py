@@ -1,0 +1,91 @@
+"""What a run tells of an object: the estimate's interval, its reasons, and what to record again."""
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from kinectbench.cli import console
+from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.stages import Job
+from kinectbench.engine.summary import RecordingSummary, summary
+from kinectbench.settings.models import BenchmarkSettings
+
+SETTINGS = BenchmarkSettings.model_validate(
+    {"name": "bins", "license": "CC0-1.0", "recordings": [{"id": "bin", "path": "bin", "category": "bin"}]}
+)
+ADVICE = "nobody looked into the opening at the top, 31 x 29 cm: record from above"
+FRONTIER = {
+    "direction": "up",
+    "area_m2": 0.09,
+    "size_m": [0.31, 0.29],
+    "center_m": [0.0, 0.0, 0.6],
+    "look_from": [0.0, 0.0, 1.0],
+    "advice": ADVICE,
+    "volume_m3": 0.05,
+    "inside_share": 0.5,
+    "solid_share": 1.0,
+}
+ESTIMATE = {
+    "warnings": [ADVICE],
+    "estimated_iou": 0.7412,
+    "estimated_iou_low": 0.352,
+    "estimated_iou_high": 0.8,
+    "estimated_iou_reasons": ["an opening that nobody looked into", "thin parts"],
+    "frontiers": [FRONTIER],
+}
+
+
+def row(root: Path, quality: dict, made: tuple[str, ...] = ()) -> RecordingSummary:
+    """The summary of a recording whose object has this quality.json."""
+    folder = root / "build" / "bin" / "object"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "quality.json").write_text(json.dumps(quality))
+    current = () if made else ("segment",)
+    return summary(Job(SETTINGS, SETTINGS.recordings[0], root), Outcome("bin", made, current, None, 0.0))
+
+
+def told(rows: list[RecordingSummary], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    shown = Console(width=160, record=True, file=io.StringIO())
+    monkeypatch.setattr(console, "out", shown)
+    console.object_lines(rows)
+    return shown.export_text().splitlines()
+
+
+def test_a_line_for_each_opening_and_each_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = told([row(tmp_path, ESTIMATE)], monkeypatch)
+    assert lines == [
+        "bin: estimated IoU 0.74 (0.35 to 0.80), because of",
+        "  an opening that nobody looked into",
+        "  thin parts",
+        f"bin: {ADVICE}",
+    ]
+    # What has just been warned of is not said again.
+    assert told([row(tmp_path, ESTIMATE, made=("segment",))], monkeypatch) == lines[:-1]
+
+
+def test_an_object_without_an_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    older = row(tmp_path, {"estimated_iou": 0.93, "repeatability_iou": 0.9})
+    assert told([older], monkeypatch) == []
+    shown = older.json_value()
+    assert shown["estimated_iou_low"] is None and shown["frontiers"] == []
+    failed = summary(Job(SETTINGS, SETTINGS.recordings[0], tmp_path), Outcome("bin", (), (), "no floor", 0.0))
+    assert failed.frontiers is None and told([failed], monkeypatch) == []
+
+
+def test_the_json_holds_them(tmp_path: Path) -> None:
+    shown = json.loads(json.dumps(row(tmp_path, ESTIMATE).json_value()))
+    keys = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons", "frontiers")
+    assert {key: shown[key] for key in keys} == {key: ESTIMATE[key] for key in keys}
+
+
+@pytest.mark.parametrize(
+    ("quality", "words"),
+    [(ESTIMATE, "0.74 (0.35 to 0.80)"), ({"estimated_iou": 0.93}, "0.930"), ({}, " - ")],
+)
+def test_the_table_shows_the_interval(tmp_path: Path, quality: dict, words: str) -> None:
+    shown = Console(width=160, record=True, file=io.StringIO())
+    shown.print(console.summary_table([row(tmp_path, quality)], ("segment",)))
+    assert words in shown.export_text()
