@@ -54,7 +54,7 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "what is open is unknown": ((evidence, "_openings", _no_openings),),
     "an opening is wider than 30 mm": ((evidence, "OPENING_M", 1e-4),),
     "a surface tells 15 mm, not 20": ((evidence, "SHELL_M", 1.0),),
-    "cavities are empty": ((evidence, "_cavity", _nothing),),
+    "cavities are empty, and what lies beside open": ((evidence, "_wide_open", _nothing),),
     "what lies beside a cavity is open": (
         (evidence, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
     ),

@@ -28,7 +28,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 1,
     "track": 1,
     "fuse": 4,
-    "segment": 5,
+    "segment": 6,
     "sample-views": 1,
     "pairs": 2,
     "suggest": 1,

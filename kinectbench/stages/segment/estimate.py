@@ -13,13 +13,13 @@ from kinectbench.stages.segment.solid import SolidShape
 # What is missing from an IoU of 1 among the known voxels, fitted on simulated objects of the families looked
 # at: of what changes if the surface moves by 1 mm, of what odd and even frames disagree by, and of what
 # changes if it moves by what a usual pose may be off.
-MISSING_PER_MM, MISSING_PER_DISAGREEMENT, MISSING_PER_SHIFT = 0.05, 0.84, 0.5
+MISSING_PER_MM, MISSING_PER_DISAGREEMENT, MISSING_PER_SHIFT = 0.05, 0.55, 0.5
 # A few voxels of a thing as large as a cup are most of what its halves disagree by.
 MAX_DISAGREEMENT = 0.15
 # By how much more or less is missing in 95 of 100 objects: a share of what is estimated, and so much beside.
 MISSED_SHARE, MISSED_LEAST = 0.8, 0.02
 # What is unknown is not independent from voxel to voxel: so much of its variance p (1 - p) may be amiss.
-DOUBTED_SHARE = 1.0
+DOUBTED_SHARE = 0.6
 # A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
 MAX_VOLUME_SHARE_PER_MM = 0.1
 # So much of the volume moves with a usual pose before poses are a reason (own choice).

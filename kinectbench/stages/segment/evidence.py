@@ -32,8 +32,10 @@ OPENING_M = 0.03
 # Rings, feet and edges lift what stands on the floor by up to 30 mm that nobody sees: up to this height above
 # the floor one is more than 10 mm below such a bottom (own choice).
 STAND_M = 0.02
-# Where so many of the nine directions upwards lead outside in a whole cube of that edge, it is a cavity.
+# Where so many of the nine directions upwards lead outside in a whole cube of that edge, it is a cavity. In a
+# smaller one it may be that of a bottle: what lies beside it is open, too. Cracks are open in three at most.
 WIDE_OPEN_ABOVE = 4
+MOUTH_M = 0.015
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,10 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     state[:, :, : layers.below] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
     tally = tally_rays(state)
     found = hollows(state, tally, voxel_m)
-    hollow = found.sure
+    hollow = _to_the_apron(found.sure, state == UNSEEN, voxel_m)
     hollow[:, :, : contact.stop] = False
     unseen = (state == UNSEEN) & ~hollow
-    deep = behind & (observation.tsdf < -_shell_m(voxel_m))
+    deep = _deep(behind, observed & carved, observation.tsdf, voxel_m)
     openings = _openings(state, unseen, behind, deep, layers, voxel_m)
     return Evidence(
         signed_m,
@@ -158,9 +160,38 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     )
 
 
-def _shell_m(voxel_m: float) -> np.float32:
-    """How far behind a surface what it tells ends, metres; no nearer than one and a half voxels."""
-    return np.float32(max(SHELL_M, 1.5 * voxel_m))
+def _to_the_apron(hollow: Bools, unseen: Bools, voxel_m: float) -> Bools:
+    """A hollow with what lies between it and the aprons around it, unseen and at its own height."""
+    from scipy import ndimage
+
+    if not hollow.any():
+        return hollow
+    level = np.ones((3, 3, 1), dtype=bool)
+    reached: Bools = ndimage.binary_dilation(
+        hollow, level, iterations=_opening_cells(voxel_m) // 2 + 1, mask=unseen
+    )
+    return reached
+
+
+def _deep(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
+    """What lies farther behind a surface than what it tells: `SHELL_M`, or one and a half voxels.
+
+    By the fused distance, and by the way to the nearest voxel that was measured to lie in front of a surface:
+    the fused distance is nearly that to the frames that see the least of it hidden, and too short far behind.
+
+    Args:
+        behind: bool, behind a surface.
+        in_front: bool, observed in front of one.
+        tsdf_m: fused signed distances.
+        voxel_m: edge of a voxel, metres.
+    """
+    from scipy import ndimage
+
+    shell_m = max(SHELL_M, 1.5 * voxel_m)
+    # A surface lies half a voxel from the voxels on both of its sides.
+    far = ndimage.distance_transform_edt(~in_front, sampling=voxel_m) > shell_m + voxel_m / 2
+    deep: Bools = behind & (far | (tsdf_m < -np.float32(shell_m)))
+    return deep
 
 
 class _Openings(NamedTuple):
@@ -197,8 +228,10 @@ def _openings(
     rays = tally_rays(state)
     ups, levels = rays.up(OUTSIDE, BEYOND), rays.level(OUTSIDE, BEYOND)
     is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
-    cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), voxel_m)
-    is_open |= (unseen | deep) & _beside_cavity(state, cavity, voxel_m)
+    cavity, mouths = (
+        _wide_open(is_open & (ups > 0), rays.up(OUTSIDE), core_m, voxel_m) for core_m in (OPENING_M, MOUTH_M)
+    )
+    is_open |= (unseen | deep) & _beside_cavity(state, cavity | mouths, voxel_m)
     # Next to the floor nothing was measured: what stands above goes on down to it.
     is_open[:, :, contact] = is_open[:, :, contact.stop, None]
     # It may stand on its edges.
@@ -209,7 +242,7 @@ def _openings(
     return _Openings(is_open, ups, levels, rays.down(OUTSIDE, SEALED, BEYOND), cavity)
 
 
-def _cavity(open_above: Bools, ups: NDArray[np.uint8], voxel_m: float) -> Bools:
+def _wide_open(open_above: Bools, ups: NDArray[np.uint8], core_m: float, voxel_m: float) -> Bools:
     """What of the voxels that are open above lies in a region that is wide open there (own rule).
 
     A crack between cushions leads into a body, the mouth of a bin into a cavity. Just below a mouth most
@@ -218,15 +251,16 @@ def _cavity(open_above: Bools, ups: NDArray[np.uint8], voxel_m: float) -> Bools:
     Args:
         open_above: bool.
         ups: uint8, how many of nine directions upwards lead outside.
+        core_m: edge of the cube in which it is wide open, metres.
         voxel_m: edge of a voxel, metres.
     """
     from scipy import ndimage
 
-    cells = _opening_cells(voxel_m)
-    region = broad(open_above, cells)
+    region = broad(open_above, _opening_cells(voxel_m))
+    core = max(1, round(core_m / voxel_m))
     pieces, count = ndimage.label(region)
     held = np.zeros(count + 1, dtype=bool)
-    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), cells)]] = True
+    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), core)]] = True
     held[0] = False
     cavity: Bools = held[pieces]
     return cavity

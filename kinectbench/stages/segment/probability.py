@@ -14,7 +14,7 @@ ENCLOSING = np.array([0, 10, 12, 13, 14, 15, 16, 17, 19, 20, 21, 22, 24, 26], np
 INSIDE_SHARE = np.array(
     [0.0, 0.02, 0.05, 0.08, 0.18, 0.51, 0.55, 0.91, 0.92, 0.95, 0.97, 0.985, 0.995, 0.998], np.float32
 )
-HOLLOW_INSIDE_SHARE = np.float32(0.2)
+HOLLOW_INSIDE_SHARE = np.float32(0.1)
 # Under the object, and what is all but never inside there and elsewhere (`enclosure.shadow`).
 UNDER_INSIDE_SHARE, EMPTY_UNDER_SHARE, EMPTY_BESIDE_SHARE = (np.float32(p) for p in (0.14, 0.01, 0.001))
 # Of ten simulated things with flush sides under a seat seven were slabs throughout (seeds 4 to 18).
@@ -38,10 +38,8 @@ CRACK_INSIDE_SHARE = np.array([0.55, 0.55, 0.55, 0.55, 0.4, 0.4, 0.4, 0.4, 0.4, 
 BESIDE_INSIDE_SHARE = np.array([0.57, 0.7, 0.51, 0.51, 0.51, 0.51, 0.51, 0.51, 0.51], np.float32)
 BELOW_INSIDE_SHARE = np.array([0.57, 0.24, 0.15, 0.15, 0.15, 0.15, 0.1, 0.03, 0.01], np.float32)
 OPEN_BELOW = 5
-# In a cavity, by how many of the nine directions upwards are open: its walls are where few are. Between what
-# was counted in bins, boxes and lamps (0.1 to 0.03) and in all families (0.22 to 0.02), where shelves hold
-# books.
-CAVITY_INSIDE_SHARE = np.array([0.14, 0.14, 0.1, 0.1, 0.06, 0.05, 0.05, 0.05, 0.04, 0.03], np.float32)
+# In a cavity, by how many of the nine directions upwards are open: its walls are where few are.
+CAVITY_INSIDE_SHARE = np.array([0.22, 0.22, 0.19, 0.16, 0.09, 0.08, 0.08, 0.08, 0.04, 0.03], np.float32)
 
 
 def unseen_probability(evidence: Evidence, voxel_size_m: float) -> Float32:
