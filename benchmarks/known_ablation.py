@@ -48,18 +48,26 @@ def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:
     return solid_cells
 
 
+def _deep_by_distance(behind: Bools, in_front: Bools, tsdf_m: Any, voxel_m: float) -> Bools:
+    deep: Bools = behind & (tsdf_m < -max(evidence.SHELL_M, 1.5 * voxel_m))
+    return deep
+
+
 # What stands in a rule's place when it is left out: module, name, value.
 RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "all rules": (),
     "what is open is unknown": ((evidence, "_openings", _no_openings),),
     "an opening is wider than 30 mm": ((evidence, "OPENING_M", 1e-4),),
     "a surface tells 15 mm, not 20": ((evidence, "SHELL_M", 1.0),),
-    "cavities are empty, and what lies beside open": ((evidence, "_wide_open", _nothing),),
+    "cavities are empty, and what lies beside open": ((evidence, "_cavity", _nothing),),
     "what lies beside a cavity is open": (
         (evidence, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
     ),
+    "narrower for a sensor that is near": ((evidence, "OPENING_RAYS", 1e6),),
+    "a hollow reaches its aprons": ((evidence, "_to_the_apron", _as_it_is),),
+    "the way to the surface tells depth": ((evidence, "_deep", _deep_by_distance),),
     "things may stand on their edges": ((evidence, "STAND_M", 0.0),),
-    "streaks in a body are inside": ((probability, "AMONG_SHARE", np.array([2.0, 3.0], np.float32)),),
+    "streaks in a body are inside": ((probability, "AMONG_SHARE", np.array([2.0, 3.0, 4.0], np.float32)),),
     "hollows behind aprons": ((evidence, "hollows", _no_hollows),),
     "shadows under the object": ((evidence, "shadow", _no_shadow),),
     "hidden legs are carried up": ((solid, "carried_up", _as_it_is),),

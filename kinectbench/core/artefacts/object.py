@@ -166,6 +166,9 @@ class SolidMethod(Part):
     opening_m: float | None = Field(
         None, description="edge of the cube that passes through an opening, metres; a narrower one is none"
     )
+    opening_rays: float | None = Field(
+        None, description="so many widths of the frames' rays, if that is less: edge of that cube"
+    )
     wide_open_above: int | None = Field(
         None, description="of nine ways up, so many lead outside below the mouth of a cavity"
     )

@@ -27,15 +27,17 @@ LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
 # A measured surface tells what lies so far behind it; deeper it may be the far side of a thin wall.
 SHELL_M = 0.0125
-# An opening is one if a cube of this edge passes: farther into a narrower one no sensor sees.
-OPENING_M = 0.03
+# An opening is one if a cube of this edge passes, or of so many widths of the frames' rays if that is less:
+# farther into a narrower one no sensor sees. At 1.6 m a Kinect's ray is 3 mm wide (own choice).
+OPENING_M, OPENING_RAYS = 0.03, 10.0
 # Rings, feet and edges lift what stands on the floor by up to 30 mm that nobody sees: up to this height above
 # the floor one is more than 10 mm below such a bottom (own choice).
 STAND_M = 0.02
-# Where so many of the nine directions upwards lead outside in a whole cube of that edge, it is a cavity. In a
-# smaller one it may be that of a bottle: what lies beside it is open, too. Cracks are open in three at most.
+# So near a hollow what is unseen at its own height is of it: aprons are thin.
+APRON_M = 0.015
+# Where so many of the nine directions upwards lead outside in a whole such cube, it is a cavity. Cracks are
+# open in three at most.
 WIDE_OPEN_ABOVE = 4
-MOUTH_M = 0.015
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ class Evidence:
         downs: uint8, how many of the nine directions downwards do, narrow openings counted.
         cavity: bool, of these, what lies in a region that is wide open above.
         contact: the layers right above the floor.
+        opening_cells: edge of the cube that passes through an opening, voxels.
     """
 
     signed_m: Float32
@@ -103,6 +106,7 @@ class Evidence:
     downs: NDArray[np.uint8]
     cavity: Bools
     contact: slice
+    opening_cells: int = 6
 
 
 def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float) -> Evidence:
@@ -139,7 +143,8 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     hollow[:, :, : contact.stop] = False
     unseen = (state == UNSEEN) & ~hollow
     deep = _deep(behind, observed & carved, observation.tsdf, voxel_m)
-    openings = _openings(state, unseen, behind, deep, layers, voxel_m)
+    cells = opening_cells(ray_width_m, voxel_m)
+    openings = _openings(state, unseen, behind, deep, layers, voxel_m, cells)
     return Evidence(
         signed_m,
         observed,
@@ -157,6 +162,7 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
         openings.downs,
         openings.cavity,
         contact,
+        cells,
     )
 
 
@@ -168,7 +174,7 @@ def _to_the_apron(hollow: Bools, unseen: Bools, voxel_m: float) -> Bools:
         return hollow
     level = np.ones((3, 3, 1), dtype=bool)
     reached: Bools = ndimage.binary_dilation(
-        hollow, level, iterations=_opening_cells(voxel_m) // 2 + 1, mask=unseen
+        hollow, level, iterations=max(1, round(APRON_M / voxel_m)), mask=unseen
     )
     return reached
 
@@ -211,6 +217,7 @@ def _openings(
     deep: Bools,
     layers: FloorLayers,
     voxel_m: float,
+    cells: int,
 ) -> _Openings:
     """What of the unseen, and of what is deep behind a surface, lies open to free space.
 
@@ -221,28 +228,26 @@ def _openings(
         deep: bool, of these, farther behind than a thin wall's thickness: the surface says nothing there.
         layers: of the grid's cells about the floor.
         voxel_m: edge of a voxel, metres.
+        cells: edge of the cube that passes through an opening.
     """
     contact = slice(layers.below, layers.first)
     state = np.where(deep & (state == INSIDE), np.uint8(UNSEEN), state)
-    state[_sealed(state, voxel_m)] = SEALED
+    state[_sealed(state, cells)] = SEALED
     rays = tally_rays(state)
     ups, levels = rays.up(OUTSIDE, BEYOND), rays.level(OUTSIDE, BEYOND)
     is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
-    cavity, mouths = (
-        _wide_open(is_open & (ups > 0), rays.up(OUTSIDE), core_m, voxel_m) for core_m in (OPENING_M, MOUTH_M)
-    )
-    is_open |= (unseen | deep) & _beside_cavity(state, cavity | mouths, voxel_m)
+    cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), cells)
+    is_open |= (unseen | deep) & _beside_cavity(state, cavity, cells)
     # Next to the floor nothing was measured: what stands above goes on down to it.
     is_open[:, :, contact] = is_open[:, :, contact.stop, None]
     # It may stand on its edges.
-    cells = _opening_cells(voxel_m)
     near_floor = slice(layers.below, layers.below + round(STAND_M / voxel_m))
     untold = (unseen & ~behind) | deep
     is_open[:, :, near_floor] |= opened(untold[:, :, near_floor], (cells, cells, 1))
     return _Openings(is_open, ups, levels, rays.down(OUTSIDE, SEALED, BEYOND), cavity)
 
 
-def _wide_open(open_above: Bools, ups: NDArray[np.uint8], core_m: float, voxel_m: float) -> Bools:
+def _cavity(open_above: Bools, ups: NDArray[np.uint8], cells: int) -> Bools:
     """What of the voxels that are open above lies in a region that is wide open there (own rule).
 
     A crack between cushions leads into a body, the mouth of a bin into a cavity. Just below a mouth most
@@ -251,37 +256,41 @@ def _wide_open(open_above: Bools, ups: NDArray[np.uint8], core_m: float, voxel_m
     Args:
         open_above: bool.
         ups: uint8, how many of nine directions upwards lead outside.
-        core_m: edge of the cube in which it is wide open, metres.
-        voxel_m: edge of a voxel, metres.
+        cells: edge of the cube that passes through an opening.
     """
     from scipy import ndimage
 
-    region = broad(open_above, _opening_cells(voxel_m))
-    core = max(1, round(core_m / voxel_m))
+    region = broad(open_above, cells)
     pieces, count = ndimage.label(region)
     held = np.zeros(count + 1, dtype=bool)
-    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), core)]] = True
+    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), cells)]] = True
     held[0] = False
     cavity: Bools = held[pieces]
     return cavity
 
 
-def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, voxel_m: float) -> Bools:
+def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, cells: int) -> Bools:
     """What is unseen and lies open above or beside to a cavity, as the toe of a shoe: bool."""
     if not cavity.any():
         return cavity
     rays = tally_rays(np.where(cavity, np.uint8(OUTSIDE), state))
     near = (state == UNSEEN) & ~cavity & ((rays.up(OUTSIDE) > 0) | (rays.level(OUTSIDE) > 0))
-    return broad(near, max(1, _opening_cells(voxel_m) // 2))
+    return broad(near, max(1, cells // 2))
 
 
-def _opening_cells(voxel_m: float) -> int:
-    return max(1, round(OPENING_M / voxel_m))
+def opening_cells(ray_width_m: float, voxel_m: float) -> int:
+    """Edge of the cube that passes through an opening, in voxels of an edge in metres, at least one.
+
+    Args:
+        ray_width_m: how wide the frames' rays are at the object, metres; 0 if that is not known.
+        voxel_m: edge of a voxel, metres.
+    """
+    opening_m = min(OPENING_M, OPENING_RAYS * ray_width_m) if ray_width_m > 0 else OPENING_M
+    return max(1, round(opening_m / voxel_m))
 
 
-def _sealed(state: NDArray[np.uint8], voxel_m: float) -> Bools:
-    """Seen empty, in an opening between measured surfaces through which no cube of `OPENING_M` passes."""
-    cells = _opening_cells(voxel_m)
+def _sealed(state: NDArray[np.uint8], cells: int) -> Bools:
+    """Seen empty, in an opening between measured surfaces through which no cube of so many cells passes."""
     passable = np.pad(state != INSIDE, cells, constant_values=True)
     wide = opened(passable, (cells, cells, cells))[cells:-cells, cells:-cells, cells:-cells]
     sealed: Bools = (state == OUTSIDE) & ~wide

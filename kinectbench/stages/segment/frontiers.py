@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.types import Bools, Float64
-from kinectbench.stages.segment.evidence import OPENING_M, Evidence
+from kinectbench.stages.segment.evidence import Evidence
 from kinectbench.stages.segment.morphology import broad
 from kinectbench.stages.segment.solid import SolidShape
 
@@ -86,7 +86,7 @@ def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64)
     # What is hidden under the object, and not of it, is no opening.
     hidden = evidence.shadow.under | evidence.shadow.empty
     is_open = evidence.open & ~hidden & (shape.labels == Label.UNKNOWN) & (probability > LEAST_PROBABILITY)
-    is_open = broad(is_open, max(1, round(OPENING_M / grid.voxel_size_m)))
+    is_open = broad(is_open, evidence.opening_cells)
     pieces, count = ndimage.label(is_open, np.ones((3, 3, 3)))
     if not count:
         return ()

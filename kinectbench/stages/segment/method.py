@@ -31,6 +31,7 @@ from kinectbench.stages.segment.evidence import (
     MIN_FREE_SHARE,
     MIN_FREE_VOTES,
     OPENING_M,
+    OPENING_RAYS,
     SHELL_M,
     STAND_M,
     WIDE_OPEN_ABOVE,
@@ -92,6 +93,7 @@ METHOD = SolidMethod(
     probability_by_signed_voxels=_curve(SIGNED_VOXELS, SIGNED_INSIDE_SHARE),
     shell_m=SHELL_M,
     opening_m=OPENING_M,
+    opening_rays=OPENING_RAYS,
     wide_open_above=WIDE_OPEN_ABOVE,
     stand_m=STAND_M,
     probability_open=OpenProbabilities(

@@ -29,8 +29,9 @@ from kinectbench.stages.segment.evidence import (
     STAND_M,
     Evidence,
     FloorLayers,
+    _cavity,
     _sealed,
-    _wide_open,
+    opening_cells,
     weigh,
 )
 from kinectbench.stages.segment.probability import (
@@ -195,13 +196,13 @@ def test_a_narrow_gap_is_sealed_and_a_wide_one_is_not() -> None:
     for gap in (5, 6):
         state = np.full((24, 24, 24), OUTSIDE, np.uint8)
         state[4:20, 4:9], state[4:20, 9 + gap : 20] = INSIDE, INSIDE
-        sealed = _sealed(state, VOXEL_M)
+        sealed = _sealed(state, round(OPENING_M / VOXEL_M))
         assert sealed[4:20, 9 : 9 + gap].all() if gap == 5 else not sealed.any()
         # Beside the plates, and at the border of the grid, anything passes.
         assert not sealed[:4].any() and not sealed[:, :4].any() and not sealed[:, 20:].any()
     # What is unseen is not sealed: that is a word for free space.
     state = np.where(state == OUTSIDE, np.uint8(UNSEEN), state)
-    assert not _sealed(state, VOXEL_M).any() and SEALED not in state
+    assert not _sealed(state, round(OPENING_M / VOXEL_M)).any() and SEALED not in state
 
 
 def test_a_mouth_is_where_most_ways_up_lead_out_in_a_whole_cube() -> None:
@@ -210,10 +211,10 @@ def test_a_mouth_is_where_most_ways_up_lead_out_in_a_whole_cube() -> None:
     ups = open_above.astype(np.uint8)
     # The one has a mouth of six voxels; the other sees most of the sky from five layers only.
     ups[4:10, 4:10, 14:20] = ups[16:28, 16:28, 15:20] = 4
-    found = _wide_open(open_above, ups, OPENING_M, VOXEL_M)
+    found = _cavity(open_above, ups, round(OPENING_M / VOXEL_M))
     assert found[2:14, 2:14, 2:20].all() and not found[16:28].any()
     ups[16:28, 16:28, 14] = 3
-    assert not _wide_open(open_above, ups, OPENING_M, VOXEL_M)[16:28].any()
+    assert not _cavity(open_above, ups, round(OPENING_M / VOXEL_M))[16:28].any()
 
 
 @pytest.mark.parametrize(("share", "observed"), [(0.5, False), (2.0, True)])
@@ -230,3 +231,13 @@ def test_what_a_few_rays_grazed_is_unseen(share: float, observed: bool) -> None:
 def test_layers_about_the_floor() -> None:
     layers = FloorLayers(below=4, contact=2, low=3)
     assert (layers.first, layers.cut) == (6, 9)
+
+
+@pytest.mark.parametrize(
+    ("ray_width_m", "voxel_m", "cells"),
+    [(0, 0.005, 6), (0.003, 0.005, 6), (0.0012, 0.005, 2), (0.003, 0.05, 1)],
+)
+def test_an_opening_is_narrower_for_a_sensor_that_is_near(
+    ray_width_m: float, voxel_m: float, cells: int
+) -> None:
+    assert opening_cells(ray_width_m, voxel_m) == cells

@@ -1,5 +1,7 @@
 """Openings that nobody looked into: by hand on voxels, and in little scenes."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from evidence_by_hand import evidence_of, shape_of
@@ -52,10 +54,10 @@ def found_of(
     T_floor_grid: np.ndarray = FLAT,
     labels: np.ndarray | None = None,
     solid: np.ndarray | None = None,
-    **evidence: np.ndarray,
+    **evidence: Any,
 ) -> tuple[Frontier, ...]:
     """Frontiers of unseen voxels from which all ways up lead out, if nothing else is said."""
-    evidence = {"ups": (9 * unseen).astype(np.uint8), **evidence}
+    evidence = {"ups": (9 * unseen).astype(np.uint8), "opening_cells": OPENING_CELLS, **evidence}
     solid = mask(SOLID) if solid is None else solid
     shape = shape_of(solid, np.where(unseen, probability, 0.0), labels, voxel_m=CELL_M)
     return find_frontiers(shape, evidence_of(CELLS, open=unseen, carved=carved, **evidence), T_floor_grid)
