@@ -210,10 +210,10 @@ class QualityFile(Stored):
     repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
     estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
     estimated_iou_low: float | None = Field(
-        None, description="95 % interval: least; if the other guess is right behind every opening"
+        None, description="lower end of an interval: if the other guess is right behind every opening"
     )
     estimated_iou_high: float | None = Field(
-        None, description="95 % interval: most; if the guess is right behind every opening"
+        None, description="its upper end: if the guess is right behind every opening"
     )
     estimated_iou_reasons: tuple[str, ...] = Field((), description="what widens the interval, a line each")
     frontiers: tuple[FrontierPart, ...] = Field(

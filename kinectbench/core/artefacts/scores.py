@@ -39,8 +39,8 @@ Intervals = Annotated[
 ]
 Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
 ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
-LOW = "mean of the lower ends of the objects' 95 % intervals; null if not known"
-HIGH = "mean of the upper ends of the objects' 95 % intervals; null if not known"
+LOW = "mean of the lower ends of the objects' intervals; null if not known"
+HIGH = "mean of the upper ends of the objects' intervals; null if not known"
 UNKNOWN = "mean over objects of the share of their true shape that is not known; all-unknown pairs count"
 REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not known"
 

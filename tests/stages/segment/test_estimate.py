@@ -22,7 +22,6 @@ from kinectbench.stages.segment.estimate import (
     IouEstimate,
     PoseError,
     estimate_iou,
-    expected_iou,
     volume_share_per_mm,
 )
 from kinectbench.stages.segment.frontiers import Frontier
@@ -78,6 +77,12 @@ def test_of_a_thin_board_a_millimetre_is_much() -> None:
     board = block_mesh(1.0, 0.6, 0.02)
     assert volume_share_per_mm(board) == pytest.approx(0.001 * area_m2 / volume_m3)
     assert volume_share_per_mm(CUBE) == pytest.approx(CUBE_PER_MM)
+
+
+def expected_iou(shape: SolidShape) -> float:
+    """Expected intersection over expected union, by the probabilities of all voxels."""
+    inside = float(shape.probability[shape.solid].sum())
+    return inside / (int(shape.solid.sum()) + float(shape.probability[~shape.solid].sum()))
 
 
 def test_expected_iou_by_hand() -> None:

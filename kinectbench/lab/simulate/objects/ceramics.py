@@ -233,6 +233,8 @@ def vase(draw: Draw) -> Parts:
     twist = draw.between(-4.0, 4.0)
 
     def fluted(shape: "Manifold") -> "Manifold":
+        """The shape with ribs around its axis that wind as they rise."""
+
         def move(points: Points) -> Points:
             angle = np.arctan2(points[:, 1], points[:, 0]) + twist * points[:, 2]
             # The cosine's least value leaves the wall as it was.

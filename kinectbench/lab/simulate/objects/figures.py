@@ -53,6 +53,7 @@ class _Last:
         heel, ankle, up = np.array([(0, -0.092, 0.05), (0, -0.055, 0.07), (0.0, -0.004, 0.2)])
 
         def field(points: Points) -> Float64:
+            """Signed distance (n,) of points (n, 3), metres, negative inside."""
             foot = (points - [0.0, 0.0, self.floor]) / self.scale
             x = (foot[:, 0] - self.bow * np.clip(foot[:, 1] + 0.05, 0, None) ** 2) / self.wide
             foot = np.column_stack([x, foot[:, 1:]])
@@ -299,6 +300,7 @@ def _animal_field(draw: Draw, animal: _Animal) -> Field:
         limbs += _ear(animal, side)
 
     def field(points: Points) -> Float64:
+        """Signed distance (n,) of points (n, 3), metres, negative inside."""
         parts = [
             ellipsoid(points, (0.0, 0.0, belly), animal.trunk),
             ellipsoid(points, animal.head, animal.skull),

@@ -260,6 +260,7 @@ def _pierced(draw: Draw) -> _Shape:
         )
 
     def field(points: Points) -> Float64:
+        """Signed distance (n,) of points (n, 3), metres, negative inside."""
         whole = blended([ellipsoid(points, at, radii) for at, radii in balls], 0.03)
         for a, b, radius in holes:
             # Its edges are rounded: the soft maximum of the body and of what is outside the hole.
