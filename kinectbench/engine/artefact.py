@@ -27,8 +27,8 @@ FORMAT_VERSION = 1
 VERSIONS: dict[str, int] = {
     "ingest": 1,
     "track": 1,
-    "fuse": 4,
-    "segment": 7,
+    "fuse": 5,
+    "segment": 8,
     "sample-views": 1,
     "pairs": 2,
     "suggest": 1,

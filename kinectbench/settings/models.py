@@ -128,7 +128,12 @@ class FusionSettings(Settings):
     """TSDF fusion."""
 
     voxel_size_m: float = Field(0.005, ge=0.001, le=0.05, description="edge of a voxel of the object")
-    scene_voxel_size_m: float = Field(0.01, ge=0.002, le=0.1, description="edge of a voxel of the scene")
+    scene_voxel_size_m: float | None = Field(
+        None,
+        ge=0.002,
+        le=0.1,
+        description="edge of a voxel of the scene; default: by the recording",
+    )
     truncation_voxels: float = Field(4.0, ge=2, le=20, description="TSDF truncation, in voxels")
     min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")
     max_depth_m: float | None = Field(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.reconstruction import DepthRangePart, ReconstructionFile
 from kinectbench.core.errors import TrackingError
@@ -41,6 +42,12 @@ LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
 # Depth is believed to be beyond the fused range up to so many times that, and up to 8 m, for which
 # integrate's quarter of a metre is enough.
 FAR_RANGES = 2.0
+# Edge of the scene's voxels where the settings give none: the finer one where the frames' rays are narrower.
+# On simulated objects F at 5 mm rises from 0.897 to 0.945 (bookshelf), 0.937 to 0.975 (mug) and 0.888 to
+# 0.903 (lamp); fusing takes 20 to 55 % longer.
+FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
+# How far the cameras are from what they see is the median of so many frames.
+DISTANCE_FRAMES = 60
 
 
 @dataclass(frozen=True)
@@ -73,13 +80,13 @@ def fuse(
         raise TrackingError("no frame has a pose: nothing to fuse; trajectory/health.json has the reasons")
     chosen = depth_range_of(sequence, frames, trajectory.T_world_camera[frames], settings)
     settings = settings.model_copy(update={"max_depth_m": chosen.max_depth_m})
-    voxel_size_m = settings.scene_voxel_size_m
+    distance_m = _usual_distance_m(sequence, frames, settings)
+    width_m = ray_width_m(sequence.camera, trajectory.usual_pose_sigma_m, distance_m)
+    voxel_size_m = settings.scene_voxel_size_m or scene_voxel_size_m(width_m)
     truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
-    found, distances_m = [], []
+    found = []
     for index in frames:
         depth_m = usable_depth_m(sequence, int(index), settings)
-        if depth_m.any():
-            distances_m.append(np.median(depth_m[depth_m > 0]))
         T_world_camera = trajectory.T_world_camera[index]
         near = blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
         found.append(near)
@@ -88,10 +95,13 @@ def fuse(
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
     crossed = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
     least = LEAST_WEIGHT_SHARE * float(np.median(volume.weight[crossed])) if crossed.any() else 0.0
-    distance_m = float(np.median(distances_m)) if distances_m else 0.0
-    width_m = ray_width_m(sequence.camera, trajectory.usual_pose_sigma_m, distance_m)
     mesh = extract_mesh(volume, min_weight=least, trust=trust_in_votes(width_m, voxel_size_m))
     return Reconstruction(volume, color_vertices(mesh, sequence, trajectory), chosen)
+
+
+def scene_voxel_size_m(ray_width_m: float) -> float:
+    """Edge of the scene's voxels, metres, for rays of a width in metres (own rule)."""
+    return FINE_VOXEL_M if ray_width_m < FINE_VOXEL_M else COARSE_VOXEL_M
 
 
 def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
@@ -156,6 +166,14 @@ def observe(
         free=dense_grid(volume.free, grid.shape),
         surface=dense_grid(volume.surface, grid.shape),
     )
+
+
+def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: FusionSettings) -> float:
+    """Median of some frames' median depths, metres; 0 where they have none."""
+    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, DISTANCE_FRAMES).round().astype(int))]
+    depths_m = [usable_depth_m(sequence, int(index), settings) for index in chosen]
+    medians_m = [np.median(depth_m[depth_m > 0]) for depth_m in depths_m if depth_m.any()]
+    return float(np.median(medians_m)) if medians_m else 0.0
 
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
