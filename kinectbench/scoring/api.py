@@ -30,8 +30,9 @@ class Dataset:
     """The pairs of a release, or of one split; a map-style dataset as torch's DataLoader takes it.
 
     `dataset[i]` is a dict: `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full` and `known`
-    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid.
-    Where the truth is held back there is no `full` and no `known`.
+    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid
+    and `unknown_share`, of the cells of `full` those that are not `known`. Where the truth is held back there
+    is no `full`, no `known` and no `unknown_share`.
     """
 
     def __init__(self, release: Release, targets: Sequence[Target]) -> None:
@@ -69,10 +70,11 @@ class Dataset:
         path = self.release.pair_path(target)
         pair: Pair | PairInput
         if target.split in self.release.metadata.held_back:
-            pair, truth = read_input(path), {}
+            pair, truth, of_truth = read_input(path), {}, {}
         else:
             pair = read_pair(path)
             truth = {"full": unpack(pair.full), "known": unpack(pair.known)}
+            of_truth = {"unknown_share": pair.unknown_share}
         return {
             "pair_id": target.name,
             "partial": unpack(pair.partial),
@@ -84,6 +86,7 @@ class Dataset:
                 },
                 "voxel_size_m": pair.voxel_size_m,
                 "T_world_grid": pair.T_world_grid,
+                **of_truth,
             },
         }
 

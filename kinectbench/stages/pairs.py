@@ -14,7 +14,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
-from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, Pair, pack, pair_bytes, unpack
+from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
@@ -170,5 +170,5 @@ def pair_row(view: View, made: MadePair) -> PairRow:
         moved_m=known(view.alignment.moved_m, 6),
         turned_rad=known(view.alignment.turned_rad, 6),
         cut_share=round(made.cut_share, 4),
-        unknown_share=None if made.pair is None else round(made.pair.unknown_share, SHARE_DECIMALS),
+        unknown_share=None if made.pair is None else made.pair.stated_unknown_share,
     )

@@ -160,6 +160,7 @@ def test_dataset_files(bop: Path, analytic: Path) -> None:
     assert (camera["fx"], camera["cy"], camera["width"], camera["depth_scale"]) == (262.5, 121.0, 320, 1.0)
     exported = json.loads((bop / "export.json").read_text())
     assert [row["recording"] for row in exported["scenes"]] == list(SCENES)
+    assert [row["unknown_share"] for row in exported["scenes"]] == [[0.0] * n for n in (2, 1, 2, 1, 1)]
     assert exported["benchmark_sha256"] == open_release(analytic / "benchmark").benchmark_sha256
 
 

@@ -87,7 +87,9 @@ def test_no_truth_in_the_public_part(parts: PublishSummary) -> None:
         truth = arrays(parts.private / target.file)
         for key in TRUTH_KEYS:
             assert not any(np.array_equal(truth[key], value) for value in values.values())
+    assert all(target.unknown_share is None for target in public.split("test"))
     for target in public.split("validation"):
+        assert target.unknown_share is not None
         assert set(TRUTH_KEYS) <= set(arrays(public.pair_path(target)))
     for name in TEST:
         assert [path.name for path in (parts.folder / "objects" / name).iterdir()] == ["floor.json"]
@@ -203,6 +205,23 @@ def test_everything_held_back(tmp_path: Path) -> None:
     write_baselines(public, tmp_path / "p", ["hull"])
     code = (summary.folder / "README.md").read_text().split("```python\n")[1].split("```")[0]
     assert "full" not in code
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+def test_croissant_without_shares_of_unknown(parts: PublishSummary) -> None:
+    import mlcroissant
+
+    records = list(mlcroissant.Dataset(jsonld=parts.folder / "croissant.json").records("targets"))
+    told = {row["targets/split"].decode(): row["targets/unknown_share"] for row in records}
+    assert told["test"] is None and told["validation"] > 0
+
+
+def test_a_share_of_unknown_that_is_held_back(parts: PublishSummary, tmp_path: Path) -> None:
+    public = Path(shutil.copytree(parts.folder, tmp_path / "public"))
+    header, first, *rest = (public / "targets.csv").read_text().splitlines(keepends=True)
+    (public / "targets.csv").write_text("".join([header, first.replace(",\n", ",0.25\n"), *rest]))
+    resum(public, "targets.csv")
+    assert "targets.csv, line 2: holds unknown_share, which is held back" in verify(public)
 
 
 def test_damaged_inputs(parts: PublishSummary, tmp_path: Path) -> None:

@@ -35,7 +35,10 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
     assert not dataset.metadata.issues.errors
     assert "context" not in caplog.text  # it is the standard one
     records = [
-        {key.removeprefix("targets/"): value.decode() for key, value in record.items()}
+        {
+            key.removeprefix("targets/"): value.decode() if isinstance(value, bytes) else value
+            for key, value in record.items()
+        }
         for record in dataset.records("targets")
     ]
     assert records == [vars(target) for target in release.targets]

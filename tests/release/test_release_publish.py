@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from synthetic_release import RECORDINGS, synthetic_settings, write_build
 
-from kinectbench.core.artefacts.targets import COLUMNS, check_splits, parse_sums, parse_targets
+from kinectbench.core.artefacts.targets import (
+    COLUMNS,
+    EARLIER_COLUMNS,
+    check_splits,
+    parse_sums,
+    parse_targets,
+    targets_text,
+)
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import pack, pair_bytes, read_pair, unpack
@@ -164,6 +171,10 @@ def test_every_pair_states_its_share_of_unknown(build: Path, tmp_path: Path) -> 
     expected = (shape & ~known).sum() / shape.sum()
     assert expected > 0.005
     assert views["chair_02"][0].unknown_share == pytest.approx(expected, abs=5e-5)
+    targets = open_release(summary.folder).targets
+    assert [target.unknown_share for target in targets] == [
+        row.unknown_share for name in ("chair_01", "chair_02") for row in views[name]
+    ]
     line = (
         "chair_01: nothing of the true shape is known in 1 pair (000); the protocol `known` leaves them out"
     )
@@ -217,7 +228,7 @@ def test_changed_small_files_are_refused(name: str, release: Release, tmp_path: 
         open_release(folder)
 
 
-GOOD = ["r1", "thing", "000", "chair", "test", "pairs/r1/000.npz", "a" * 64]
+GOOD = ["r1", "thing", "000", "chair", "test", "pairs/r1/000.npz", "a" * 64, "0.25"]
 
 
 @pytest.mark.parametrize(
@@ -230,7 +241,9 @@ GOOD = ["r1", "thing", "000", "chair", "test", "pairs/r1/000.npz", "a" * 64]
         ("file", "../../etc/passwd", "is not pairs/r1/000"),
         ("file", "/etc/passwd", "is not pairs/r1/000"),
         ("sha256", "12", "not 64 hex digits"),
-        ("sha256", "a,b", "8 columns instead of 7"),
+        ("sha256", "a,b", "9 columns instead of 8"),
+        ("unknown_share", "1.5", r"unknown_share '1\.5' is not a share from 0 to 1"),
+        ("unknown_share", "nan", "unknown_share 'nan' is not a share"),
     ],
 )
 def test_bad_target_lines(column: str, value: str, message: str) -> None:
@@ -248,8 +261,16 @@ def test_repeated_targets_and_columns() -> None:
         parse_targets(line, "targets.csv")
 
 
+def test_targets_published_before_they_stated_what_is_unknown() -> None:
+    earlier, good = ",".join(EARLIER_COLUMNS), ",".join(GOOD[:-1])
+    (target,) = targets = parse_targets(f"{earlier}\n{good}\n", "targets.csv")
+    assert target.unknown_share is None and targets_text(targets, EARLIER_COLUMNS) == f"{earlier}\n{good}\n"
+    with pytest.raises(ReleaseError, match="line 2: 8 columns instead of 7"):
+        parse_targets(f"{earlier}\n{good},0.25\n", "targets.csv")
+
+
 def test_object_in_two_splits() -> None:
-    lines = [",".join(GOOD), ",".join([*GOOD[:2], "001", "chair", "train", "pairs/r1/001.npz", "a" * 64])]
+    lines = [",".join(GOOD), ",".join([*GOOD[:2], "001", "chair", "train", "pairs/r1/001.npz", "a" * 64, ""])]
     targets = parse_targets("\n".join([",".join(COLUMNS), *lines]), "targets.csv")
     with pytest.raises(ReleaseError, match="object 'thing' is in two splits, test and train"):
         check_splits(targets, "targets.csv")

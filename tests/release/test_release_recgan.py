@@ -78,7 +78,9 @@ def test_round_trip_is_exact(release: Path, exported: Path, tmp_path: Path):
         one, two = read_pair(old.pair_path(target)), read_pair(new.pair_path(other))
         for name in KEPT & {field.name for field in fields(Pair)}:
             np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-        assert unpack(two.known).all()
+        assert unpack(two.known).all() and other.unknown_share is None
+    rows = json.loads((exported / "export.json").read_text())["pairs"]
+    assert [row["unknown_share"] for row in rows] == [target.unknown_share for target in old.targets]
 
 
 def test_names_of_the_files(exported: Path):

@@ -121,6 +121,20 @@ def test_a_share_of_unknown_that_the_grids_do_not_have(copy: Path) -> None:
     path.write_text(json.dumps(content))
     resum(copy, "views/chair_02/views.json")
     assert verify(copy) == ["SHA256SUMS: not the list that benchmark.json names"]
+    tables = [copy / "targets.csv", *(copy / "targets").iterdir()]
+    for path in tables:
+        path.write_text(path.read_text().replace(f",{row.unknown_share}\n", ",0.5\n"))
+    names = [str(path.relative_to(copy)) for path in tables]
+    resum(copy, *names)
+    line = f"{row.unknown_share} of the true shape is unknown where targets.csv has 0.5"
+    assert f"pairs/chair_02/000.npz: {line}" in verify(copy)
+    for path in tables:  # as in a release published before
+        path.write_text("".join(f"{text.rpartition(',')[0]}\n" for text in path.read_text().splitlines()))
+    resum(copy, *names)
+    assert verify(copy) == [
+        "SHA256SUMS: not the list that benchmark.json names",
+        "croissant.json: another SHA-256 for targets.csv than in SHA256SUMS",
+    ]
 
 
 def test_agreement_of_the_small_files(copy: Path) -> None:

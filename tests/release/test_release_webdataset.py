@@ -48,6 +48,7 @@ def test_samples_by_webdataset(release: Release, shards: Path) -> None:
                 assert row[name] == getattr(target, name)
             for name in ("T_world_grid", "T_world_camera", "K"):
                 np.testing.assert_array_equal(np.array(row[name]), getattr(pair, name))
+            assert row["unknown_share"] == round(pair.unknown_share, 4) > 0
             assert row["voxel_size_m"] == pair.voxel_size_m and row["framing"] == "object"
     gc.collect()
 

@@ -35,6 +35,7 @@ def test_dataset(release: Release) -> None:
     assert item["pair_id"] == "chair_01/001"
     for name in ("partial", "full", "known"):
         np.testing.assert_array_equal(item[name], unpack(getattr(pair, name)))
+    assert item["meta"]["unknown_share"] == (item["full"] & ~item["known"]).sum() / item["full"].sum() > 0
     assert item["meta"]["category"] == "chair" and item["meta"]["voxel_size_m"] == pair.voxel_size_m
     assert [one["pair_id"] for one in dataset.split("validation")] == [
         t.name for t in release.split("validation")

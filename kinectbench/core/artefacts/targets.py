@@ -10,12 +10,13 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, get_args
 
 from pydantic import Field
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, SHA256, ReleaseFile
+from kinectbench.core.artefacts.views import UNKNOWN_SHARE
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import NAME, sha256_text
 from kinectbench.core.types import Split
@@ -27,6 +28,7 @@ SPLITS: tuple[Split, ...] = get_args(Split)
 
 _VIEW = re.compile("[0-9]{3,6}")
 _SUM_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
+_SHARE = re.compile(r"(0\.[0-9]+|1\.0)?")
 _SAFE_PATH = re.compile(r"(?!\.)[A-Za-z0-9._-]+(/(?!\.)[A-Za-z0-9._-]+)*")
 
 
@@ -46,6 +48,10 @@ class Target:
     split: str = _column("train, validation or test")
     file: str = _column("the pair file, relative to the release")
     sha256: str = _column("of the pair file")
+    unknown_share: float | None = field(
+        default=None,
+        metadata={"description": f"{UNKNOWN_SHARE}; empty where the truth is held back or imported"},
+    )
 
     @property
     def name(self) -> str:
@@ -55,21 +61,27 @@ class Target:
 
 # Column of targets.csv → what it holds.
 COLUMNS: dict[str, str] = {column.name: column.metadata["description"] for column in fields(Target)}
+NUMBER_COLUMNS = ("unknown_share",)
+# Those of releases published before pairs stated their share of unknown.
+EARLIER_COLUMNS = tuple(name for name in COLUMNS if name not in NUMBER_COLUMNS)
 
 
 def parse_targets(text: str, where: str) -> tuple[Target, ...]:
     """Parse targets.csv; every name and path is safe to join to a folder.
 
+    Tables published before pairs stated their share of unknown are read, too.
+
     Raises:
         ReleaseError: a malformed, repeated or unsafe line; it names the line.
     """
     rows = list(csv.reader(io.StringIO(text)))
-    if not rows or rows[0] != list(COLUMNS):
+    columns = tuple(rows[0]) if rows else ()
+    if columns not in (tuple(COLUMNS), EARLIER_COLUMNS):
         raise ReleaseError(f"{where}, line 1: the columns must be {','.join(COLUMNS)}")
     targets: dict[str, Target] = {}
     for line, row in enumerate(rows[1:], start=2):
-        problem = _row_problem(row)
-        target = None if problem else Target(*row)
+        problem = _row_problem(row, len(columns))
+        target = None if problem else _target(row)
         if target and target.file in targets:
             problem = f"{target.file} is listed twice"
         if problem or target is None:
@@ -78,11 +90,20 @@ def parse_targets(text: str, where: str) -> tuple[Target, ...]:
     return tuple(targets.values())
 
 
-def _row_problem(row: list[str]) -> str | None:
-    """What is wrong with a line of targets.csv, or None."""
-    if len(row) != len(COLUMNS):
-        return f"{len(row)} columns instead of {len(COLUMNS)}"
-    target = Target(*row)
+def _target(row: list[str]) -> Target:
+    """A line of targets.csv that has no problem."""
+    values: dict[str, Any] = dict(zip(COLUMNS, row, strict=False))
+    share = values.get("unknown_share")
+    return Target(**values | {"unknown_share": float(share) if share else None})
+
+
+def _row_problem(row: list[str], columns: int) -> str | None:
+    """What is wrong with a line of a targets.csv that has so many columns, or None."""
+    if len(row) != columns:
+        return f"{len(row)} columns instead of {columns}"
+    if len(row) > len(EARLIER_COLUMNS) and not _SHARE.fullmatch(row[-1]):
+        return f"unknown_share '{row[-1]}' is not a share from 0 to 1"
+    target = _target(row)
     if not all(NAME.fullmatch(name) for name in (target.recording, target.object, target.category)):
         return "a name with other characters than letters, digits, '.', '_' and '-'"
     if not _VIEW.fullmatch(target.view):
@@ -94,12 +115,12 @@ def _row_problem(row: list[str]) -> str | None:
     return None if re.fullmatch(SHA256, target.sha256) else "its SHA-256 is not 64 hex digits"
 
 
-def targets_text(targets: Sequence[Target]) -> str:
-    """targets.csv, or the table of one split in targets/, as text."""
+def targets_text(targets: Sequence[Target], columns: Sequence[str] = tuple(COLUMNS)) -> str:
+    """targets.csv, or the table of one split in targets/, as text; earlier releases have fewer columns."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(astuple(target) for target in targets)
+    writer.writerow(columns)
+    writer.writerows([getattr(target, name) for name in columns] for target in targets)
     return buffer.getvalue()
 
 

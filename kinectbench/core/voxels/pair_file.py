@@ -87,8 +87,12 @@ class Pair:
     @property
     def unknown_share(self) -> float:
         """Share of the cells of `full` that are not `known`; 0 of an empty shape."""
-        cells = int(np.bitwise_count(self.full).sum())
-        return int(np.bitwise_count(self.full & ~self.known).sum()) / cells if cells else 0.0
+        return unknown_share(self.full, self.known)
+
+    @property
+    def stated_unknown_share(self) -> float:
+        """The same as files state it, rounded."""
+        return round(self.unknown_share, SHARE_DECIMALS)
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,12 @@ INPUT_KEYS = tuple(field.name for field in fields(PairInput))
 TRUTH_KEYS = ("full", "shell", "known", "surface_sigma_m")
 
 AnyPair = TypeVar("AnyPair", Pair, PairInput)
+
+
+def unknown_share(full: Packed, known: Packed) -> float:
+    """Share of the cells of a packed shape that are not known; 0 of an empty one."""
+    cells = int(np.bitwise_count(full).sum())
+    return int(np.bitwise_count(full & ~known).sum()) / cells if cells else 0.0
 
 
 def pack(occupancy: Bools) -> Packed:

@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.storage import sha256_file, sha256_text, write_below
 from kinectbench.core.types import Split
-from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, Pair, pair_bytes
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import VERSIONS, Artefact
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
@@ -109,7 +109,7 @@ def _write_release(
             continue
         (files / "pairs" / recording / f"{name}.npz").write_bytes(pair_bytes(pair))
         pose = pair.T_world_camera
-        share = round(pair.unknown_share, SHARE_DECIMALS)
+        share = pair.stated_unknown_share
         rows.append(
             ViewRow(view=name, steps=steps, angles_rad=angles_rad, T_world_camera=pose, unknown_share=share)
         )

@@ -14,6 +14,7 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import MadeModel, QualityFile
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
+from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError, ShapeError, StorageError
 from kinectbench.core.storage import pretty_json, replaced_folder, sha256_file
 from kinectbench.core.types import NamedProgress
@@ -100,6 +101,8 @@ def _complete(
         for group, views in content.groups.items():
             recording = f"{task.model.name}-{group}"
             files = {view: f"pairs/{recording}/{view}.npz" for view in views.views}
+            rows = ViewsFile.read(folder / "views" / recording).views if files else ()
+            shares = {row.view: row.unknown_share for row in rows}
             targets += [
                 Target(
                     recording=recording,
@@ -109,6 +112,7 @@ def _complete(
                     split=task.split,
                     file=file,
                     sha256=sha256_file(folder / file),
+                    unknown_share=shares[view],
                 )
                 for view, file in files.items()
             ]

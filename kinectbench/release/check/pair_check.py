@@ -1,6 +1,6 @@
 """Re-check one published pair: that its grids and matrices are what the format page says."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -8,7 +8,6 @@ from kinectbench.core.types import Float64
 from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
-    SHARE_DECIMALS,
     Packed,
     Pair,
     PairInput,
@@ -27,7 +26,7 @@ def pair_problems(
     min_containment: float,
     framing: str,
     partial_rule: str,
-    unknown_share: float | None = None,
+    unknown_shares: Mapping[str, float] = {},
 ) -> Iterator[str]:
     """Yield what is wrong with a pair, a clause each, without the file's name.
 
@@ -36,7 +35,7 @@ def pair_problems(
         min_containment: least share of the partial inside the shape, as the benchmark's settings say.
         framing: the benchmark's.
         partial_rule: the benchmark's.
-        unknown_share: what views.json says of the pair; None if it says nothing, as in earlier releases.
+        unknown_shares: {file: what it says of the pair}; earlier releases have fewer of them, or none.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
     if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
@@ -47,9 +46,10 @@ def pair_problems(
     if wrong:
         yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
     yield from _trust_problems(pair, "known", pair.known)
-    found = round(pair.unknown_share, SHARE_DECIMALS)
-    if unknown_share is not None and unknown_share != found:
-        yield f"{found} of the true shape is unknown where views.json has {unknown_share}"
+    found = pair.stated_unknown_share
+    for file, said in unknown_shares.items():
+        if said != found:
+            yield f"{found} of the true shape is unknown where {file} has {said}"
     # Before the partial rule thins the cells out; those that fell outside the cube are not in the file.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
     inside = containment(touched, pair.full)

@@ -1,7 +1,7 @@
 """Check a release, every byte and every pair of it, in a folder or in an archive."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -61,12 +61,12 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
             if progress:
                 progress(done, total)
         lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
-        metadata, found = _small_file_problems(contents, text, sums, damaged)
+        metadata, targets, found = _small_file_problems(contents, text, sums, damaged)
         lines += found
-        shares = _stated_shares(contents, metadata)
+        shares = _stated_shares(contents, metadata, targets)
         for done, name in enumerate(pairs, start=len(sums) + 1):
             if metadata and name not in damaged:
-                lines += _pair_lines(contents, name, metadata, shares.get(name))
+                lines += _pair_lines(contents, name, metadata, shares.get(name, {}))
             if progress:
                 progress(done, total)
     return lines
@@ -94,30 +94,38 @@ def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
             yield f"{name}: not part of the release"
 
 
-def _stated_shares(contents: Contents, metadata: ReleaseInfo | None) -> dict[str, float]:
-    """{pair file: share of its true shape that views.json says is unknown}, of the pairs that have one."""
-    shares: dict[str, float] = {}
+def _stated_shares(
+    contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
+) -> dict[str, dict[str, float]]:
+    """{pair file: {file: share of the true shape that it says is unknown}}, of the files that say it."""
+    shares: dict[str, dict[str, float]] = {
+        target.file: {TARGETS_CSV: target.unknown_share}
+        for target in targets
+        if target.unknown_share is not None
+    }
     for recording in metadata.recordings if metadata else ():
         try:
             rows = ViewsFile.parse(contents.text(f"views/{recording}/views.json"), ViewsFile.FILE).views
         except (ReleaseError, StorageError):  # its own faults are named elsewhere
             continue
-        stated = {row.view: row.unknown_share for row in rows if row.unknown_share is not None}
-        shares |= {f"pairs/{recording}/{view}.npz": share for view, share in stated.items()}
+        for row in rows:
+            if row.unknown_share is not None:
+                of_pair = shares.setdefault(f"pairs/{recording}/{row.view}.npz", {})
+                of_pair[ViewsFile.FILE] = row.unknown_share
     return shares
 
 
 def _pair_lines(
-    contents: Contents, name: str, metadata: ReleaseInfo, unknown_share: float | None
+    contents: Contents, name: str, metadata: ReleaseInfo, unknown_shares: Mapping[str, float]
 ) -> list[str]:
-    """What is wrong with one pair; `unknown_share` is what views.json says of it, if it says anything."""
+    """What is wrong with one pair; `unknown_shares` is what files say of it, by their names."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
         if not metadata.hides(name.split("/")[1]):
             least = metadata.settings.pairs.min_containment
             pair = checked_pair(Pair, values, name)
-            problems = pair_problems(pair, min_containment=least, unknown_share=unknown_share, **rules)
+            problems = pair_problems(pair, min_containment=least, unknown_shares=unknown_shares, **rules)
             return [f"{name}: {problem}" for problem in problems]
         told = [key for key in values if key in TRUTH_KEYS]
         lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []
@@ -129,8 +137,8 @@ def _pair_lines(
 
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
-) -> tuple[ReleaseInfo | None, list[str]]:
-    """benchmark.json, None if it cannot be read; and what is wrong with the small files, a line each.
+) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
+    """benchmark.json, None if it cannot be read; targets.csv; what is wrong with the small files, in lines.
 
     Damaged files are still read if they can be, but their faults are not named a second time, except for the
     lines of targets.csv.
@@ -151,7 +159,7 @@ def _small_file_problems(
         known = TARGETS_CSV in damaged and TARGETS_CSV not in contents.entries
         lines += [] if known else [str(error)]
     if not targets:
-        return metadata, lines
+        return metadata, targets, lines
     lines += _file_problems(targets, sums)
     if metadata and BENCHMARK_JSON not in damaged:
         lines += _recording_problems(targets, metadata)
@@ -159,7 +167,7 @@ def _small_file_problems(
         lines += _split_problems(contents, targets)
     if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
         lines += agreement_problems(contents, Stated(targets, metadata, sums), damaged)
-    return metadata, lines
+    return metadata, targets, lines
 
 
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
@@ -193,6 +201,8 @@ def _recording_problems(targets: tuple[Target, ...], metadata: ReleaseInfo) -> I
             said, wanted = getattr(target, key), getattr(info, key)
             if said != wanted:
                 yield f"{TARGETS_CSV}, line {line}: {key} '{said}' where {BENCHMARK_JSON} has '{wanted}'"
+        if target.unknown_share is not None and metadata.hides(target.recording):
+            yield f"{TARGETS_CSV}, line {line}: holds unknown_share, which is held back"
     for name, info in metadata.recordings.items():
         count = sum(target.recording == name for target in targets)
         if count != info.pairs:

@@ -15,7 +15,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.core.voxels.pair_file import pair_parts
+from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, pair_parts, unknown_share
 from kinectbench.release.exchange.bop_object import (
     MM_PER_M,
     BopModel,
@@ -35,7 +35,8 @@ Made by kinectbench of the release {identity}; licence of the data: {license}.
 
 - A scene is a recording, an image one of its views; depth is in millimetres (`depth_scale` 1).
 - Each recording has an object model of its own, fused from it: `obj_id` is the number of the scene, and
-  `export.json` says which recording, object and category it is.
+  `export.json` says which recording, object and category it is, and what share of its true shape in each
+  image's cube nobody knows (`unknown_share`, in the order of `images`).
 - Model frame: the floor's axes, z up, the origin in the middle of the model's box; millimetres.
 - Masks and scene_gt_info.json are by BOP's own rule (the model against the view's depth, 15 mm, missing depth
   counts as visible). The masks that the pairs were made with are in the release.
@@ -84,6 +85,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
                     "obj_id": None if model is None else number,
                     **{name: getattr(targets[0], name) for name in ("recording", "object", "category")},
                     "images": [int(target.view) for target in targets],
+                    "unknown_share": None if model is None else [_unknown(release, t) for t in targets],
                 }
             )
         _write_dataset_files(release, folder, scenes, infos, camera)
@@ -184,12 +186,22 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 
 
 def _camera(release: Release, target: Target) -> tuple[Float64, Float64]:
-    """K and T_world_camera of a pair; its grids are not unpacked."""
+    """K and T_world_camera of a pair."""
+    K, T_world_camera = _parts(release, target, ("K", "T_world_camera"))
+    return K, T_world_camera
+
+
+def _unknown(release: Release, target: Target) -> float:
+    """Share of a pair's true shape that is not known, rounded."""
+    return round(unknown_share(*_parts(release, target, ("full", "known"))), SHARE_DECIMALS)
+
+
+def _parts(release: Release, target: Target, names: Sequence[str]) -> list[NDArray[Any]]:
+    """Some arrays of a pair; the others are not unpacked."""
     try:
-        K, T_world_camera = pair_parts(release.content(target.file), ("K", "T_world_camera"))
+        return pair_parts(release.content(target.file), names)
     except UNREADABLE as error:
         raise ReleaseError(f"{release.pair_path(target)}: cannot be read as a pair ({error})") from error
-    return K, T_world_camera
 
 
 def _color_registered(release: Release, recording: str) -> bool:

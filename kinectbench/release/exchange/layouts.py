@@ -85,7 +85,12 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
 
 
 def pair_row(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
-    """What a pair is called, where its files are, and its numbers, texts and matrices, as JSON values."""
+    """What a pair is called, where its files are, and its numbers, texts and matrices, as JSON values.
+
+    With the share of its true shape that is not known, where the truth is there.
+    """
     row: dict[str, Any] = {name: getattr(target, name) for name in NAMES} | files
     row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}
+    if isinstance(pair, Pair):
+        row["unknown_share"] = pair.stated_unknown_share
     return row | {name: getattr(pair, name).tolist() for name in MATRICES}

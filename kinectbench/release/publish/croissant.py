@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core.artefacts.targets import COLUMNS, TARGETS_CSV
+from kinectbench.core.artefacts.targets import COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
 from kinectbench.core.storage import sha256_file
 from kinectbench.release.publish.attribution import authors, citation_line, license_url
 from kinectbench.settings.models import CitationSettings
@@ -113,7 +113,7 @@ def _field(column: str, text: str) -> dict[str, Any]:
         "@id": f"targets/{column}",
         "name": column,
         "description": text,
-        "dataType": "sc:Text",
+        "dataType": "sc:Float" if column in NUMBER_COLUMNS else "sc:Text",
         "source": source,
     }
 

@@ -1,7 +1,7 @@
 """What a release holds of one recording: pairs, views and the object, or of a held-back one the inputs."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
 from kinectbench.core.storage import sha256_file, write_below
-from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, Pair, pair_bytes, read_pair
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
 from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
@@ -76,10 +76,9 @@ def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Publi
         return None
     pairs = {view: _publish_pair(built, view, folder) for view in names}
     targets = tuple(target for target, _ in pairs.values())
-    shares = {view: share for view, (_, share) in pairs.items()}
     _publish_object(built, folder, found)
-    has_color = _publish_views(built, shares, folder, found)
-    unknown = tuple(view for view, share in shares.items() if share == 1 and not built.hidden)
+    has_color = _publish_views(built, targets, folder, found)
+    unknown = tuple(view for view, (_, nothing_known) in pairs.items() if nothing_known and not built.hidden)
     info = _info(built, len(names), found)
     return Published(targets, info, _lineage(built, names), has_color, unknown)
 
@@ -97,8 +96,8 @@ def _read_pair(settings: BenchmarkSettings, path: Path) -> Pair:
     return pair
 
 
-def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, float]:
-    """Copy a pair, or write its input alone; with the share of its true shape that is unknown."""
+def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
+    """Copy a pair, or write its input alone; with whether nothing of its true shape is known."""
     recording = built.recording
     source = built.folder / "pairs" / f"{view}.npz"
     pair = _read_pair(built.settings, source)
@@ -116,8 +115,9 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, float]
         split=recording.split,
         file=file,
         sha256=sha256_file(folder / file),
+        unknown_share=None if built.hidden else pair.stated_unknown_share,
     )
-    return target, pair.unknown_share
+    return target, pair.unknown_share == 1
 
 
 def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
@@ -132,19 +132,19 @@ def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
         _write(QualityFile.read(source), folder, name, found)
 
 
-def _publish_views(built: Built, shares: Mapping[str, float], folder: Path, found: list[Removed]) -> bool:
+def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found: list[Removed]) -> bool:
     """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any.
 
     Args:
         built: the recording.
-        shares: the share of unknown of every pair, by view.
+        targets: its pairs.
         folder: the release's.
         found: collects what is removed for privacy.
     """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     has_color = False
-    for view in shares:
+    for view in (target.view for target in targets):
         for suffix in VIEW_IMAGES:
             _copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
         image = f"{view}.color.jpg"
@@ -152,20 +152,21 @@ def _publish_views(built: Built, shares: Mapping[str, float], folder: Path, foun
         if built.settings.publish.color and (source / image).is_file():
             data = scrubbed_jpeg((source / image).read_bytes(), f"{name}/{image}", found)
             (folder / name / image).write_bytes(data)
-    views = _with_pairs(ViewsFile.read(source), built.folder / "sequence", shares)
+    views = _with_pairs(ViewsFile.read(source), built.folder / "sequence", targets)
     _write(own_views(views) if built.hidden else views, folder, name, found)
     return has_color
 
 
-def _with_pairs(views: ViewsFile, sequence: Path, shares: Mapping[str, float]) -> ViewsFile:
+def _with_pairs(views: ViewsFile, sequence: Path, targets: Sequence[Target]) -> ViewsFile:
     """views.json with the camera of each view, all of a recording's are from one, and its pair's unknown."""
     camera = CameraFile.read(sequence).camera
     more: dict[str, Any] = {"K": camera.K, "width": camera.width, "height": camera.height}
+    shares = {target.view: target.unknown_share for target in targets}
     rows = []
     for row in views.views:
         of_pair: dict[str, Any] = {"pair": row.view in shares}
         if row.view in shares:
-            of_pair["unknown_share"] = round(shares[row.view], SHARE_DECIMALS)
+            of_pair["unknown_share"] = shares[row.view]
         rows.append(row.model_copy(update=more | of_pair))
     return views.model_copy(update={"views": tuple(rows)})
 

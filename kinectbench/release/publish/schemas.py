@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
 from kinectbench.core.artefacts.scores import scores_schema
 from kinectbench.core.artefacts.stored import Stored
-from kinectbench.core.artefacts.targets import COLUMNS, SPLITS, TARGETS_CSV, Splits
+from kinectbench.core.artefacts.targets import COLUMNS, NUMBER_COLUMNS, SPLITS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.voxels.pair_file import (
@@ -93,8 +93,11 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
 
 def _table() -> dict[str, Any]:
     """A table schema (https://specs.frictionlessdata.io/table-schema/) of targets.csv."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for column in COLUMNS:
+        if column in NUMBER_COLUMNS:
+            rows.append({"name": column, "type": "number", "constraints": {"minimum": 0, "maximum": 1}})
+            continue
         constraints: dict[str, Any] = {"required": True}
         if column in PATTERNS:
             constraints["pattern"] = PATTERNS[column]

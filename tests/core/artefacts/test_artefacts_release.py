@@ -1,6 +1,7 @@
 """The files of a release: the same text comes back, older files are read, and damage is told in one line."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -149,7 +150,7 @@ def test_what_is_wrong_is_named(text: str, part: str) -> None:
 
 
 def test_targets_and_splits() -> None:
-    targets = (TARGET,)
+    targets = (TARGET, replace(TARGET, view="001", file="pairs/chair_01/001.npz", unknown_share=0.0625))
     assert parse_targets(targets_text(targets), "targets.csv") == targets
     assert Splits.of(targets).json_value() == {"train": [], "validation": [], "test": ["chair_01"]}
     assert tuple(Splits.model_fields) == SPLITS
