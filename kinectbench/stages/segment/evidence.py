@@ -106,7 +106,7 @@ class Evidence:
     downs: NDArray[np.uint8]
     cavity: Bools
     contact: slice
-    opening_cells: int = 6
+    opening_cells: int
 
 
 def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float) -> Evidence:
