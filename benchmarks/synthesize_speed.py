@@ -23,7 +23,7 @@ from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import object_cube, partial_grids
-from kinectbench.lab.simulate.objects import FURNITURE, make_object
+from kinectbench.lab.simulate.objects import PAPER_FURNITURE, make_object
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.pair import VOXELIZERS, make_pair, recgan_bytes
@@ -140,7 +140,7 @@ def measure(views: int, pairs: int) -> Iterator[Figure]:
     yield from speed("chair", chair, views, PAIR_MS)
     yield from speed("chair, authors' rule", CheckedMesh(chair.mesh, "six-rays"), views, None)
     with TemporaryDirectory() as folder:
-        for category in sorted(FURNITURE) if pairs else ():
+        for category in sorted(PAPER_FURNITURE) if pairs else ():
             yield from readback(category, pairs, Path(folder))
 
 

@@ -96,14 +96,14 @@ class LeftOut:
 
 
 def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
-    """Parametric objects: seeds 0 to count - 1 of the families named, else of every family of furniture.
+    """Parametric objects: seeds 0 to count - 1 of the families named, else of the paper's furniture.
 
     Raises:
         SettingsError: there is no such family.
     """
-    from kinectbench.lab.simulate.objects import FURNITURE, check_family
+    from kinectbench.lab.simulate.objects import PAPER_FURNITURE, check_family
 
-    names = sorted(check_family(name) for name in categories or FURNITURE)
+    names = sorted(check_family(name) for name in categories or PAPER_FURNITURE)
     return tuple(Model(name, f"{name}-{seed:05d}", seed=seed) for name in names for seed in range(count))
 
 

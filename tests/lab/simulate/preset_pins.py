@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.storage import canonical_json, sha256_text
-from kinectbench.lab.simulate.objects import FURNITURE, make_object
+from kinectbench.lab.simulate.objects import PAPER_FURNITURE, make_object
 from kinectbench.lab.simulate.presets import PRESETS, preset_spec
 from kinectbench.lab.simulate.simulate import prepare, record
 
 PINS = Path(__file__).with_name("preset_pins.json")
-OBJECTS = tuple((family, seed) for family in FURNITURE for seed in (0, 1, 2))
+OBJECTS = tuple((family, seed) for family in PAPER_FURNITURE for seed in (0, 1, 2))
 PACKAGES = ("numpy", "numba", "open3d", "manifold3d", "opencv-python-headless", "scipy")
 
 

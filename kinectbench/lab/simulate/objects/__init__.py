@@ -2,7 +2,8 @@
 
 Rules are chosen on the families of `LOOKED_AT` and never on those of `REPORTED_ONLY`: nobody looks at their
 results while a rule or a figure is chosen, so that what is reported of them tells how it goes with shapes
-that nobody thought of. Each family is in one of the two.
+that nobody thought of. Each family is in one of the two; one whose results were looked at after all moves
+to `LOOKED_AT`, and others take its place.
 """
 
 import re
@@ -14,21 +15,28 @@ import numpy as np
 from kinectbench.core.errors import SettingsError
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.cabinets import fridge, open_cabinet
+from kinectbench.lab.simulate.objects.casework import piano, sideboard
 from kinectbench.lab.simulate.objects.ceramics import kettle, mug, vase
 from kinectbench.lab.simulate.objects.chairs import chair
 from kinectbench.lab.simulate.objects.containers import basket, bucket, pot, waste_bin
 from kinectbench.lab.simulate.objects.couches import couch
 from kinectbench.lab.simulate.objects.figures import shoe, toy_animal
 from kinectbench.lab.simulate.objects.frames import ladder, tray_stand
+from kinectbench.lab.simulate.objects.headgear import helmet
 from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
 from kinectbench.lab.simulate.objects.lamps import lamp
 from kinectbench.lab.simulate.objects.lattices import crate, wire_basket
+from kinectbench.lab.simulate.objects.laundry import washing_machine
 from kinectbench.lab.simulate.objects.open_boxes import drawer, open_box
+from kinectbench.lab.simulate.objects.padded import bed, stool
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.objects.shelves import bookshelf, rack
 from kinectbench.lab.simulate.objects.sinks import sink
 from kinectbench.lab.simulate.objects.smooth import blob, sculpture
+from kinectbench.lab.simulate.objects.stands import clothes_horse, easel
 from kinectbench.lab.simulate.objects.tables import table
+from kinectbench.lab.simulate.objects.toys import toy_car
+from kinectbench.lab.simulate.objects.yard import trough, watering_can, wheelbarrow
 from kinectbench.settings.words import listed, near_miss
 
 FAMILIES: dict[str, Callable[[Draw], Parts]] = {
@@ -59,18 +67,37 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "toy_animal": toy_animal,
     "blob": blob,
     "sculpture": sculpture,
+    "sideboard": sideboard,
+    "piano": piano,
+    "stool": stool,
+    "bed": bed,
+    "wheelbarrow": wheelbarrow,
+    "trough": trough,
+    "clothes_horse": clothes_horse,
+    "easel": easel,
+    "washing_machine": washing_machine,
+    "watering_can": watering_can,
+    "toy_car": toy_car,
+    "helmet": helmet,
 }
-FURNITURE = ("chair", "table", "bench", "couch")
+# Those of the paper's categories that are furniture: what `synthesize` draws where no family is named.
+PAPER_FURNITURE = ("chair", "table", "bench", "couch")
+# What the bars of furniture hold for.
+FURNITURE = (*PAPER_FURNITURE, "sideboard", "piano", "stool", "bed")
 LOOKED_AT: tuple[str, ...] = (
-    *FURNITURE,
-    *("bin", "open_box", "drawer"),
-    *("rack", "lamp", "crate", "bookshelf"),
-    *("open_cabinet", "mug", "shoe", "blob"),
+    *PAPER_FURNITURE,
+    *("bin", "open_box", "drawer", "bucket", "basket", "pot", "sink"),
+    *("rack", "lamp", "crate", "bookshelf", "ladder", "wire_basket", "tray_stand"),
+    *("open_cabinet", "fridge"),
+    *("mug", "shoe", "kettle", "vase", "toy_animal"),
+    *("blob", "sculpture"),
 )
 REPORTED_ONLY: tuple[str, ...] = (
-    *("bucket", "basket", "pot", "sink"),
-    *("ladder", "wire_basket", "tray_stand"),
-    *("fridge", "kettle", "vase", "toy_animal", "sculpture"),
+    *("sideboard", "piano", "stool", "bed"),
+    *("wheelbarrow", "trough"),
+    *("clothes_horse", "easel"),
+    "washing_machine",
+    *("watering_can", "toy_car", "helmet"),
 )
 
 
@@ -108,8 +135,8 @@ def parse_object(text: str) -> ObjectName:
 def make_object(family: str, seed: int) -> Subject:
     """Draw an object in its object frame: z up, on z = 0, centred at x = y = 0.
 
-    Chairs, benches and couches face +y. Nothing is thinner than 15 mm in furniture, than 8 mm in mugs, vases
-    and shoes, nor than 12 mm elsewhere.
+    Chairs, benches and couches face +y. Nothing is thinner than 15 mm in furniture, than 8 mm in mugs, vases,
+    shoes, watering cans and helmets, nor than 12 mm elsewhere.
     Its mesh is the union of its pieces. Same family and seed, same vertices. The proportions are own choices.
 
     Raises:
