@@ -21,6 +21,7 @@ def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
         "enclosed": np.zeros(shape, np.float32),
         "shadow": Shadow(given.pop("under", no), given.pop("empty", no)),
         "contact": slice(0, 0),
+        "raised": np.zeros(shape[:2], bool),
         "opening_cells": 6,
         **dict.fromkeys(("ups", "levels", "downs"), none),
     }

@@ -139,8 +139,14 @@ class SolidMethod(Part):
         None, description="of 26 directions, right under a hollow: most if it is open, least behind an apron"
     )
     hollow_open_below: int | None = Field(None, description="of 9 ways down, so many at least lead outside")
+    hollow_lean: tuple[float, float] | None = Field(
+        None, description="most that an apron leans in, as a share of the way down, and how far down, metres"
+    )
     least_weight_share: float | None = Field(
         None, description="of the surface's median weight: a voxel with less was not observed"
+    )
+    least_votes: tuple[int, int] | None = Field(
+        None, description="frames that must vote on an observed voxel, if so many look at the object"
     )
     min_free_votes: int | None = Field(None, description="frames that must see through to carve a voxel")
     min_free_share: float | None = Field(None, description="of the frames that look there, that must do so")

@@ -37,6 +37,9 @@ MAX_DOUBTFUL_M = 0.2
 MIN_ENCLOSED_HOLLOW_M = 0.015
 # Right under a hollow it is open, or as enclosed as behind an apron; above what is half enclosed is none.
 OPEN_BENEATH, APRON_BENEATH = 12.5 / 26, 16.5 / 26
+# An apron is upright: under the back of an animal or the body of a kettle, which lean in, overhang grows by
+# more than this share of the way down, as far below the top as even a low apron reaches.
+MAX_LEAN, LEAN_REACH_M = 0.3, 0.025
 # The least overhang over the uppermost layer of a hollow, as a share of that over the next one.
 FULL_OVERHANG = 0.6
 NOT_UNDER = 30_000
@@ -65,9 +68,10 @@ def hollows(state: NDArray[np.uint8], tally: Tally, voxel_size_m: float) -> Holl
     lead outside. Beside legs, which are flush, three directions are enough if the hollows found so far leave
     the voxel hardly enclosed. The uppermost layer of a hollow must be overhung nearly as far as the one below
     it. What is less than 35 mm high is no hollow, nor what has less than 15 mm that would else be inside:
-    cushions are rounded below; nor what is half enclosed beneath, as a cushion in a frame is. What would be a
-    hollow but for its flush sides is doubtful, unless its sides go down further than 20 cm from its top, as
-    those of no seat do, or a hollow begins under it. Own rule.
+    cushions are rounded below; nor what is half enclosed beneath, as a cushion in a frame is; nor what
+    steps in farther and farther right below its top, as a round body does. What would be a hollow but
+    for its flush sides is doubtful, unless its sides go down further than 20 cm from its top, as those of no
+    seat do, or a hollow begins under it. Own rule.
 
     Args:
         state: as for `tally_rays`; the grid is upright, its last axis points up.
@@ -98,6 +102,7 @@ def hollows(state: NDArray[np.uint8], tally: Tally, voxel_size_m: float) -> Holl
     frayed = least[:, :, 1:] < FULL_OVERHANG * least[:, :, :-1]
     frayed[:, :, :-1] &= ~hollow[:, :, 2:]
     hollow[:, :, 1:] &= ~frayed
+    hollow = _upright(hollow, least, max(3, round(LEAN_REACH_M / voxel_size_m)))
     hollow = _open_beneath(hollow, state, enclosed)
     under = unseen & (below <= doubtful_reach)
     inside = unseen & (without_sure >= ENCLOSED)
@@ -105,6 +110,27 @@ def hollows(state: NDArray[np.uint8], tally: Tally, voxel_size_m: float) -> Holl
     slab = open_below.any(axis=2, keepdims=True)
     flush = inside & under & (outside >= OPEN_BELOW) & ~slab & ~body
     return Hollows(hollow, opened(flush, high))
+
+
+def _upright(hollow: Bools, overhang: NDArray[np.int16], layers: int) -> Bools:
+    """Those of its pieces (26 neighbours) whose overhang hardly grows in so many layers from above."""
+    from scipy import ndimage
+
+    if not hollow.any():
+        return hollow
+    pieces, count = ndimage.label(hollow, np.ones((3, 3, 3)))
+    # The uppermost layer of a column may be frayed; below its apron a hollow is a shadow.
+    above = np.pad(hollow, [(0, 0), (0, 0), (0, layers)])[:, :, layers:]
+    runs = np.lib.stride_tricks.sliding_window_view(hollow, layers, axis=2).all(axis=-1)
+    runs &= ~above[:, :, : runs.shape[2]]
+    columns = np.nonzero(runs)
+    of = pieces[columns]
+    lower, upper = overhang[columns], overhang[columns[0], columns[1], columns[2] + layers - 2]
+    grows = np.bincount(of, lower - upper, minlength=count + 1)
+    upright: Bools = grows <= MAX_LEAN * (layers - 2) * np.bincount(of, minlength=count + 1)
+    upright[0] = False
+    kept: Bools = upright[pieces]
+    return kept
 
 
 def _open_beneath(hollow: Bools, state: NDArray[np.uint8], enclosed: Float32) -> Bools:

@@ -17,9 +17,11 @@ from kinectbench.stages.segment.enclosure import (
     EMPTY_UNDER,
     ENCLOSED,
     FULL_OVERHANG,
+    LEAN_REACH_M,
     LEVEL_ENCLOSED,
     MAX_DOUBTFUL_M,
     MAX_HOLLOW_M,
+    MAX_LEAN,
     MIN_ENCLOSED_HOLLOW_M,
     MIN_HOLLOW_M,
     OPEN_BENEATH,
@@ -27,7 +29,9 @@ from kinectbench.stages.segment.enclosure import (
 )
 from kinectbench.stages.segment.enclosure import OPEN_BELOW as HOLLOW_OPEN_BELOW
 from kinectbench.stages.segment.evidence import (
+    LEAST_VOTES,
     LEAST_WEIGHT_SHARE,
+    MANY_FRAMES,
     MIN_FREE_SHARE,
     MIN_FREE_VOTES,
     OPENING_M,
@@ -82,7 +86,9 @@ METHOD = SolidMethod(
     hollow_enclosed_height_m=MIN_ENCLOSED_HOLLOW_M,
     hollow_beneath_share=(round(OPEN_BENEATH, 4), round(APRON_BENEATH, 4)),
     hollow_open_below=HOLLOW_OPEN_BELOW,
+    hollow_lean=(MAX_LEAN, LEAN_REACH_M),
     least_weight_share=LEAST_WEIGHT_SHARE,
+    least_votes=(LEAST_VOTES, MANY_FRAMES),
     min_free_votes=MIN_FREE_VOTES,
     min_free_share=MIN_FREE_SHARE,
     free_by_noise=(USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL),

@@ -67,9 +67,10 @@ def make_solid(observation: Observation, evidence: Evidence, layers: FloorLayers
     A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
     hollow behind an apron or under the object. It is occupied if it lies just behind a measured surface. What
     no frame saw is occupied if that is the more probable (`unseen_probability`). Near the floor what is
-    connected to nothing higher is floor; where the two cannot be told apart, the lowest occupied layer is
-    extruded down to the floor. Legs whose upper end was hidden are carried up to the object. The signed field
-    of this solid is smoothed by a Gaussian of 0.7 voxels, specks are dropped, and voids filled.
+    connected to nothing higher is floor; where the two cannot be told apart, the lowest occupied layer and
+    plates that hardly rise above it are extruded down to the floor. Legs whose upper end was hidden are
+    carried up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks
+    are dropped, and voids filled.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -87,7 +88,8 @@ def make_solid(observation: Observation, evidence: Evidence, layers: FloorLayers
     inferred = evidence.unseen | evidence.open
     solid = np.where(inferred, unseen > 0.5, evidence.behind) & ~excluded
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
-    solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
+    standing = solid[:, :, contact.stop] | evidence.raised
+    solid[:, :, : contact.stop] = standing[:, :, None] & ~excluded[:, :, : contact.stop]
     solid = carried_up(solid, evidence.carved | excluded, contact.stop, voxel_m)
     field = _smooth_field(evidence, _without_specks(solid), voxel_m)
     empty = excluded.copy()

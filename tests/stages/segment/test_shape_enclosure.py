@@ -61,6 +61,18 @@ def test_a_frayed_edge_of_the_top_is_no_hollow():
     assert not found[:, :, 30:].any() and found[26:34, 26:34, 18:30].all()
 
 
+@pytest.mark.parametrize(("lean", "is_hollow"), [(0.0, True), (0.1, True), (0.5, False), (1.0, False)])
+def test_a_body_that_leans_in_is_not_hollow(lean: float, is_hollow: bool):
+    """Below a top that juts out by two voxels the sides step in by so many voxels with each layer."""
+    state = seat(apron_inset=2)
+    state[:, :, 18:30] = OUTSIDE
+    for layer in range(18, 30):
+        a = 12 + int(lean * (29 - layer))
+        state[a : 60 - a, a : 60 - a, layer] = INSIDE
+        state[a + 2 : 58 - a, a + 2 : 58 - a, layer] = UNSEEN
+    assert hollows_of(state, 0.005).sure.any() == is_hollow
+
+
 def test_a_flush_block_is_not_hollow():
     found = hollows_of(seat(apron_inset=None), 0.005)
     assert not found.sure.any()
