@@ -51,7 +51,7 @@ def wheelbarrow(draw: Draw) -> Parts:
     pair = draw.chance(0.25)
     track = draw.between(0.2, 0.26) if pair else 0.0
     yield from _wheels(draw, (axle, radius), track, bars)
-    rubber, keep_out = draw.pick(looks.PLASTICS), tray.core()
+    rubber, keep_out = draw.pick(looks.PLASTICS[:5]), tray.core()
     rear = float(tray.inner(tray.floor_m)[:, 0].min())
     bar_m = draw.between(0.65, 0.8) * float(tray.inner(tray.floor_m)[:, 1].max())
     thick = draw.between(0.013, 0.017)
