@@ -21,7 +21,7 @@ from rich.table import Table
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.types import Bools
-from kinectbench.stages.segment import enclosure, evidence, probability, solid
+from kinectbench.stages.segment import enclosure, evidence, openings, probability, solid
 
 GROSS_M = 0.010
 COLUMNS = ("IoU", "IoU on known", "gross %", "worst %", "not known %", "calibration")
@@ -33,7 +33,7 @@ def _nothing(*grids: Any) -> Bools:
 
 def _no_openings(state: Any, *others: Any) -> tuple[Any, ...]:
     none, no_rays = _nothing(state), np.zeros(state.shape, np.uint8)
-    return evidence._Openings(none, no_rays, no_rays, no_rays, none)
+    return openings.Openings(none, no_rays, no_rays, no_rays, none)
 
 
 def _no_shadow(state: Any, tally: Any) -> enclosure.Shadow:
@@ -42,6 +42,10 @@ def _no_shadow(state: Any, tally: Any) -> enclosure.Shadow:
 
 def _no_hollows(state: Any, tally: Any, voxel_size_m: float) -> enclosure.Hollows:
     return enclosure.Hollows(_nothing(state), _nothing(state))
+
+
+def _no_plate(signed_m: Any, *others: Any) -> Bools:
+    return _nothing(signed_m[:, :, 0])
 
 
 def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:
@@ -56,18 +60,21 @@ def _deep_by_distance(behind: Bools, in_front: Bools, tsdf_m: Any, voxel_m: floa
 # What stands in a rule's place when it is left out: module, name, value.
 RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "all rules": (),
-    "what is open is unknown": ((evidence, "_openings", _no_openings),),
-    "an opening is wider than 30 mm": ((evidence, "OPENING_M", 1e-4),),
+    "what is open is unknown": ((evidence, "find_openings", _no_openings),),
+    "an opening is wider than 30 mm": ((openings, "OPENING_M", 1e-4),),
     "a surface tells 15 mm, not 20": ((evidence, "SHELL_M", 1.0),),
-    "cavities are empty, and what lies beside open": ((evidence, "_cavity", _nothing),),
+    "cavities are empty, and what lies beside open": ((openings, "_cavity", _nothing),),
     "what lies beside a cavity is open": (
-        (evidence, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
+        (openings, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
     ),
-    "narrower for a sensor that is near": ((evidence, "OPENING_RAYS", 1e6),),
+    "narrower for a sensor that is near": ((openings, "OPENING_RAYS", 1e6),),
     "a hollow reaches its aprons": ((evidence, "_to_the_apron", _as_it_is),),
     "the way to the surface tells depth": ((evidence, "_deep", _deep_by_distance),),
-    "things may stand on their edges": ((evidence, "STAND_M", 0.0),),
+    "things may stand on their edges": ((openings, "STAND_M", 0.0),),
     "streaks in a body are inside": ((probability, "AMONG_SHARE", np.array([2.0, 3.0, 4.0], np.float32)),),
+    "one frame of many is no observation": ((evidence, "LEAST_VOTES", 0),),
+    "a plate just above the floor is the object's": ((evidence, "_raised", _no_plate),),
+    "what leans in is no hollow": ((enclosure, "MAX_LEAN", 1e6),),
     "hollows behind aprons": ((evidence, "hollows", _no_hollows),),
     "shadows under the object": ((evidence, "shadow", _no_shadow),),
     "hidden legs are carried up": ((solid, "carried_up", _as_it_is),),

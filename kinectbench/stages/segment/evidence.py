@@ -1,7 +1,6 @@
 """What the frames say of each voxel: seen through, behind a surface, never seen, and then how open it is."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,16 +8,8 @@ from numpy.typing import NDArray
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.stages.segment.enclosure import Shadow, hollows, shadow
-from kinectbench.stages.segment.morphology import broad, opened
-from kinectbench.stages.segment.rays import (
-    BEYOND,
-    INSIDE,
-    NEUTRAL,
-    OUTSIDE,
-    SEALED,
-    UNSEEN,
-    tally_rays,
-)
+from kinectbench.stages.segment.openings import find_openings, opening_cells
+from kinectbench.stages.segment.rays import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, tally_rays
 
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
@@ -32,17 +23,8 @@ LEAST_VOTES, MANY_FRAMES = 2, 30
 MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
 # A measured surface tells what lies so far behind it; deeper it may be the far side of a thin wall.
 SHELL_M = 0.0125
-# An opening is one if a cube of this edge passes, or of so many widths of the frames' rays if that is less:
-# farther into a narrower one no sensor sees. At 1.6 m a Kinect's ray is 3 mm wide (own choice).
-OPENING_M, OPENING_RAYS = 0.03, 10.0
-# Rings, feet and edges lift what stands on the floor by up to 30 mm that nobody sees: up to this height above
-# the floor one is more than 10 mm below such a bottom (own choice).
-STAND_M = 0.02
 # So near a hollow what is unseen at its own height is of it: aprons are thin.
 APRON_M = 0.015
-# Where so many of the nine directions upwards lead outside in a whole such cube, it is a cavity. Cracks are
-# open in three at most.
-WIDE_OPEN_ABOVE = 4
 
 
 @dataclass(frozen=True)
@@ -126,31 +108,17 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
         ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
     """
     voxel_m = observation.grid.voxel_size_m
-    near = np.abs(observation.tsdf) < voxel_m
-    weights = observation.weight[near & (observation.weight > 0)]
-    least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
-    votes = observation.free.astype(np.uint32) + observation.surface
-    looking = int(votes.max())
-    observed = observation.weight > least
-    if looking >= MANY_FRAMES:
-        observed &= votes >= LEAST_VOTES
     contact = slice(layers.below, layers.first)
+    votes = observation.free.astype(np.uint32) + observation.surface
+    observed = _observed(observation, votes)
     signed_m = _signed_distance_m(observation, ray_width_m)
-    carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(looking))
+    carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(votes))
     behind = observed & ~carved
     own = behind & ~excluded
     loose, raised = _loose(own, _raised(signed_m, own, carved, layers, voxel_m), layers)
     excluded = excluded | loose
-
-    state = np.full(observation.grid.shape, UNSEEN, np.uint8)
-    state[behind] = INSIDE
-    state[:, :, contact][behind[:, :, contact]] = UNSEEN
-    state[:, :, layers.first - 1][raised] = INSIDE
-    state[carved | excluded] = OUTSIDE
-    # Below the object no camera sees the floor: walking down says nothing there.
-    measured = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
-    floor_seen = measured[:, :, : contact.stop].any(axis=2)
-    state[:, :, : layers.below] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
+    surface_near = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
+    state = _state(behind, carved | excluded, raised, surface_near, layers)
     tally = tally_rays(state)
     found = hollows(state, tally, voxel_m)
     hollow = _to_the_apron(found.sure, state == UNSEEN, voxel_m)
@@ -158,7 +126,7 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     unseen = (state == UNSEEN) & ~hollow
     deep = _deep(behind, observed & carved, observation.tsdf, voxel_m)
     cells = opening_cells(ray_width_m, voxel_m)
-    openings = _openings(state, unseen, behind, deep, layers, voxel_m, cells)
+    openings = find_openings(state, unseen, behind, deep, contact, voxel_m, cells)
     return Evidence(
         signed_m,
         observed,
@@ -179,6 +147,41 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
         raised,
         cells,
     )
+
+
+def _observed(observation: Observation, votes: NDArray[np.uint32]) -> Bools:
+    """Where some surface is near: not grazed by a few rays only, and not by one frame of many."""
+    near = np.abs(observation.tsdf) < observation.grid.voxel_size_m
+    weights = observation.weight[near & (observation.weight > 0)]
+    least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
+    observed: Bools = observation.weight > least
+    if votes.max() >= MANY_FRAMES:
+        observed &= votes >= LEAST_VOTES
+    return observed
+
+
+def _state(
+    behind: Bools, outside: Bools, raised: Bools, surface_near: Bools, layers: FloorLayers
+) -> NDArray[np.uint8]:
+    """The state of each voxel, for `tally_rays`.
+
+    Args:
+        behind: bool, just behind a surface.
+        outside: bool, seen empty, or not the object's.
+        raised: bool (nx, ny), columns of a plate of the object that hardly rises above the contact layers.
+        surface_near: bool, some surface was measured near.
+        layers: about the floor.
+    """
+    contact = slice(layers.below, layers.first)
+    state = np.full(behind.shape, UNSEEN, np.uint8)
+    state[behind] = INSIDE
+    state[:, :, contact][behind[:, :, contact]] = UNSEEN
+    state[:, :, layers.first - 1][raised] = INSIDE
+    state[outside] = OUTSIDE
+    # Below the object no camera sees the floor: walking down says nothing there.
+    floor_seen = surface_near[:, :, : layers.first].any(axis=2)
+    state[:, :, : layers.below] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
+    return state
 
 
 def _to_the_apron(hollow: Bools, unseen: Bools, voxel_m: float) -> Bools:
@@ -213,103 +216,6 @@ def _deep(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bo
     far = ndimage.distance_transform_edt(~in_front, sampling=voxel_m) > shell_m + voxel_m / 2
     deep: Bools = behind & (far | (tsdf_m < -np.float32(shell_m)))
     return deep
-
-
-class _Openings(NamedTuple):
-    """What lies open to free space, as `Evidence` has it."""
-
-    open: Bools
-    ups: NDArray[np.uint8]
-    levels: NDArray[np.uint8]
-    downs: NDArray[np.uint8]
-    cavity: Bools
-
-
-def _openings(
-    state: NDArray[np.uint8],
-    unseen: Bools,
-    behind: Bools,
-    deep: Bools,
-    layers: FloorLayers,
-    voxel_m: float,
-    cells: int,
-) -> _Openings:
-    """What of the unseen, and of what is deep behind a surface, lies open to free space.
-
-    Args:
-        state: as for `tally_rays`; INSIDE as far as depth was fused.
-        unseen: bool.
-        behind: bool, just behind a surface.
-        deep: bool, of these, farther behind than a thin wall's thickness: the surface says nothing there.
-        layers: of the grid's cells about the floor.
-        voxel_m: edge of a voxel, metres.
-        cells: edge of the cube that passes through an opening.
-    """
-    contact = slice(layers.below, layers.first)
-    state = np.where(deep & (state == INSIDE), np.uint8(UNSEEN), state)
-    state[_sealed(state, cells)] = SEALED
-    rays = tally_rays(state)
-    ups, levels = rays.up(OUTSIDE, BEYOND), rays.level(OUTSIDE, BEYOND)
-    is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
-    cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), cells)
-    is_open |= (unseen | deep) & _beside_cavity(state, cavity, cells)
-    # Next to the floor nothing was measured: what stands above goes on down to it.
-    is_open[:, :, contact] = is_open[:, :, contact.stop, None]
-    # It may stand on its edges.
-    near_floor = slice(layers.below, layers.below + round(STAND_M / voxel_m))
-    untold = (unseen & ~behind) | deep
-    is_open[:, :, near_floor] |= opened(untold[:, :, near_floor], (cells, cells, 1))
-    return _Openings(is_open, ups, levels, rays.down(OUTSIDE, SEALED, BEYOND), cavity)
-
-
-def _cavity(open_above: Bools, ups: NDArray[np.uint8], cells: int) -> Bools:
-    """What of the voxels that are open above lies in a region that is wide open there (own rule).
-
-    A crack between cushions leads into a body, the mouth of a bin into a cavity. Just below a mouth most
-    directions upwards lead outside; below a crack most meet its sides, and few voxels see it.
-
-    Args:
-        open_above: bool.
-        ups: uint8, how many of nine directions upwards lead outside.
-        cells: edge of the cube that passes through an opening.
-    """
-    from scipy import ndimage
-
-    region = broad(open_above, cells)
-    pieces, count = ndimage.label(region)
-    held = np.zeros(count + 1, dtype=bool)
-    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), cells)]] = True
-    held[0] = False
-    cavity: Bools = held[pieces]
-    return cavity
-
-
-def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, cells: int) -> Bools:
-    """What is unseen and lies open above or beside to a cavity, as the toe of a shoe: bool."""
-    if not cavity.any():
-        return cavity
-    rays = tally_rays(np.where(cavity, np.uint8(OUTSIDE), state))
-    near = (state == UNSEEN) & ~cavity & ((rays.up(OUTSIDE) > 0) | (rays.level(OUTSIDE) > 0))
-    return broad(near, max(1, cells // 2))
-
-
-def opening_cells(ray_width_m: float, voxel_m: float) -> int:
-    """Edge of the cube that passes through an opening, in voxels of an edge in metres, at least one.
-
-    Args:
-        ray_width_m: how wide the frames' rays are at the object, metres; 0 if that is not known.
-        voxel_m: edge of a voxel, metres.
-    """
-    opening_m = min(OPENING_M, OPENING_RAYS * ray_width_m) if ray_width_m > 0 else OPENING_M
-    return max(1, round(opening_m / voxel_m))
-
-
-def _sealed(state: NDArray[np.uint8], cells: int) -> Bools:
-    """Seen empty, in an opening between measured surfaces through which no cube of so many cells passes."""
-    passable = np.pad(state != INSIDE, cells, constant_values=True)
-    wide = opened(passable, (cells, cells, cells))[cells:-cells, cells:-cells, cells:-cells]
-    sealed: Bools = (state == OUTSIDE) & ~wide
-    return sealed
 
 
 def _raised(signed_m: Float32, behind: Bools, carved: Bools, layers: FloorLayers, voxel_m: float) -> Bools:
@@ -363,6 +269,6 @@ def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
     return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
 
 
-def _least_free_votes(looking: int) -> int:
+def _least_free_votes(votes: NDArray[np.uint32]) -> int:
     """How many frames must have seen through a voxel that was never observed near a surface."""
-    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
+    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * int(votes.max())))

@@ -34,9 +34,11 @@ from kinectbench.stages.segment.evidence import (
     MANY_FRAMES,
     MIN_FREE_SHARE,
     MIN_FREE_VOTES,
+    SHELL_M,
+)
+from kinectbench.stages.segment.openings import (
     OPENING_M,
     OPENING_RAYS,
-    SHELL_M,
     STAND_M,
     WIDE_OPEN_ABOVE,
 )

@@ -24,15 +24,17 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.evidence import (
     LEAST_WEIGHT_SHARE,
-    OPENING_M,
     SHELL_M,
-    STAND_M,
     Evidence,
     FloorLayers,
+    weigh,
+)
+from kinectbench.stages.segment.openings import (
+    OPENING_M,
+    STAND_M,
     _cavity,
     _sealed,
     opening_cells,
-    weigh,
 )
 from kinectbench.stages.segment.probability import (
     AMONG_INSIDE_SHARE,

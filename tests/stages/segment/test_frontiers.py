@@ -23,7 +23,7 @@ from observed_boxes import (
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import OPENING_M, weigh
+from kinectbench.stages.segment.evidence import weigh
 from kinectbench.stages.segment.frontiers import (
     LEAST_AREA_M2,
     LEAST_PROBABILITY,
@@ -31,6 +31,7 @@ from kinectbench.stages.segment.frontiers import (
     Frontier,
     find_frontiers,
 )
+from kinectbench.stages.segment.openings import OPENING_M
 from kinectbench.stages.segment.solid import make_solid
 
 CELLS, CELL_M = (40, 40, 40), 0.01

@@ -1,0 +1,116 @@
+"""What no camera saw and lies open to free space, through an opening above or beside it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.types import Bools
+from kinectbench.stages.segment.morphology import broad, opened
+from kinectbench.stages.segment.rays import BEYOND, INSIDE, OUTSIDE, SEALED, UNSEEN, tally_rays
+
+# An opening is one if a cube of this edge passes, or of so many widths of the frames' rays if that is less:
+# farther into a narrower one no sensor sees. At 1.6 m a Kinect's ray is 3 mm wide (own choice).
+OPENING_M, OPENING_RAYS = 0.03, 10.0
+# Rings, feet and edges lift what stands on the floor by up to 30 mm that nobody sees: up to this height above
+# the floor one is more than 10 mm below such a bottom (own choice).
+STAND_M = 0.02
+# Where so many of the nine directions upwards lead outside in a whole such cube, it is a cavity. Cracks are
+# open in three at most.
+WIDE_OPEN_ABOVE = 4
+
+
+class Openings(NamedTuple):
+    """What lies open to free space, as `Evidence` has it."""
+
+    open: Bools
+    ups: NDArray[np.uint8]
+    levels: NDArray[np.uint8]
+    downs: NDArray[np.uint8]
+    cavity: Bools
+
+
+def find_openings(
+    state: NDArray[np.uint8],
+    unseen: Bools,
+    behind: Bools,
+    deep: Bools,
+    contact: slice,
+    voxel_m: float,
+    cells: int,
+) -> Openings:
+    """What of the unseen, and of what is deep behind a surface, lies open to free space.
+
+    Args:
+        state: as for `tally_rays`; INSIDE as far as depth was fused.
+        unseen: bool.
+        behind: bool, just behind a surface.
+        deep: bool, of these, farther behind than a thin wall's thickness: the surface says nothing there.
+        contact: the layers right above the floor.
+        voxel_m: edge of a voxel, metres.
+        cells: edge of the cube that passes through an opening.
+    """
+    state = np.where(deep & (state == INSIDE), np.uint8(UNSEEN), state)
+    state[_sealed(state, cells)] = SEALED
+    rays = tally_rays(state)
+    ups, levels = rays.up(OUTSIDE, BEYOND), rays.level(OUTSIDE, BEYOND)
+    is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
+    cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), cells)
+    is_open |= (unseen | deep) & _beside_cavity(state, cavity, cells)
+    # Next to the floor nothing was measured: what stands above goes on down to it.
+    is_open[:, :, contact] = is_open[:, :, contact.stop, None]
+    # It may stand on its edges.
+    near_floor = slice(contact.start, contact.start + round(STAND_M / voxel_m))
+    untold = (unseen & ~behind) | deep
+    is_open[:, :, near_floor] |= opened(untold[:, :, near_floor], (cells, cells, 1))
+    return Openings(is_open, ups, levels, rays.down(OUTSIDE, SEALED, BEYOND), cavity)
+
+
+def _cavity(open_above: Bools, ups: NDArray[np.uint8], cells: int) -> Bools:
+    """What of the voxels that are open above lies in a region that is wide open there (own rule).
+
+    A crack between cushions leads into a body, the mouth of a bin into a cavity. Just below a mouth most
+    directions upwards lead outside; below a crack most meet its sides, and few voxels see it.
+
+    Args:
+        open_above: bool.
+        ups: uint8, how many of nine directions upwards lead outside.
+        cells: edge of the cube that passes through an opening.
+    """
+    from scipy import ndimage
+
+    region = broad(open_above, cells)
+    pieces, count = ndimage.label(region)
+    held = np.zeros(count + 1, dtype=bool)
+    held[pieces[broad(region & (ups >= WIDE_OPEN_ABOVE), cells)]] = True
+    held[0] = False
+    cavity: Bools = held[pieces]
+    return cavity
+
+
+def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, cells: int) -> Bools:
+    """What is unseen and lies open above or beside to a cavity, as the toe of a shoe: bool."""
+    if not cavity.any():
+        return cavity
+    rays = tally_rays(np.where(cavity, np.uint8(OUTSIDE), state))
+    near = (state == UNSEEN) & ~cavity & ((rays.up(OUTSIDE) > 0) | (rays.level(OUTSIDE) > 0))
+    return broad(near, max(1, cells // 2))
+
+
+def opening_cells(ray_width_m: float, voxel_m: float) -> int:
+    """Edge of the cube that passes through an opening, in voxels of an edge in metres, at least one.
+
+    Args:
+        ray_width_m: how wide the frames' rays are at the object, metres; 0 if that is not known.
+        voxel_m: edge of a voxel, metres.
+    """
+    opening_m = min(OPENING_M, OPENING_RAYS * ray_width_m) if ray_width_m > 0 else OPENING_M
+    return max(1, round(opening_m / voxel_m))
+
+
+def _sealed(state: NDArray[np.uint8], cells: int) -> Bools:
+    """Seen empty, in an opening between measured surfaces through which no cube of so many cells passes."""
+    passable = np.pad(state != INSIDE, cells, constant_values=True)
+    wide = opened(passable, (cells, cells, cells))[cells:-cells, cells:-cells, cells:-cells]
+    sealed: Bools = (state == OUTSIDE) & ~wide
+    return sealed
