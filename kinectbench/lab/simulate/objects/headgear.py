@@ -148,13 +148,14 @@ def _full_face(draw: Draw, dome: _Dome, look: Look) -> Parts:
         strip = strip ^ box((-1.0, 0.15 * whole.y, top + 0.012), (1.0, 1.0, top + draw.between(0.05, 0.075)))
         yield Part("visor", strip, looks.METALS[3])
     if draw.chance(0.5):
+        tint = draw.pick(looks.PLASTICS)
         for s in SIDES:
             scoop = cushion(
                 (s * 0.35 * whole.x - 0.014, -0.5 * whole.y, deep),
                 (s * 0.35 * whole.x + 0.014, 0.3 * whole.y, deep + whole.high + 0.004),
                 0.012,
             )
-            yield Part("scoop", scoop - room, draw.pick(looks.PLASTICS))
+            yield Part("scoop", scoop - room, tint)
 
 
 def _building(draw: Draw, dome: _Dome, look: Look) -> Parts:

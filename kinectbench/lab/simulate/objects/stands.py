@@ -255,7 +255,8 @@ def _whiteboard(draw: Draw) -> Parts:
     parts = [
         Part("board", _board(half, thick), draw.choose([looks.PLASTICS[0], draw.pick(looks.ENAMELS[:3])]))
     ]
-    outer, inner = _board(half, thick + 0.012), _board((half[0] - 0.022, half[1] - 0.022), 1.0)
+    outer = _board((half[0] + 0.003, half[1] + 0.003), thick + 0.012)
+    inner = _board((half[0] - 0.022, half[1] - 0.022), 1.0)
     parts.append(Part("frame", outer - inner, draw.pick(looks.METALS + looks.WOODS[:3])))
     if draw.chance(0.7):
         wide = half[0] * draw.between(0.3, 0.9)

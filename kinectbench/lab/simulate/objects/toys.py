@@ -210,7 +210,9 @@ def _lorry(draw: Draw, car: _Car, look: Look) -> Parts:
     )
     end, x = -car.y - 0.008, car.x - 0.002
     if kind == "tipper":
-        tray = _tray(x, (end, split - 0.012), chassis, car.deck + draw.between(0.02, 0.05), WALL_M)
+        # Its floor lies above the wheels.
+        floor = max(WALL_M, 2 * car.wheel - chassis + 0.004)
+        tray = _tray(x, (end, split - 0.012), chassis, car.deck + draw.between(0.02, 0.05), floor)
         angle = draw.choose([0.0, draw.between(12, 35)])
         # It turns about its lower rear edge and rests on a block.
         tray = tray.translate((0.0, 0.01 + car.y, -chassis)).rotate((angle, 0.0, 0.0))

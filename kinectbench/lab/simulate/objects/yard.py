@@ -136,6 +136,8 @@ def trough(draw: Draw) -> Parts:
     room = _room(outer, wall)
     solid, hollow = _along(outer, (-x, x)), _along(room, (-x + wall, x - wall))
     yield Part("trough", (solid - hollow).translate((0.0, 0.0, low)), look)
+    # What is in it or below it ends within its walls.
+    within = _along(_room(outer, 0.6 * wall), (-x + 0.6 * wall, x - 0.6 * wall)).translate((0.0, 0.0, low))
     top = low + high
     if draw.chance(0.7):
         roll = draw.between(0.0075, 0.011)
@@ -145,15 +147,13 @@ def trough(draw: Draw) -> Parts:
         yield Part("rim", tube(ring, roll), look)
     if draw.chance(0.4):
         level = low + draw.between(0.25, 0.7) * high
-        within = _along(_room(outer, 0.6 * wall), (-x + 0.6 * wall, x - 0.6 * wall))
-        feed = within.translate((0.0, 0.0, low)) ^ box((-2.0, -2.0, 0.0), (2.0, 2.0, level))
+        feed = within ^ box((-2.0, -2.0, 0.0), (2.0, 2.0, level))
         yield Part("feed", feed, draw.choose([SOIL, draw.pick(looks.CARDS)]))
     bars, end = draw.pick(looks.METALS + looks.WOODS[:3]), y - 0.6 * wall
     for at in np.linspace(-x, x, draw.integer(2, 5))[1:-1].tolist():
         yield Part("bar", rod((at, -end, top - 0.01), (at, end, top - 0.01), 0.009), bars)
-    keep_out = hollow.translate((0.0, 0.0, low))
     for part in _trough_stand(draw, (x, y), (low, low + high), kind):
-        yield Part(part.name, part.shape - keep_out, part.look)
+        yield Part(part.name, part.shape - within, part.look)
 
 
 def _section(draw: Draw, kind: str, y: float, high: float) -> "CrossSection":
