@@ -61,7 +61,7 @@ class _Style:
 
     Attributes:
         thick: of a front.
-        gap: around a front, on each side.
+        gap: around a front, on each side; more than the top reaches down over the case.
         edge: width of a front's frame; 0 for plain ones.
         rise: how far the frame stands out.
         pull: "knob", "bar", "bow" or "none".
@@ -90,7 +90,7 @@ def sideboard(draw: Draw) -> Parts:
     look = draw.pick(looks.WOODS[:7])
     style = _Style(
         thick=draw.between(0.012, 0.02),
-        gap=draw.between(0.003, 0.006),
+        gap=draw.between(LAP_M + 0.0006, 0.007),
         edge=draw.choose([0.0, 0.0, draw.between(0.045, 0.065)]),
         rise=draw.between(0.006, 0.012),
         pull=draw.choose(["knob", "bar", "bow", "none"]),
