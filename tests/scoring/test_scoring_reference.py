@@ -1,12 +1,25 @@
 """Scores of random predictions of every kind against plain numpy, as in benchmarks/score_reference.py."""
 
+from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
 import pytest
-from score_reference import KINDS, Case, differences, reference, searched_threshold, write_predictions
+from score_reference import (
+    KINDS,
+    NOTHING_KNOWN,
+    ONLY_SEEN_KNOWN,
+    Case,
+    compared,
+    difference,
+    publish_shapes,
+    reference,
+    searched_threshold,
+    write_predictions,
+)
 
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, open_release
 
 
 def case(y: list[float], full: list[int], known: list[int]) -> Case:
@@ -39,6 +52,25 @@ def test_the_reference_by_hand() -> None:
 def test_every_kind_of_prediction(release: Release, tmp_path: Path) -> None:
     assert len(release.targets) >= len(KINDS)  # so that one turn has every kind
     write_predictions(release, tmp_path, turn=0)
-    largest, wrong = differences(release, tmp_path)
-    assert wrong == []
-    assert max(largest.values()) <= 1e-6
+    found = compared(release, tmp_path)
+    assert found.wrong == [] and found.left_out == []
+    assert max(found.largest.values()) <= 1e-6
+
+
+def test_pairs_that_are_left_out(tmp_path: Path) -> None:
+    """Of one nothing is known, of another only what its view saw: figures are null in both computations."""
+    whole = open_release(publish_shapes(tmp_path))
+    wanted = {NOTHING_KNOWN[0], ONLY_SEEN_KNOWN[1]}
+    kept = tuple(t for t in whole.targets if t.split != "test" or t.name in wanted)
+    release = replace(whole, targets=kept)
+    write_predictions(release, tmp_path / "predictions", turn=0)
+    found = compared(release, tmp_path / "predictions")
+    assert found.wrong == [] and max(found.largest.values()) <= 1e-6
+    expected = [*(f"{NOTHING_KNOWN[0]} {p}" for p in ("known", "occluded")), f"{ONLY_SEEN_KNOWN[1]} occluded"]
+    assert found.left_out == expected
+    assert [difference(*both) for both in ((None, 0.5), (0.5, None), (None, None), (0.5, 0.25))] == [
+        inf,
+        inf,
+        0,
+        0.25,
+    ]
