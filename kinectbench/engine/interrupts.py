@@ -59,6 +59,9 @@ def interrupts_held() -> Iterator[None]:
     they inherit that the signal is blocked, and their parent stops them. The parent needs the handler too,
     for threads of libraries take the signal although it is blocked here. SIGTERM ends workers without a word,
     and is how their parent stops them: they do not inherit that it is held.
+
+    A signal to the whole group ends workers that start, too, and what the block does fails by that: the
+    interrupt is answered all the same, in place of the error.
     """
     asked: list[int] = []
     handlers = {number: signal.getsignal(number) for number in STOP_SIGNALS}
@@ -74,8 +77,8 @@ def interrupts_held() -> Iterator[None]:
         if on_main_thread:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-    if asked:
-        signal.raise_signal(asked[0])
+        if asked:
+            signal.raise_signal(asked[0])
 
 
 def _without_interrupts(told: Callable[[Any], object]) -> Callable[[Any], object]:

@@ -2,11 +2,17 @@
 
 import signal
 import sys
+from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
 from kinectbench.engine import interrupts
-from kinectbench.engine.interrupts import check_interrupt, interrupts_remembered
+from kinectbench.engine.interrupts import (
+    check_interrupt,
+    interrupted_status,
+    interrupts_held,
+    interrupts_remembered,
+)
 
 
 class Dying:
@@ -35,3 +41,18 @@ def test_an_interrupt_in_a_callback_is_remembered(monkeypatch: pytest.MonkeyPatc
         assert told == [ValueError]
     Dying(OSError)
     assert told == [ValueError, OSError]
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_held_interrupt_outlasts_what_fails_by_it(
+    monkeypatch: pytest.MonkeyPatch, number: signal.Signals, status: int
+) -> None:
+    """A signal to the group ends a worker that starts, and its parent finds it gone before it answers."""
+    monkeypatch.setattr(interrupts, "_asked", [])
+    with interrupts_remembered():
+        with pytest.raises(KeyboardInterrupt), interrupts_held():
+            signal.raise_signal(number)
+            raise BrokenProcessPool
+        assert interrupted_status() == status
+        with pytest.raises(OSError, match="its own"), interrupts_held():
+            raise OSError("its own")
