@@ -7,6 +7,7 @@ import open3d as o3d
 import trimesh
 from scipy.spatial import ConvexHull
 
+from kinectbench.core.geometry import TriangleMesh
 from kinectbench.lab.simulate.objects import make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 
@@ -42,15 +43,27 @@ def is_solid(subject: Subject, points_m) -> np.ndarray:
     return scene(subject).compute_occupancy(o3d.core.Tensor(points)).numpy() > 0.5
 
 
-def check_solid(subject: Subject, low_m, high_m, litres, steady_m: float = 0.01) -> None:
-    """One watertight piece that stands, within bounds of its size, metres, and of its volume, litres."""
-    mesh = checked(subject)
-    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+def closed(mesh: TriangleMesh | trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh as it is, without merging its vertices; it has to be watertight, its faces of one winding."""
+    found = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert found.is_watertight and found.is_winding_consistent
+    return found
+
+
+def check_closed(subject: Subject) -> trimesh.Trimesh:
+    """The mesh of an object, which is one watertight piece made of watertight pieces."""
+    mesh = closed(subject.mesh)
+    assert mesh.body_count == 1
     # Merging vertices at single precision, as readers of PLY files do, leaves it closed.
     assert trimesh.Trimesh(subject.mesh.vertices.astype(np.float32), subject.mesh.faces).is_watertight
     for piece in subject.pieces:
-        one = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces, process=False)
-        assert one.is_watertight and one.volume > 0, piece.name
+        assert closed(piece.mesh).volume > 0, piece.name
+    return mesh
+
+
+def check_solid(subject: Subject, low_m, high_m, litres, steady_m: float = 0.01) -> None:
+    """One watertight piece that stands, within bounds of its size, metres, and of its volume, litres."""
+    mesh = check_closed(subject)
     low, high = mesh.bounds
     assert low[2] == 0
     assert np.allclose((low + high)[:2], 0, atol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 import trimesh
-from scipy.spatial import ConvexHull
+from object_checks import check_solid
 
 from kinectbench.lab.simulate.objects import lamps, lattices, make_object, shapes
 from kinectbench.lab.simulate.objects.shapes import Subject
@@ -67,22 +67,7 @@ def named(subject: Subject, name: str):
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_it_is_one_watertight_solid_of_true_size_that_stands(family, seed):
-    subject, mesh = subject_of(family, seed), checked(family, seed)
-    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
-    assert trimesh.Trimesh(subject.mesh.vertices.astype(np.float32), subject.mesh.faces).is_watertight
-    for piece in subject.pieces:
-        one = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces, process=False)
-        assert one.is_watertight and one.volume > 0, piece.name
-    low, high = mesh.bounds
-    assert low[2] == 0
-    assert np.allclose((low + high)[:2], 0, atol=1e-12)
-    least, most, litres = BOUNDS[family]
-    assert np.all(high - low >= least), high - low
-    assert np.all(high - low <= most), high - low
-    assert litres[0] < 1000 * mesh.volume < litres[1], 1000 * mesh.volume
-    # It does not tip over: its centre of mass lies 2 cm or more inside the hull of what touches the floor.
-    sides = ConvexHull(mesh.vertices[mesh.vertices[:, 2] < 0.002, :2]).equations
-    assert (sides[:, :2] @ mesh.center_mass[:2] + sides[:, 2]).max() < -0.02
+    check_solid(subject_of(family, seed), *BOUNDS[family], steady_m=0.02)
 
 
 @pytest.mark.parametrize("family", BOUNDS)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from object_checks import closed
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.lab.simulate.objects import shapes
@@ -25,9 +26,7 @@ def saved(tmp_path: Path, mesh: trimesh.Trimesh, name: str = "thing.ply") -> Pat
 
 def solid(subject) -> trimesh.Trimesh:
     """The subject's mesh, which must be closed and stand in its place."""
-    mesh = trimesh.Trimesh(subject.mesh.vertices, subject.mesh.faces, process=False)
-    assert mesh.is_watertight
-    assert mesh.is_winding_consistent
+    mesh = closed(subject.mesh)
     low, high = mesh.bounds
     assert np.allclose((low + high)[:2], 0, atol=1e-4)
     assert low[2] == pytest.approx(0, abs=1e-9)
@@ -82,9 +81,7 @@ def test_boxes_that_share_an_edge_are_two_bodies(tmp_path):
     subject = load_mesh_object(saved(tmp_path, parts), "z")
     assert subject.origin.startswith("closed in its file")
     # Where they touch, no closed surface has two faces at each edge, unless they stay apart there.
-    mesh = trimesh.Trimesh(subject.mesh.vertices, subject.mesh.faces, process=False)
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(0.25)
+    assert closed(subject.mesh).volume == pytest.approx(0.25)
 
 
 def test_faces_of_any_winding_are_turned_the_same_way(tmp_path):
@@ -104,8 +101,7 @@ def test_a_missing_face_is_filled_exactly(tmp_path):
     assert subject.origin == "closed by filling 1 holes (4 open edges): one body"
     assert solid(subject).volume == pytest.approx(0.12)
     # The camera sees the filled face, too.
-    seen = trimesh.Trimesh(subject.pieces[0].mesh.vertices, subject.pieces[0].mesh.faces, process=False)
-    assert seen.is_watertight
+    seen = closed(subject.pieces[0].mesh)
     assert seen.area == pytest.approx(2 * (0.2 + 0.3 + 0.24))
 
 

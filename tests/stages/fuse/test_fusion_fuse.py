@@ -5,7 +5,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import trimesh
 from analytic_scenes import (
     CAMERA,
     FurnitureFrames,
@@ -19,6 +18,7 @@ from analytic_scenes import (
     sphere,
     trajectory_of,
 )
+from object_checks import closed
 
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
@@ -54,11 +54,11 @@ def test_sphere_within_the_bar(ball_mesh):
 
 
 def test_sphere_across_bricks_is_closed_and_outward(ball_mesh):
-    closed = trimesh.Trimesh(ball_mesh.vertices, ball_mesh.faces, process=False)
-    assert closed.is_watertight and closed.body_count == 1
-    assert closed.volume == pytest.approx(4 / 3 * np.pi * RADIUS_M**3, rel=0.005)
-    outward = closed.triangles_center - CENTER
-    cosine = (closed.face_normals * outward).sum(1) / np.linalg.norm(outward, axis=1)
+    mesh = closed(ball_mesh)
+    assert mesh.body_count == 1
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * RADIUS_M**3, rel=0.005)
+    outward = mesh.triangles_center - CENTER
+    cosine = (mesh.face_normals * outward).sum(1) / np.linalg.norm(outward, axis=1)
     assert np.median(cosine) > 0.98 and (cosine > 0).mean() > 0.999
 
 

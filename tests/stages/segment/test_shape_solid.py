@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from object_checks import closed
 from observed_boxes import (
     CUT_LAYERS,
     FLOOR_LAYERS,
@@ -47,8 +48,7 @@ def check_invariants(shape: SolidShape, observed: Observation, excluded: np.ndar
     assert (labels[:, :, :FLOOR_LAYERS] == Label.OTHER).all()
     assert ((shape.probability > 0.5) == solid).all()
     assert shape.probability.min() >= 0 and shape.probability.max() <= 1
-    mesh = trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces, process=False)
-    assert mesh.is_watertight and mesh.volume > 0
+    mesh = closed(shape.mesh)
     assert mesh.volume == pytest.approx(solid.sum() * VOXEL_M**3, rel=0.06)
 
 
