@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import cv2
-from builds import build_root, built, read_json
+from builds import built, read_json, run_on_build
 from cabinet import cabinet_settings, data_argument
-from figures import Figure, arguments, equals, run, told
+from figures import Figure, arguments, equals, told
 
 from kinectbench.core.trajectory.stamps import parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import text_rows
@@ -78,10 +78,7 @@ def measure(data: Path, root: Path) -> list[Figure]:
 def main() -> None:
     parser = arguments(__doc__)
     data_argument(parser)
-    parser.add_argument("--build", type=Path, metavar="DIR", help="build there and keep it")
-    options = parser.parse_args()
-    with build_root(options.build) as root:
-        run(options, lambda: measure(options.data, root))
+    run_on_build(parser, lambda options, root: measure(options.data, root))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,15 @@
 """Building a benchmark for a measurement, in a folder of its own."""
 
+import argparse
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from figures import Figure, run
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.engine.parallel import build
@@ -25,6 +28,21 @@ def build_root(given: Path | None) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="kinectbench-") as folder:
         yield Path(folder)
+
+
+def run_on_build(
+    parser: argparse.ArgumentParser, measure: Callable[[argparse.Namespace, Path], Sequence[Figure]]
+) -> None:
+    """Run a script that builds something, in a folder that `--build` names or in a temporary one.
+
+    Args:
+        parser: of the script's other options.
+        measure: makes the figures from the options and that folder.
+    """
+    parser.add_argument("--build", type=Path, metavar="DIR", help="build there and keep it")
+    options = parser.parse_args()
+    with build_root(options.build) as root:
+        run(options, lambda: measure(options, root))
 
 
 def built(settings: BenchmarkSettings, root: Path, workers: int = CORES) -> list[Job]:

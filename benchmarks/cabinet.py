@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from builds import build_root, built, read_json, stage_seconds
+from builds import built, read_json, run_on_build, stage_seconds
 from faces import Face, measure_faces
-from figures import Figure, arguments, at_least, at_most, equals, run, told
+from figures import Figure, arguments, at_least, at_most, equals, told
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object import QualityFile
@@ -160,10 +160,7 @@ def measure(data: Path, root: Path) -> list[Figure]:
 def main() -> None:
     parser = arguments(__doc__)
     data_argument(parser)
-    parser.add_argument("--build", type=Path, metavar="DIR", help="build there and keep it")
-    options = parser.parse_args()
-    with build_root(options.build) as root:
-        run(options, lambda: measure(options.data, root))
+    run_on_build(parser, lambda options, root: measure(options.data, root))
 
 
 if __name__ == "__main__":

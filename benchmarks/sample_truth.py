@@ -9,8 +9,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from builds import build_root, built
-from figures import Figure, arguments, at_least, run, told
+from builds import built, run_on_build
+from figures import Figure, arguments, at_least, told
 from numpy.typing import NDArray
 
 from kinectbench.core.voxels.pair_file import read_pair, unpack
@@ -122,10 +122,7 @@ def main() -> None:
     parser.add_argument(
         "benchmark", type=Path, nargs="?", default=REPOSITORY, help="folder of benchmark.yaml"
     )
-    parser.add_argument("--build", type=Path, metavar="DIR", help="build there and keep it")
-    options = parser.parse_args()
-    with build_root(options.build) as root:
-        run(options, lambda: measure(options.benchmark, root))
+    run_on_build(parser, lambda options, root: measure(options.benchmark, root))
 
 
 if __name__ == "__main__":
