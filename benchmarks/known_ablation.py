@@ -33,7 +33,7 @@ def _nothing(*grids: Any) -> Bools:
 
 def _no_openings(state: Any, *others: Any) -> tuple[Any, ...]:
     none, no_rays = _nothing(state), np.zeros(state.shape, np.uint8)
-    return openings.Openings(none, no_rays, no_rays, no_rays, none)
+    return openings.Openings(none, no_rays, no_rays, no_rays, none, none)
 
 
 def _no_shadow(state: Any, tally: Any) -> enclosure.Shadow:
@@ -67,6 +67,7 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "what lies beside a cavity is open": (
         (openings, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
     ),
+    "what hangs high may be a shade": ((openings, "HUNG_M", 1e6),),
     "narrower for a sensor that is near": ((openings, "OPENING_RAYS", 1e6),),
     "a hollow reaches its aprons": ((evidence, "_to_the_apron", _as_it_is),),
     "the way to the surface tells depth": ((evidence, "_deep", _deep_by_distance),),

@@ -25,7 +25,18 @@ def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
         "opening_cells": 6,
         **dict.fromkeys(("ups", "levels", "downs"), none),
     }
-    masks = ("observed", "carved", "behind", "excluded", "unseen", "hollow", "doubtful", "open", "cavity")
+    masks = (
+        "observed",
+        "carved",
+        "behind",
+        "excluded",
+        "unseen",
+        "hollow",
+        "doubtful",
+        "open",
+        "cavity",
+        "hung",
+    )
     return Evidence(**{**dict.fromkeys(masks, no), **fields, **given})
 
 

@@ -99,6 +99,7 @@ class OpenProbabilities(Part):
     beside: tuple[float, ...] = Field(description="by how many of eight level directions are open")
     below: tuple[float, ...] = Field(description="the same where most directions downwards are open, too")
     cavity: tuple[float, ...] = Field(description="in a cavity, by how many directions upwards are open")
+    hung: float | None = Field(None, description="in a thick body that hangs high in the air, at most")
 
 
 class SolidMethod(Part):
@@ -177,6 +178,11 @@ class SolidMethod(Part):
     )
     wide_open_above: int | None = Field(
         None, description="of nine ways up, so many lead outside below the mouth of a cavity"
+    )
+    hung: tuple[float, float, float] | None = Field(
+        None,
+        description="a body hangs high in the air if it is thicker, metres, hangs so many of its widths high, "
+        "and so much of it ends in free air below",
     )
     probability_open: OpenProbabilities | None = Field(
         None, description="of what lies open to free space through an opening that nobody looked into"

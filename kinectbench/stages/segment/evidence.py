@@ -73,6 +73,7 @@ class Evidence:
         levels: uint8, how many of the eight horizontal ones do.
         downs: uint8, how many of the nine directions downwards do, narrow openings counted.
         cavity: bool, of these, what lies in a region that is wide open above.
+        hung: bool, of these, what is open below and belongs to a thick body that hangs high in the air.
         contact: the layers right above the floor.
         raised: bool (nx, ny), columns of a plate of the object that hardly rises above these layers.
         opening_cells: edge of the cube that passes through an opening, voxels.
@@ -93,6 +94,7 @@ class Evidence:
     levels: NDArray[np.uint8]
     downs: NDArray[np.uint8]
     cavity: Bools
+    hung: Bools
     contact: slice
     raised: Bools
     opening_cells: int
@@ -143,6 +145,7 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
         openings.levels,
         openings.downs,
         openings.cavity,
+        openings.hung,
         contact,
         raised,
         cells,

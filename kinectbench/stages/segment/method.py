@@ -37,6 +37,9 @@ from kinectbench.stages.segment.evidence import (
     SHELL_M,
 )
 from kinectbench.stages.segment.openings import (
+    HUNG_COLUMNS,
+    HUNG_M,
+    HUNG_WIDTHS,
     OPENING_M,
     OPENING_RAYS,
     STAND_M,
@@ -55,6 +58,7 @@ from kinectbench.stages.segment.probability import (
     EMPTY_UNDER_SHARE,
     ENCLOSING,
     HOLLOW_INSIDE_SHARE,
+    HUNG_INSIDE_SHARE,
     INSIDE_SHARE,
     INTERIOR_SHARE,
     SIGNED_INSIDE_SHARE,
@@ -103,6 +107,7 @@ METHOD = SolidMethod(
     opening_m=OPENING_M,
     opening_rays=OPENING_RAYS,
     wide_open_above=WIDE_OPEN_ABOVE,
+    hung=(HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS),
     stand_m=STAND_M,
     probability_open=OpenProbabilities(
         among_m=AMONG_M,
@@ -111,6 +116,7 @@ METHOD = SolidMethod(
         beside=_shares(BESIDE_INSIDE_SHARE),
         below=_shares(BELOW_INSIDE_SHARE),
         cavity=_shares(CAVITY_INSIDE_SHARE),
+        hung=round(float(HUNG_INSIDE_SHARE), 4),
     ),
     probability_by_rule=RuleProbabilities(
         hollow=round(float(HOLLOW_INSIDE_SHARE), 4),

@@ -19,6 +19,10 @@ STAND_M = 0.02
 # open in three at most.
 WIDE_OPEN_ABOVE = 4
 
+# What is thicker than a seat, ends in free air below, and hangs at least as high above what is next as it is
+# wide: cameras could have looked up into it, and it may be the shade of a lamp (own choices).
+HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS = 0.2, 1.0, 0.5
+
 
 class Openings(NamedTuple):
     """What lies open to free space, as `Evidence` has it."""
@@ -28,6 +32,7 @@ class Openings(NamedTuple):
     levels: NDArray[np.uint8]
     downs: NDArray[np.uint8]
     cavity: Bools
+    hung: Bools
 
 
 def find_openings(
@@ -57,13 +62,16 @@ def find_openings(
     is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
     cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), cells)
     is_open |= (unseen | deep) & _beside_cavity(state, cavity, cells)
+    downs = rays.down(OUTSIDE, SEALED, BEYOND)
+    hung = _hung((unseen | deep) & (downs > 0), state, contact, voxel_m, cells)
+    is_open |= hung
     # Next to the floor nothing was measured: what stands above goes on down to it.
     is_open[:, :, contact] = is_open[:, :, contact.stop, None]
     # It may stand on its edges.
     near_floor = slice(contact.start, contact.start + round(STAND_M / voxel_m))
     untold = (unseen & ~behind) | deep
     is_open[:, :, near_floor] |= opened(untold[:, :, near_floor], (cells, cells, 1))
-    return Openings(is_open, ups, levels, rays.down(OUTSIDE, SEALED, BEYOND), cavity)
+    return Openings(is_open, ups, levels, downs, cavity, hung)
 
 
 def _cavity(open_above: Bools, ups: NDArray[np.uint8], cells: int) -> Bools:
@@ -86,6 +94,47 @@ def _cavity(open_above: Bools, ups: NDArray[np.uint8], cells: int) -> Bools:
     held[0] = False
     cavity: Bools = held[pieces]
     return cavity
+
+
+def _hung(open_below: Bools, state: NDArray[np.uint8], contact: slice, voxel_m: float, cells: int) -> Bools:
+    """What of the voxels that are open below belongs to a thick body that hangs high in the air (own rule).
+
+    From above the shade of a lamp looks like a body. A seat is thinner, and cameras that stand around a couch
+    could not have looked up into it.
+
+    Args:
+        open_below: bool, unseen, or deep behind a surface.
+        state: of each voxel, SEALED told apart.
+        contact: the layers right above the floor.
+        voxel_m: edge of a voxel, metres.
+        cells: edge of the cube that passes through an opening.
+    """
+    from scipy import ndimage
+
+    region = broad(open_below, cells)
+    pieces, _ = ndimage.label(region, np.ones((3, 3, 3)))
+    hung = np.zeros_like(region)
+    for number, (x, y, z) in enumerate(ndimage.find_objects(pieces), start=1):
+        if (z.stop - z.start) * voxel_m <= HUNG_M or z.start <= contact.stop:
+            continue
+        piece = pieces[x, y, z] == number
+        columns = piece.any(axis=2)
+        lowest = z.start + piece.argmax(axis=2)[columns]
+        beneath = state[x, y][columns]
+        at = np.arange(len(lowest))
+        ends = np.isin(beneath[at, lowest - 1], (OUTSIDE, SEALED))
+        inside = (beneath == INSIDE) & (np.arange(beneath.shape[1]) < lowest[:, None])
+        # Down to the object's next surface, or to the floor.
+        next_below = np.where(
+            inside.any(axis=1), beneath.shape[1] - 1 - inside[:, ::-1].argmax(axis=1), contact.start - 1
+        )
+        if ends.sum() < HUNG_COLUMNS * len(ends) or not ends.any():
+            continue
+        gap_m = float(np.median((lowest - 1 - next_below)[ends])) * voxel_m
+        thick_m = float(np.quantile(piece.sum(axis=2)[columns][ends], 0.9)) * voxel_m
+        if thick_m > HUNG_M and gap_m >= HUNG_WIDTHS * np.sqrt(ends.sum()) * voxel_m:
+            hung[x, y, z] |= piece
+    return hung
 
 
 def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, cells: int) -> Bools:

@@ -41,6 +41,10 @@ OPEN_BELOW = 5
 # In a cavity, by how many of the nine directions upwards are open: its walls are where few are.
 CAVITY_INSIDE_SHARE = np.array([0.22, 0.22, 0.19, 0.16, 0.09, 0.08, 0.08, 0.08, 0.04, 0.03], np.float32)
 
+# Of what hangs high in the air and is open below. In the shade of a lamp, the only thing looked at that does,
+# 0.05 of it is inside; but a body may hang there, too (own choice).
+HUNG_INSIDE_SHARE = np.float32(0.3)
+
 
 def unseen_probability(evidence: Evidence, voxel_size_m: float) -> Float32:
     """That a voxel is inside, by the directions that enclose it and the rules for shadows and hollows.
@@ -76,6 +80,7 @@ def _open_probability(evidence: Evidence, voxel_m: float) -> Float32:
     alone = np.where(ups > 0, CRACK_INSIDE_SHARE[ups], beside)
     among = _among_sealed(evidence, voxel_m)
     of_body = np.where(among < AMONG_SHARE[0], alone, np.interp(among, AMONG_SHARE, AMONG_INSIDE_SHARE))
+    of_body = np.where(evidence.hung[at], np.minimum(of_body, HUNG_INSIDE_SHARE), of_body)
     return np.asarray(np.where(evidence.cavity[at], CAVITY_INSIDE_SHARE[ups], of_body), np.float32)
 
 

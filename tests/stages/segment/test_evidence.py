@@ -39,6 +39,7 @@ from kinectbench.stages.segment.openings import (
 from kinectbench.stages.segment.probability import (
     AMONG_INSIDE_SHARE,
     CAVITY_INSIDE_SHARE,
+    HUNG_INSIDE_SHARE,
 )
 from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, SEALED, UNSEEN
 from kinectbench.stages.segment.solid import SolidShape, make_solid
@@ -228,6 +229,22 @@ def test_what_a_few_rays_grazed_is_unseen(share: float, observed: bool) -> None:
     evidence = weigh(replace(seen, weight=weight, tsdf=tsdf), NOTHING, LAYERS, 0.0)
     assert (evidence.observed[grazed] == observed).all() and (evidence.carved[grazed] == observed).all()
     assert (evidence.unseen[grazed] == (not observed)).all()
+
+
+@pytest.mark.parametrize(
+    ("bottom_m", "top_m", "hung"), [(0.1, 0.36, True), (0.06, 0.36, False), (0.16, 0.34, False)]
+)
+def test_what_hangs_high_and_is_open_below_may_be_a_shade(bottom_m: float, top_m: float, hung: bool) -> None:
+    """80 mm wide: the first hangs higher than that and is 0.26 m thick, then one hangs lower, one is thin."""
+    body_m = box_distance((0.12, 0.08, bottom_m), (0.20, 0.16, top_m))
+    inner = within((0.125, 0.085, bottom_m - VOXEL_M), (0.195, 0.155, top_m - 0.005))
+    pole_m = box_distance((0.01, 0.01, -1.0), (0.03, 0.03, 0.36))
+    evidence, shape = weighed(observation(np.minimum(body_m, pole_m), hidden=inner))
+    core = within((0.14, 0.10, bottom_m + 0.02), (0.18, 0.14, top_m - 0.05))
+    assert (evidence.hung[core] == hung).all()
+    if hung:
+        assert (shape.labels[core] == Label.UNKNOWN).all()
+        assert (shape.probability[core] == HUNG_INSIDE_SHARE).all()
 
 
 @pytest.mark.parametrize(("votes", "frames", "observed"), [(1, 40, False), (2, 40, True), (1, 20, True)])
