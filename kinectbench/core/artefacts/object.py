@@ -181,7 +181,7 @@ class SolidMethod(Part):
     )
     hung: tuple[float, float, float] | None = Field(
         None,
-        description="a body hangs high in the air if it is thicker, metres, hangs so many of its widths high, "
+        description="a body hangs high if it is thicker, metres, hangs so many of its widths high, "
         "and so much of it ends in free air below",
     )
     probability_open: OpenProbabilities | None = Field(
