@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.types import Float32
+from kinectbench.core.types import Bools, Float32
 from kinectbench.stages.segment.evidence import Evidence
 
 # Counted on the families that may be looked at, each with the same weight; nothing below is from the others.
@@ -38,6 +38,10 @@ CRACK_INSIDE_SHARE = np.array([0.55, 0.55, 0.55, 0.55, 0.4, 0.4, 0.4, 0.4, 0.4, 
 BESIDE_INSIDE_SHARE = np.array([0.57, 0.7, 0.51, 0.51, 0.51, 0.51, 0.51, 0.51, 0.51], np.float32)
 BELOW_INSIDE_SHARE = np.array([0.57, 0.24, 0.15, 0.15, 0.15, 0.15, 0.1, 0.03, 0.01], np.float32)
 OPEN_BELOW = 5
+# Right below what a measured surface tells, by how many of the eight horizontal directions are open: most
+# boards are thicker than that. (A voxel farther down it is .3 and less where three directions are open.)
+RIGHT_BELOW_M = 0.005
+RIGHT_BELOW_INSIDE_SHARE = np.array([0.91, 0.72, 0.82, 0.8, 0.75, 0.65, 0.65, 0.65, 0.17], np.float32)
 # In a cavity, by how many of the nine directions upwards are open: its walls are where few are.
 CAVITY_INSIDE_SHARE = np.array([0.22, 0.22, 0.19, 0.16, 0.09, 0.08, 0.08, 0.08, 0.04, 0.03], np.float32)
 
@@ -69,7 +73,21 @@ def unseen_probability(evidence: Evidence, voxel_size_m: float) -> Float32:
     # Farther behind a surface than a wall is thick, enclosure says nothing.
     enclosed = np.where(evidence.behind[is_open], np.float32(1), probability[is_open])
     probability[is_open] = np.minimum(enclosed, _open_probability(evidence, voxel_size_m))
+    right_below = _right_below(evidence, voxel_size_m)
+    share = RIGHT_BELOW_INSIDE_SHARE[evidence.levels[right_below]]
+    probability[right_below] = np.maximum(probability[right_below], share)
     return probability
+
+
+def _right_below(evidence: Evidence, voxel_m: float) -> Bools:
+    """Open voxels right below what lies just behind a measured surface, and open to below, not above: bool."""
+    told = evidence.behind & ~evidence.open
+    below = np.zeros_like(told)
+    for layers in range(1, max(1, round(RIGHT_BELOW_M / voxel_m)) + 1):
+        below[:, :, :-layers] |= told[:, :, layers:]
+    aside = evidence.cavity | evidence.hung | (evidence.ups > 0) | (evidence.downs < OPEN_BELOW)
+    found: Bools = below & evidence.open & ~aside
+    return found
 
 
 def _open_probability(evidence: Evidence, voxel_m: float) -> Float32:
