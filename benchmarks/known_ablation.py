@@ -48,6 +48,10 @@ def _no_plate(signed_m: Any, *others: Any) -> Bools:
     return _nothing(signed_m[:, :, 0])
 
 
+def _none_right_below(weighed: evidence.Evidence, voxel_m: float) -> Bools:
+    return _nothing(weighed.open)
+
+
 def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:
     return solid_cells
 
@@ -76,6 +80,7 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "one frame of many is no observation": ((evidence, "LEAST_VOTES", 0),),
     "a plate just above the floor is the object's": ((evidence, "_raised", _no_plate),),
     "what leans in is no hollow": ((enclosure, "MAX_LEAN", 1e6),),
+    "a board goes on right below what was measured": ((probability, "_right_below", _none_right_below),),
     "hollows behind aprons": ((evidence, "hollows", _no_hollows),),
     "shadows under the object": ((evidence, "shadow", _no_shadow),),
     "hidden legs are carried up": ((solid, "carried_up", _as_it_is),),

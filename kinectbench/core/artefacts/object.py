@@ -100,6 +100,12 @@ class OpenProbabilities(Part):
     below: tuple[float, ...] = Field(description="the same where most directions downwards are open, too")
     cavity: tuple[float, ...] = Field(description="in a cavity, by how many directions upwards are open")
     hung: float | None = Field(None, description="in a thick body that hangs high in the air, at most")
+    right_below_m: float | None = Field(
+        None, description="so far below what a measured surface tells, metres, a board may go on"
+    )
+    right_below: tuple[float, ...] | None = Field(
+        None, description="there, by how many of eight level directions are open, at least"
+    )
 
 
 class SolidMethod(Part):

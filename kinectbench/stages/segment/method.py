@@ -61,6 +61,8 @@ from kinectbench.stages.segment.probability import (
     HUNG_INSIDE_SHARE,
     INSIDE_SHARE,
     INTERIOR_SHARE,
+    RIGHT_BELOW_INSIDE_SHARE,
+    RIGHT_BELOW_M,
     SIGNED_INSIDE_SHARE,
     SIGNED_VOXELS,
     UNDER_INSIDE_SHARE,
@@ -117,6 +119,8 @@ METHOD = SolidMethod(
         below=_shares(BELOW_INSIDE_SHARE),
         cavity=_shares(CAVITY_INSIDE_SHARE),
         hung=round(float(HUNG_INSIDE_SHARE), 4),
+        right_below_m=RIGHT_BELOW_M,
+        right_below=_shares(RIGHT_BELOW_INSIDE_SHARE),
     ),
     probability_by_rule=RuleProbabilities(
         hollow=round(float(HOLLOW_INSIDE_SHARE), 4),

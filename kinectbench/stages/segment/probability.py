@@ -80,7 +80,7 @@ def unseen_probability(evidence: Evidence, voxel_size_m: float) -> Float32:
 
 
 def _right_below(evidence: Evidence, voxel_m: float) -> Bools:
-    """Open voxels right below what lies just behind a measured surface, and open to below, not above: bool."""
+    """Voxels open below, not above, and right below what lies just behind a measured surface: bool."""
     told = evidence.behind & ~evidence.open
     below = np.zeros_like(told)
     for layers in range(1, max(1, round(RIGHT_BELOW_M / voxel_m)) + 1):

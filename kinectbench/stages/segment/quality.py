@@ -70,7 +70,7 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     solid = int(together.solid.sum())
     unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
-    estimate = estimate_iou(together, repeatability, pose_error, frontiers)
+    estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
     warnings = (
         *seen.warnings,
         *(frontier.advice for frontier in frontiers),

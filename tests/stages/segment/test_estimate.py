@@ -15,10 +15,11 @@ from kinectbench.stages.segment.estimate import (
     MAX_SHIFTED_SHARE,
     MAX_VOLUME_SHARE_PER_MM,
     MISSED_LEAST,
-    MISSED_SHARE,
-    MISSING_PER_DISAGREEMENT,
-    MISSING_PER_MM,
-    MISSING_PER_SHIFT,
+    MISSED_LESS,
+    MISSED_MORE,
+    OFF_M,
+    OFF_PER_POSE,
+    OFF_PER_SIGMA,
     IouEstimate,
     PoseError,
     estimate_iou,
@@ -100,35 +101,44 @@ def test_expected_iou_of_calibrated_voxels_is_the_actual_one() -> None:
     shape = shape_of(solid, probability, mesh=CUBE)
     assert expected_iou(shape) == pytest.approx(actual, abs=0.01)
     # Where nothing was measured, that is the estimate.
-    assert estimate_iou(shape, 1.0, CERTAIN, ()).value == pytest.approx(expected_iou(shape))
+    assert estimate_iou(shape, 0.0, CERTAIN, ()).value == pytest.approx(expected_iou(shape))
 
 
-@pytest.mark.parametrize(("repeatability", "usual_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 0.002), (0.95, 0.001)])
-def test_of_a_solid_that_is_known(repeatability: float, usual_m: float) -> None:
-    found = estimate_iou(known_solid(), repeatability, PoseError(usual_m), ())
-    missing = (
-        MISSING_PER_MM * CUBE_PER_MM
-        + MISSING_PER_DISAGREEMENT * (1 - repeatability)
-        + MISSING_PER_SHIFT * 1000 * usual_m * CUBE_PER_MM
-    )
+def missing_of(sigma_m: float = 0.0, usual_m: float = 0.0) -> float:
+    """What the cube misses of an IoU of 1 if all of it was measured."""
+    return CUBE_PER_MM * 1000 * (OFF_M + OFF_PER_SIGMA * sigma_m + OFF_PER_POSE * usual_m)
+
+
+def most_of(missing: float) -> float:
+    return missing * (1 + MISSED_MORE) + MISSED_LEAST
+
+
+def least_of(missing: float) -> float:
+    return max(0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
+
+
+@pytest.mark.parametrize(("sigma_m", "usual_m"), [(0.0, 0.0), (0.002, 0.0), (0.0, 0.002), (0.001, 0.001)])
+def test_of_a_solid_that_is_known(sigma_m: float, usual_m: float) -> None:
+    found = estimate_iou(known_solid(), sigma_m, PoseError(usual_m), ())
+    missing = missing_of(sigma_m, usual_m)
     assert found.value == pytest.approx(iou_of_known(missing))
-    assert found.low == pytest.approx(iou_of_known(missing * (1 + MISSED_SHARE) + MISSED_LEAST))
-    assert found.high == pytest.approx(iou_of_known(max(0, missing * (1 - MISSED_SHARE) - MISSED_LEAST)))
+    assert found.low == pytest.approx(iou_of_known(most_of(missing)))
+    assert found.high == pytest.approx(iou_of_known(least_of(missing)))
     check(found)
 
 
 def test_of_a_solid_that_is_unknown_in_part() -> None:
-    found = estimate_iou(partly_known(0.9, 0.3), 1.0, CERTAIN, ())
-    missing = MISSING_PER_MM * CUBE_PER_MM
+    found = estimate_iou(partly_known(0.9, 0.3), 0.0, CERTAIN, ())
+    missing = missing_of()
     # Of eight voxels six are known, 2 * 0.9 are expected of the other two, and 2 * 0.3 beside them.
     inside, union = 6 * (1 - missing / 2) + 1.8, 8 + 6 * missing / 2 + 0.6
     assert found.value == pytest.approx(inside / union)
-    most = missing * (1 + MISSED_SHARE) + MISSED_LEAST
+    most = most_of(missing)
     # Their variance is 2 * 0.9 * 0.1 and 2 * 0.3 * 0.7.
     in_doubt, beside_in_doubt = 0.18 * DOUBTED_SHARE, 0.42 * DOUBTED_SHARE
     worst = (6 * (1 - most / 2) + 1.8 - in_doubt) / (8 + 6 * most / 2 + 0.6 + beside_in_doubt)
     assert found.low == pytest.approx(worst)
-    least = max(0, missing * (1 - MISSED_SHARE) - MISSED_LEAST)
+    least = least_of(missing)
     best = (6 * (1 - least / 2) + min(2, 1.8 + in_doubt)) / (
         8 + 6 * least / 2 + max(0, 0.6 - beside_in_doubt)
     )
@@ -138,18 +148,18 @@ def test_of_a_solid_that_is_unknown_in_part() -> None:
 
 def test_behind_a_frontier_the_other_guess_may_be_right() -> None:
     shape = partly_known(0.9, 0.3)
-    alone = estimate_iou(shape, 1.0, CERTAIN, ())
-    most = MISSING_PER_MM * CUBE_PER_MM * (1 + MISSED_SHARE) + MISSED_LEAST
+    alone = estimate_iou(shape, 0.0, CERTAIN, ())
+    most = most_of(missing_of())
     known, union = 6 * (1 - most / 2), 8 + 6 * most / 2 + 0.42 * DOUBTED_SHARE
     # The two unknown voxels of the solid lie behind it: if they are air, 1.8 are lost.
-    solid = estimate_iou(shape, 1.0, CERTAIN, (frontier(2, 0.9, 1.0, 0.9),))
+    solid = estimate_iou(shape, 0.0, CERTAIN, (frontier(2, 0.9, 1.0, 0.9),))
     assert solid.low == pytest.approx(known / (union + 0.6))
     # The two beside it: if they are solid, they are two in the union, not 0.6.
-    air = estimate_iou(shape, 1.0, CERTAIN, (frontier(2, 0.3, 0.0, 0.0),))
+    air = estimate_iou(shape, 0.0, CERTAIN, (frontier(2, 0.3, 0.0, 0.0),))
     assert air.low == pytest.approx((known + 1.8 - 0.18 * DOUBTED_SHARE) / (union + 2))
     # All four, behind one frontier or two.
-    of_two = estimate_iou(shape, 1.0, CERTAIN, (frontier(2, 0.9, 1.0, 0.9), frontier(2, 0.3, 0.0, 0.0)))
-    of_one = estimate_iou(shape, 1.0, CERTAIN, (frontier(4, 0.6, 0.5, 0.45),))
+    of_two = estimate_iou(shape, 0.0, CERTAIN, (frontier(2, 0.9, 1.0, 0.9), frontier(2, 0.3, 0.0, 0.0)))
+    of_one = estimate_iou(shape, 0.0, CERTAIN, (frontier(4, 0.6, 0.5, 0.45),))
     assert of_two.low == pytest.approx(known / (union + 2)) == of_one.low
     for found in (solid, air, of_one, of_two):
         check(found)
@@ -161,12 +171,11 @@ def test_behind_a_frontier_the_other_guess_may_be_right() -> None:
 
 
 def test_poses_that_no_frame_could_check_widen_it_downwards_only() -> None:
-    checked = estimate_iou(known_solid(), 1.0, PoseError(0.002), ())
-    unchecked = estimate_iou(known_solid(), 1.0, PoseError(0.002, checked=False), ())
+    checked = estimate_iou(known_solid(), 0.0, PoseError(0.002), ())
+    unchecked = estimate_iou(known_solid(), 0.0, PoseError(0.002, checked=False), ())
     assert (unchecked.value, unchecked.high) == (checked.value, checked.high)
-    missing = MISSING_PER_MM * CUBE_PER_MM + MISSING_PER_SHIFT * 2 * CUBE_PER_MM
-    most = missing * (1 + MISSED_SHARE) + MISSED_LEAST
-    most += MISSING_PER_SHIFT * 1000 * UNCHECKED_POSE_SIGMA_M * CUBE_PER_MM
+    most = most_of(missing_of(usual_m=0.002))
+    most += OFF_PER_POSE * 1000 * UNCHECKED_POSE_SIGMA_M * CUBE_PER_MM
     assert unchecked.low == pytest.approx(max(0, iou_of_known(most)))
     assert unchecked.low < checked.low
     check(unchecked)
@@ -175,13 +184,13 @@ def test_poses_that_no_frame_could_check_widen_it_downwards_only() -> None:
 def test_what_is_better_is_never_estimated_to_be_worse() -> None:
     thin = known_solid(block_mesh(1.0, 0.6, 0.02))
     steps = [
-        estimate_iou(thin, 0.8, PoseError(0.002), (frontier(2, 0.9, 1.0, 0.9),)),
-        estimate_iou(thin, 0.8, PoseError(0.002), ()),
-        estimate_iou(thin, 0.9, PoseError(0.002), ()),
-        estimate_iou(thin, 0.9, PoseError(0.001), ()),
-        estimate_iou(known_solid(), 0.9, PoseError(0.001), ()),
-        estimate_iou(known_solid(), 1.0, PoseError(0.001), ()),
-        estimate_iou(known_solid(), 1.0, CERTAIN, ()),
+        estimate_iou(thin, 0.002, PoseError(0.002), (frontier(2, 0.9, 1.0, 0.9),)),
+        estimate_iou(thin, 0.002, PoseError(0.002), ()),
+        estimate_iou(thin, 0.001, PoseError(0.002), ()),
+        estimate_iou(thin, 0.001, PoseError(0.001), ()),
+        estimate_iou(known_solid(), 0.001, PoseError(0.001), ()),
+        estimate_iou(known_solid(), 0.0, PoseError(0.001), ()),
+        estimate_iou(known_solid(), 0.0, CERTAIN, ()),
     ]
     for figures in ([one.low for one in steps], [one.value for one in steps], [one.high for one in steps]):
         assert figures == sorted(figures)
@@ -190,10 +199,10 @@ def test_what_is_better_is_never_estimated_to_be_worse() -> None:
         check(one)
 
 
-@pytest.mark.parametrize("repeatability", [0.0, 0.5])
-def test_nothing_is_below_zero(repeatability: float) -> None:
+@pytest.mark.parametrize("sigma_m", [0.005, 0.05])
+def test_nothing_is_below_zero(sigma_m: float) -> None:
     paper = known_solid(block_mesh(1.0, 1.0, 0.001))
-    worst = estimate_iou(paper, repeatability, PoseError(0.05, checked=False), (frontier(100, 0.5, 1, 0.5),))
+    worst = estimate_iou(paper, sigma_m, PoseError(0.05, checked=False), (frontier(100, 0.5, 1, 0.5),))
     check(worst)
     assert worst.low == 0
 
@@ -202,13 +211,13 @@ def test_reasons_are_those_that_hold() -> None:
     thin_m = 0.002 / MAX_VOLUME_SHARE_PER_MM
     for thick_m, told in ((0.9 * thin_m, True), (1.1 * thin_m, False)):
         # Without edges to speak of, 1 mm on both faces.
-        found = estimate_iou(known_solid(block_mesh(50.0, 50.0, thick_m)), 1.0, CERTAIN, ())
+        found = estimate_iou(known_solid(block_mesh(50.0, 50.0, thick_m)), 0.0, CERTAIN, ())
         assert [line[:34] for line in found.reasons] == ["thin parts: 1 mm of surface is 11%"] * told
     much_m = MAX_SHIFTED_SHARE / CUBE_PER_MM / 1000
     for usual_m, told in ((1.1 * much_m, True), (0.9 * much_m, False)):
-        found = estimate_iou(known_solid(), 1.0, PoseError(usual_m), ())
+        found = estimate_iou(known_solid(), 0.0, PoseError(usual_m), ())
         assert [line.split(",")[0] for line in found.reasons] == [
             "poses: what they may be off by moves 3% of the volume"
         ] * told
-    (line,) = estimate_iou(known_solid(), 1.0, PoseError(0.0, checked=False), ()).reasons
+    (line,) = estimate_iou(known_solid(), 0.0, PoseError(0.0, checked=False), ()).reasons
     assert line.endswith(", and other frames could not check them")

@@ -20,6 +20,8 @@ from kinectbench.stages.segment.probability import (
     INSIDE_SHARE,
     INTERIOR_SHARE,
     OPEN_BELOW,
+    RIGHT_BELOW_INSIDE_SHARE,
+    RIGHT_BELOW_M,
     SIGNED_INSIDE_SHARE,
     SIGNED_VOXELS,
     UNDER_INSIDE_SHARE,
@@ -115,6 +117,27 @@ def test_a_rule_holds_for_what_is_open_too() -> None:
     assert of_one_voxel(open=True, ups=1, under=True) == pytest.approx(UNDER_INSIDE_SHARE)
     # It was counted among what is not open.
     assert of_one_voxel(open=True, levels=1, doubtful=True) == pytest.approx(BESIDE_INSIDE_SHARE[1])
+
+
+@pytest.mark.parametrize(
+    ("rays", "goes_on"),
+    [
+        ({"levels": 3, "downs": 9}, True),
+        ({"levels": 3, "downs": OPEN_BELOW - 1}, False),
+        ({"levels": 3, "downs": 9, "ups": 1}, False),
+        ({"levels": 3, "downs": 9, "cavity": 1}, False),
+        ({"levels": 3, "downs": 9, "hung": 1}, False),
+    ],
+)
+def test_a_board_goes_on_right_below_what_was_measured(rays: dict[str, int], goes_on: bool) -> None:
+    """The uppermost of three voxels lies just behind a surface; 5 mm below that are the next one."""
+    shape, open_below = (1, 1, 3), np.array([[[True, True, False]]])
+    kinds = {name: bool if name in ("cavity", "hung") else np.uint8 for name in rays}
+    said = {name: np.full(shape, value, kinds[name]) for name, value in rays.items()}
+    evidence = evidence_of(shape, open=open_below, unseen=open_below, behind=~open_below, **said)
+    below, right_below, _ = unseen_probability(evidence, RIGHT_BELOW_M)[0, 0]
+    assert (right_below == RIGHT_BELOW_INSIDE_SHARE[3]) == goes_on
+    assert right_below > below if goes_on else right_below == below
 
 
 def test_each_voxel_has_its_own() -> None:
