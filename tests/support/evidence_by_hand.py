@@ -23,6 +23,7 @@ def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
         "contact": slice(0, 0),
         "raised": np.zeros(shape[:2], bool),
         "opening_cells": 6,
+        "ray_width_m": 0.0,
         **dict.fromkeys(("ups", "levels", "downs"), none),
     }
     masks = (

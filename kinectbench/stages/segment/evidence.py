@@ -77,6 +77,7 @@ class Evidence:
         contact: the layers right above the floor.
         raised: bool (nx, ny), columns of a plate of the object that hardly rises above these layers.
         opening_cells: edge of the cube that passes through an opening, voxels.
+        ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
     """
 
     signed_m: Float32
@@ -98,6 +99,7 @@ class Evidence:
     contact: slice
     raised: Bools
     opening_cells: int
+    ray_width_m: float
 
 
 def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float) -> Evidence:
@@ -149,6 +151,7 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
         contact,
         raised,
         cells,
+        ray_width_m,
     )
 
 

@@ -18,6 +18,7 @@ from kinectbench.stages.segment.estimate import (
     MISSED_LESS,
     MISSED_MORE,
     OFF_M,
+    OFF_M_IF_THIN,
     OFF_PER_POSE,
     OFF_PER_SIGMA,
     IouEstimate,
@@ -106,7 +107,8 @@ def test_expected_iou_of_calibrated_voxels_is_the_actual_one() -> None:
 
 def missing_of(sigma_m: float = 0.0, usual_m: float = 0.0) -> float:
     """What the cube misses of an IoU of 1 if all of it was measured."""
-    return CUBE_PER_MM * 1000 * (OFF_M + OFF_PER_SIGMA * sigma_m + OFF_PER_POSE * usual_m)
+    off_m = OFF_M + OFF_M_IF_THIN * CUBE_PER_MM + OFF_PER_SIGMA * sigma_m + OFF_PER_POSE * usual_m
+    return CUBE_PER_MM * 1000 * off_m
 
 
 def most_of(missing: float) -> float:

@@ -1,5 +1,7 @@
 """How probable inside is, by each thing that the frames can say of a voxel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from evidence_by_hand import evidence_of
@@ -136,6 +138,8 @@ def test_a_board_goes_on_right_below_what_was_measured(rays: dict[str, int], goe
     said = {name: np.full(shape, value, kinds[name]) for name, value in rays.items()}
     evidence = evidence_of(shape, open=open_below, unseen=open_below, behind=~open_below, **said)
     below, right_below, _ = unseen_probability(evidence, RIGHT_BELOW_M)[0, 0]
+    wide = unseen_probability(replace(evidence, ray_width_m=RIGHT_BELOW_M), RIGHT_BELOW_M)[0, 0]
+    assert wide[1] == wide[0] == below
     assert (right_below == RIGHT_BELOW_INSIDE_SHARE[3]) == goes_on
     assert right_below > below if goes_on else right_below == below
 
