@@ -11,7 +11,7 @@ from kinectbench.stages.segment.frontiers import Frontier
 from kinectbench.stages.segment.solid import SolidShape
 
 # By how much the surface may be off, of what was measured: so much; more, the more of the volume changes with
-# each millimetre, since thin parts are worn away; of the deviation between the halves that odd and even frames
+# each millimetre, since thin parts wear away; of the deviation between the halves that odd and even frames
 # make; and of what a usual pose may be off by. Fitted to what is missing from an IoU of 1 among the known
 # voxels of 54 simulated objects of the families looked at (seeds 31 and 32).
 OFF_M, OFF_M_IF_THIN, OFF_PER_SIGMA, OFF_PER_POSE = 0.00005, 0.00064, 0.95, 0.25
