@@ -75,8 +75,8 @@ def unseen_probability(evidence: Evidence, voxel_size_m: float) -> Float32:
     enclosed = np.where(evidence.behind[is_open], np.float32(1), probability[is_open])
     probability[is_open] = np.minimum(enclosed, _open_probability(evidence, voxel_size_m))
     right_below = _right_below(evidence, voxel_size_m)
-    share = RIGHT_BELOW_INSIDE_SHARE[evidence.levels[right_below]]
-    probability[right_below] = np.maximum(probability[right_below], share)
+    least = RIGHT_BELOW_INSIDE_SHARE[evidence.levels[right_below]]
+    probability[right_below] = np.maximum(probability[right_below], least)
     return probability
 
 
