@@ -29,7 +29,7 @@ from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import truth_folder
 from kinectbench.settings.models import BenchmarkSettings
 
-SEEDS = (31, 32)
+SEEDS = (41, 42)
 SPLITS = {"looked-at": LOOKED_AT, "reported-only": REPORTED_ONLY, "all": (*LOOKED_AT, *REPORTED_ONLY)}
 # `auto` records what is at most so large from near, as a thing on a table, and everything else as known-v1.
 AUTO, TABLE_TOP_M = "auto", 0.4
@@ -244,7 +244,8 @@ def options_of() -> argparse.Namespace:
     parser.add_argument(
         "--families", nargs="+", metavar="FAMILY", choices=list(FAMILIES), help="instead of --split"
     )
-    parser.add_argument("--split", choices=list(SPLITS), default="all")
+    # The bars are of families that nothing was fitted to.
+    parser.add_argument("--split", choices=list(SPLITS), default="reported-only")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS), metavar="N")
     paths = [AUTO, *PRESETS]
     parser.add_argument(

@@ -21,9 +21,9 @@ from rich.table import Table
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.types import Bools
+from kinectbench.lab.evaluate.known import CALIBRATED_M, GROSS_M, calibration_error, equal_bins
 from kinectbench.stages.segment import enclosure, evidence, openings, probability, solid
 
-GROSS_M = 0.010
 COLUMNS = ("IoU", "IoU on known", "gross %", "worst %", "not known %", "calibration")
 
 
@@ -66,7 +66,7 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "all rules": (),
     "what is open is unknown": ((evidence, "find_openings", _no_openings),),
     "an opening is wider than 30 mm": ((openings, "OPENING_M", 1e-4),),
-    "a surface tells 15 mm, not 20": ((evidence, "SHELL_M", 1.0),),
+    "deep behind a surface nothing is told": ((evidence, "SHELL_M", 1.0),),
     "cavities are empty, and what lies beside open": ((openings, "_cavity", _nothing),),
     "what lies beside a cavity is open": (
         (openings, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
@@ -117,20 +117,14 @@ def shares(one: Observed) -> Shares:
     true, built, known = one.true, shape.solid, shape.labels != Label.UNKNOWN
     volume = int(true.sum())
     wrong = known & (built != true) & (one.distance_m > GROSS_M)
-    asked = ~known | (one.distance_m <= 0.03)
-    asked[:, :, : one.layers.below] = False
-    order = np.argsort(shape.probability[asked], kind="stable")
-    expected, inside = shape.probability[asked].astype(np.float64)[order], true[asked][order]
-    off = [
-        abs(float(a.mean()) - float(b.mean()))
-        for a, b in zip(np.array_split(expected, 10), np.array_split(inside, 10), strict=True)
-    ]
+    asked = ~known | (one.distance_m <= CALIBRATED_M)
+    bins = equal_bins(shape.probability[asked].astype(np.float64), true[asked])
     return Shares(
         iou=int((built & true).sum()) / int((built | true).sum()),
         known_iou=int((built & true & known).sum()) / max(int(((built | true) & known).sum()), 1),
         gross=int(wrong.sum()) / volume,
         not_known=int((true & ~known).sum()) / volume,
-        calibration=float(np.mean(off)),
+        calibration=calibration_error(bins) or 0.0,
     )
 
 

@@ -18,6 +18,7 @@ from kinectbench.lab.simulate.objects import LOOKED_AT, REPORTED_ONLY
 from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import observe
+from kinectbench.stages.fuse.depth_range import grid_range_m
 from kinectbench.stages.segment.choose import segment
 from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.grids import floor_layers, object_grid, usual_ray_width_m
@@ -37,7 +38,6 @@ class Observed:
         excluded: bool, voxels that cannot be the object.
         layers: about the floor.
         ray_width_m: of the frames at the object.
-        pose_error_m: of a usual pose.
         true: bool, the voxel's middle lies in the true solid.
         distance_m: float32, of the voxel's middle from the true surface.
     """
@@ -49,7 +49,6 @@ class Observed:
     excluded: Bools
     layers: FloorLayers
     ray_width_m: float
-    pose_error_m: float
     true: Bools
     distance_m: NDArray[np.float32]
 
@@ -75,6 +74,8 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
     chosen = segment(scene, trajectory, None, segmentation)
     grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m)
     frames = trajectory.good_frames
+    reach_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
+    fusion = fusion.model_copy(update={"max_depth_m": reach_m})
     odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion) for k in (0, 1))
     truth = read_truth(truth_folder(recording))
     registration = register(read_build(build), truth)
@@ -90,7 +91,6 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
         excluded=chosen.excluded(grid),
         layers=floor_layers(chosen.floor, segmentation, fusion.voxel_size_m),
         ray_width_m=usual_ray_width_m(sequence.camera, trajectory, grid),
-        pose_error_m=trajectory.usual_pose_sigma_m or 0.0,
         true=mesh_occupancy(truth.mesh_world, in_truth),
         distance_m=distance_m.reshape(grid.shape),
     )

@@ -1,5 +1,6 @@
 """The stage `segment` as a whole: an object is chosen in the scene, observed by its frames and made solid."""
 
+from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -59,7 +60,10 @@ def build_object(
     odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion, progress) for k in (0, 1))
     layers = floor_layers(chosen.floor, segmentation, voxel_size_m)
     rules = chosen.excluded(grid), layers, usual_ray_width_m(sequence.camera, trajectory, grid)
-    halves = solidify(odd, *rules), solidify(even, *rules)
+    try:
+        halves = solidify(odd, *rules), solidify(even, *rules)
+    except ShapeError as error:
+        raise ShapeError(f"odd or even frames alone: {error}") from error
     sigma_m = surface_sigma_m(odd, even)
     together = merge(odd, even)
     # Of a large object each of them is a gigabyte.

@@ -146,6 +146,9 @@ class SolidMethod(Part):
         None, description="of 26 directions, right under a hollow: most if it is open, least behind an apron"
     )
     hollow_open_below: int | None = Field(None, description="of 9 ways down, so many at least lead outside")
+    hollow_enclosed_share: float | None = Field(
+        None, description="of 26 directions that enclose a voxel: from so many on it would not be empty"
+    )
     hollow_lean: tuple[float, float] | None = Field(
         None, description="most that an apron leans in, as a share of the way down, and how far down, metres"
     )

@@ -108,8 +108,8 @@ def estimate_iou(
     off_m = OFF_M + OFF_M_IF_THIN * per_mm + OFF_PER_SIGMA * sigma_m + OFF_PER_POSE * pose_error.usual_m
     missing = 1000 * off_m * per_mm
     most = missing * (1 + MISSED_MORE) + MISSED_LEAST
-    if not pose_error.checked:
-        most += OFF_PER_POSE * shifted
+    # Given poses that nobody could check: what they were not charged for above.
+    most += 1000 * OFF_PER_POSE * (usual_m - pose_error.usual_m) * per_mm
     least = max(0.0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
     expected = _expected(shape)
     best, worst = _extremes(shape, expected, frontiers)

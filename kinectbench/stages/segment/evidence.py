@@ -62,7 +62,7 @@ class Evidence:
         carved: bool, seen to be empty.
         behind: bool, just behind a surface, as far as depth was fused.
         excluded: bool, cannot be the object.
-        unseen: bool, none of these, and in no hollow.
+        unseen: bool, none of these (in the contact layers also what is behind a surface), and in no hollow.
         hollow: bool, behind an apron, and empty.
         doubtful: bool, perhaps a hollow.
         shadow: hidden by the object, and not of it.

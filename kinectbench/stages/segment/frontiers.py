@@ -173,8 +173,10 @@ def _frontier(
         widest = max(((axis, sign) for axis in (0, 1) for sign in (-1, 1)), key=lambda way: areas_m2[way])
         points, area_m2, normal = faces[widest], areas_m2[widest], np.zeros(3)
         normal[widest[0]] = widest[1]
-        if np.hypot(*slant) >= area_m2:
+        if slant.any() and np.hypot(*slant) >= area_m2:
             area_m2, normal[:2] = float(np.hypot(*slant)), slant
+            shown = [(axis, 1 if slant[axis] > 0 else -1) for axis in (0, 1) if slant[axis]]
+            points = np.concatenate([faces[way] for way in shown])
     else:
         sign = 1 if direction == "up" else -1
         points, area_m2 = faces[2, sign], areas_m2[2, sign]

@@ -82,7 +82,8 @@ def _shares(table: NDArray[np.floating]) -> tuple[float, ...]:
 
 METHOD = SolidMethod(
     name="carving + openings + hollows behind aprons + 26-direction enclosure + floor contact + smoothing",
-    occupied_share=round(ENCLOSED, 4),
+    occupied_share=round(float(np.interp(0.5, INSIDE_SHARE, ENCLOSING)), 4),
+    hollow_enclosed_share=round(ENCLOSED, 4),
     interior_share=round(INTERIOR_SHARE, 4),
     level_enclosed=LEVEL_ENCLOSED,
     empty_under=EMPTY_UNDER,

@@ -66,7 +66,7 @@ def find_openings(
     hung = _hung((unseen | deep) & (downs > 0), state, contact, voxel_m, cells)
     is_open |= hung
     # Next to the floor nothing was measured: what stands above goes on down to it.
-    is_open[:, :, contact] = is_open[:, :, contact.stop, None]
+    is_open[:, :, contact] = is_open[:, :, contact.stop, None] & (unseen | deep)[:, :, contact]
     # It may stand on its edges.
     near_floor = slice(contact.start, contact.start + round(STAND_M / voxel_m))
     untold = (unseen & ~behind) | deep

@@ -27,9 +27,9 @@ SIGNED_INSIDE_SHARE = np.array(
     [0.94, 0.9, 0.885, 0.94, 0.96, 0.98, 0.985, 0.945, 0.83, 0.5, 0.045, 0.01, 0.003, 0.002, 0.001, 0.0],
     np.float32,
 )
-# Of what is open and not in a cavity: among sealed voxels, by their share of what was not seen within
-# `AMONG_M`, it is a streak that rays leave in a body.
-AMONG_M, AMONG_SHARE = 0.075, np.array([0.2, 0.3, 0.5], np.float32)
+# Of what is open and not in a cavity: among sealed voxels, by their share of what was not seen in a
+# cube of `AMONG_M`, it is a streak that rays leave in a body.
+AMONG_M, AMONG_SHARE = 0.085, np.array([0.2, 0.3, 0.5], np.float32)
 AMONG_INSIDE_SHARE = np.array([0.65, 0.91, 0.98], np.float32)
 # Elsewhere: below a crack, by how many directions upwards are open; open beside, and beside and below, by how
 # many of the eight horizontal directions are; and next to the floor or to a cavity, by no ray of its own. (Of
@@ -111,7 +111,7 @@ def _among_sealed(evidence: Evidence, voxel_m: float) -> Float32:
 
     sealed = evidence.unseen & ~evidence.open & (evidence.enclosed >= INTERIOR_SHARE)
     unseen = (evidence.unseen & ~evidence.behind) | evidence.open
-    cells = 2 * round(AMONG_M / voxel_m / 2) + 1
+    cells = 2 * max(1, round((AMONG_M / voxel_m - 1) / 2)) + 1
     near, all_near = (
         ndimage.uniform_filter(part.astype(np.float32), cells)[evidence.open] for part in (sealed, unseen)
     )

@@ -143,7 +143,7 @@ def _probability(voxel_m: float, evidence: Evidence, unseen: Float32, solid: Boo
     inferred = evidence.unseen | evidence.hollow | evidence.open
     probability = np.where(inferred, unseen, measured_probability(evidence.signed_m, voxel_m))
     # What the rules above decided otherwise (floor contact, specks, neighbours) stays decided.
-    decided = solid != (probability > 0.5)
+    decided = np.where(solid, probability <= 0.5, probability >= 0.5)
     return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)
 
 

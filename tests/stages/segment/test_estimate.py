@@ -89,9 +89,9 @@ def expected_iou(shape: SolidShape) -> float:
 
 def test_expected_iou_by_hand() -> None:
     solid = np.array([[[True, True, False, False]]])
-    assert expected_iou(shape_of(solid)) == 1
     # 0.9 + 0.7 of two voxels are inside; outside, 0.4 more are expected.
-    assert expected_iou(shape_of(solid, np.array([[[0.9, 0.7, 0.4, 0.0]]]))) == pytest.approx(1.6 / 2.4)
+    shape = shape_of(solid, np.array([[[0.9, 0.7, 0.4, 0.0]]]), mesh=CUBE)
+    assert estimate_iou(shape, 0.0, CERTAIN, ()).value == pytest.approx(1.6 / 2.4)
 
 
 def test_expected_iou_of_calibrated_voxels_is_the_actual_one() -> None:
@@ -173,10 +173,13 @@ def test_behind_a_frontier_the_other_guess_may_be_right() -> None:
 
 
 def test_poses_that_no_frame_could_check_widen_it_downwards_only() -> None:
-    checked = estimate_iou(known_solid(), 0.0, PoseError(0.002), ())
-    unchecked = estimate_iou(known_solid(), 0.0, PoseError(0.002, checked=False), ())
+    """Given poses are taken at their word, but for the worst; of tracked ones 20 mm are expected anyway."""
+    checked = estimate_iou(known_solid(), 0.0, CERTAIN, ())
+    unchecked = estimate_iou(known_solid(), 0.0, PoseError(0.0, checked=False), ())
     assert (unchecked.value, unchecked.high) == (checked.value, checked.high)
-    most = most_of(missing_of(usual_m=0.002))
+    tracked = [PoseError(UNCHECKED_POSE_SIGMA_M, checked) for checked in (False, True)]
+    assert len({estimate_iou(known_solid(), 0.0, each, ()).low for each in tracked}) == 1
+    most = most_of(missing_of())
     most += OFF_PER_POSE * 1000 * UNCHECKED_POSE_SIGMA_M * CUBE_PER_MM
     assert unchecked.low == pytest.approx(max(0, iou_of_known(most)))
     assert unchecked.low < checked.low

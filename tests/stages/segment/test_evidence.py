@@ -55,6 +55,15 @@ def weighed(observed: Observation) -> tuple[Evidence, SolidShape]:
     return evidence, make_solid(observed, evidence, LAYERS)
 
 
+@pytest.mark.parametrize(
+    "distance_m",
+    [bin_seen_to(0.1), body_with_a_crack(0.04), box_distance((0.06, 0.05, 0.02), (0.26, 0.19, 0.3))],
+)
+def test_what_was_seen_is_not_open(distance_m: np.ndarray) -> None:
+    evidence, _ = weighed(observation(distance_m))
+    assert not (evidence.open & ~(evidence.unseen | evidence.behind)).any()
+
+
 @pytest.mark.parametrize("height_m", [0.24, 0.1])
 def test_below_the_mouth_of_an_open_box_nothing_is_known(height_m: float) -> None:
     evidence, shape = weighed(observation(bin_seen_to(height_m)))

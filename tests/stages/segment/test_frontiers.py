@@ -162,6 +162,9 @@ def test_a_corner_is_looked_into_across_and_a_gap_from_its_larger_side() -> None
     (found,) = found_of(block, corner, **level(block))
     np.testing.assert_allclose(found.look_from, (np.sqrt(0.5), np.sqrt(0.5), 0))
     assert found.area_m2 == pytest.approx(np.sqrt(2) * 0.01)
+    assert found.size_m == pytest.approx((np.sqrt(2) * 0.1, 0.1), abs=0.015)
+    # Half-way between the middles of both faces.
+    assert found.center_m == pytest.approx((0.225, 0.225, 0.15))
     gap = mask(np.s_[25:35, 15:25, 10:20], np.s_[5:15, 15:22, 10:20])
     (found,) = found_of(block, gap, **level(block))
     assert found.look_from == (1, 0, 0) and found.area_m2 == pytest.approx(0.01)

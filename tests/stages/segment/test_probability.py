@@ -178,9 +178,11 @@ def test_a_streak_among_sealed_voxels_is_of_the_body() -> None:
     # Voxels that are not enclosed do not seal it, nor do those far away; and a cavity is one all the same.
     assert in_a_body(sealed, enclosed=0.5) == pytest.approx(CRACK_INSIDE_SHARE[3])
     assert in_a_body(sealed, cavity=True) == pytest.approx(CAVITY_INSIDE_SHARE[3])
-    reach = round(AMONG_M / VOXEL_M) + 1
-    sealed[10 - reach : 11 + reach, 10 - reach : 11 + reach, 10 - reach : 11 + reach] = False
-    assert in_a_body(sealed) == pytest.approx(CRACK_INSIDE_SHARE[3])
+    half = round((AMONG_M / VOXEL_M - 1) / 2)
+    for reach, is_streak in ((half, False), (half - 1, True)):
+        hole = np.ones((21, 21, 21), bool)
+        hole[10 - reach : 11 + reach, 10 - reach : 11 + reach, 10 - reach : 11 + reach] = False
+        assert (in_a_body(hole) > CRACK_INSIDE_SHARE[3]) == is_streak
 
 
 def test_the_more_of_it_is_sealed_the_more_probable() -> None:

@@ -242,6 +242,15 @@ def test_a_neighbour_that_touches_is_cut_off():
     solid_of(observation(distance_m), corner)
 
 
+def test_what_is_left_out_and_was_not_seen_is_air():
+    """Beside a person's box nothing is said of what no frame saw but that it is not the object's."""
+    excluded = box_distance((0.0, 0.0, 0.0), (0.3, 0.03, 0.3)) < 0
+    body_m = box_distance((0.06, 0.05, -1.0), (0.26, 0.19, 0.3))
+    observed = observation(body_m, hidden=excluded)
+    shape = solidify(observed, excluded, LAYERS)
+    assert shape.probability[excluded].max() <= 0.05 and not shape.solid[excluded].any()
+
+
 def test_never_seen_is_unknown():
     """Only the upper half of the grid was ever in a frustum."""
     distance_m = box_distance(*BOX)
