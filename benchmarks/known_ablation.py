@@ -77,7 +77,6 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "the way to the surface tells depth": ((evidence, "_deep", _deep_by_distance),),
     "things may stand on their edges": ((openings, "STAND_M", 0.0),),
     "streaks in a body are inside": ((probability, "AMONG_SHARE", np.array([2.0, 3.0, 4.0], np.float32)),),
-    "one frame of many is no observation": ((evidence, "LEAST_VOTES", 0),),
     "a plate just above the floor is the object's": ((evidence, "_raised", _no_plate),),
     "what leans in is no hollow": ((enclosure, "MAX_LEAN", 1e6),),
     "a board goes on right below what was measured": ((probability, "_right_below", _none_right_below),),

@@ -155,9 +155,6 @@ class SolidMethod(Part):
     least_weight_share: float | None = Field(
         None, description="of the surface's median weight: a voxel with less was not observed"
     )
-    least_votes: tuple[int, int] | None = Field(
-        None, description="frames that must vote on an observed voxel, if so many look at the object"
-    )
     min_free_votes: int | None = Field(None, description="frames that must see through to carve a voxel")
     min_free_share: float | None = Field(None, description="of the frames that look there, that must do so")
     free_by_noise: tuple[float, float] | None = Field(

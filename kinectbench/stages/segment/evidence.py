@@ -13,11 +13,6 @@ from kinectbench.stages.segment.rays import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, ta
 
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
-# One frame alone tells nothing: what it sees hidden may be an edge that its depth missed. (Of 27 objects that
-# were looked at, seed 32, the mean of `known_gross_share` falls from 2.8 to 2.4 %, with 3 or 5 frames what a
-# few saw inside of a refrigerator becomes unknown.) Of few frames one must do: 2 votes are asked from so many
-# on that look at the object.
-LEAST_VOTES, MANY_FRAMES = 2, 30
 # An unseen voxel is carved by so many frames, and by this share of those that look at the object: along
 # edges depth wanders, and a few frames seem to see through the last millimetres of a board.
 MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
@@ -113,10 +108,9 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     """
     voxel_m = observation.grid.voxel_size_m
     contact = slice(layers.below, layers.first)
-    votes = observation.free.astype(np.uint32) + observation.surface
-    observed = _observed(observation, votes)
+    observed = _observed(observation)
     signed_m = _signed_distance_m(observation, ray_width_m)
-    carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(votes))
+    carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
     behind = observed & ~carved
     own = behind & ~excluded
     loose, raised = _loose(own, _raised(signed_m, own, carved, layers, voxel_m), layers)
@@ -155,14 +149,12 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     )
 
 
-def _observed(observation: Observation, votes: NDArray[np.uint32]) -> Bools:
-    """Where some surface is near: not grazed by a few rays only, and not by one frame of many."""
+def _observed(observation: Observation) -> Bools:
+    """Where some surface is near, and was not grazed by a few rays only."""
     near = np.abs(observation.tsdf) < observation.grid.voxel_size_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed: Bools = observation.weight > least
-    if votes.max() >= MANY_FRAMES:
-        observed &= votes >= LEAST_VOTES
     return observed
 
 
@@ -275,6 +267,7 @@ def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
     return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
 
 
-def _least_free_votes(votes: NDArray[np.uint32]) -> int:
+def _least_free_votes(observation: Observation) -> int:
     """How many frames must have seen through a voxel that was never observed near a surface."""
-    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * int(votes.max())))
+    looking = int((observation.free.astype(np.uint32) + observation.surface).max())
+    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))

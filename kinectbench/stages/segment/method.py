@@ -29,9 +29,7 @@ from kinectbench.stages.segment.enclosure import (
 )
 from kinectbench.stages.segment.enclosure import OPEN_BELOW as HOLLOW_OPEN_BELOW
 from kinectbench.stages.segment.evidence import (
-    LEAST_VOTES,
     LEAST_WEIGHT_SHARE,
-    MANY_FRAMES,
     MIN_FREE_SHARE,
     MIN_FREE_VOTES,
     SHELL_M,
@@ -97,7 +95,6 @@ METHOD = SolidMethod(
     hollow_open_below=HOLLOW_OPEN_BELOW,
     hollow_lean=(MAX_LEAN, LEAN_REACH_M),
     least_weight_share=LEAST_WEIGHT_SHARE,
-    least_votes=(LEAST_VOTES, MANY_FRAMES),
     min_free_votes=MIN_FREE_VOTES,
     min_free_share=MIN_FREE_SHARE,
     free_by_noise=(USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL),

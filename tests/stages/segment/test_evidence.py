@@ -256,17 +256,6 @@ def test_what_hangs_high_and_is_open_below_may_be_a_shade(bottom_m: float, top_m
         assert (shape.probability[core] == HUNG_INSIDE_SHARE).all()
 
 
-@pytest.mark.parametrize(("votes", "frames", "observed"), [(1, 40, False), (2, 40, True), (1, 20, True)])
-def test_one_frame_of_many_is_no_observation(votes: int, frames: int, observed: bool) -> None:
-    seen = observation(box_distance(*BODY))
-    at = within((0.065, 0.1, 0.1), (0.07, 0.105, 0.105))
-    surface = np.where(seen.weight > 0, np.uint16(frames), np.uint16(0))
-    surface[at] = votes
-    evidence, _ = weighed(replace(seen, free=np.zeros_like(seen.free), surface=surface))
-    assert at.sum() == 1 and (evidence.observed[at] == observed).all()
-    assert (evidence.unseen[at] == (not observed)).all()
-
-
 @pytest.mark.parametrize(("height_mm", "is_plate"), [(21.0, True), (18.0, False)])
 @pytest.mark.parametrize("starts_m", [0.06, 0.12])
 def test_a_plate_that_hardly_rises_above_the_floor(height_mm: float, is_plate: bool, starts_m: float) -> None:
