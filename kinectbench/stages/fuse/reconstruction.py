@@ -46,7 +46,7 @@ FAR_RANGES = 2.0
 # On simulated objects F at 5 mm rises from 0.897 to 0.945 (bookshelf), 0.937 to 0.975 (mug) and 0.888 to
 # 0.903 (lamp); fusing takes 20 to 55 % longer.
 FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
-# How far the cameras are from what they see is the median of so many frames.
+# How far the cameras are from what they see is the median of so many frames (own choice).
 DISTANCE_FRAMES = 60
 
 

@@ -19,6 +19,7 @@ OFF_M, OFF_M_IF_THIN, OFF_PER_SIGMA, OFF_PER_POSE = 0.00005, 0.00064, 0.95, 0.25
 # hold in at least 95 % of these objects, that with the least width on furniture.
 MISSED_MORE, MISSED_LESS, MISSED_LEAST = 1.2, 0.7, 0.02
 # What is unknown is not independent from voxel to voxel: so much of its variance p (1 - p) may be amiss.
+# Chosen together with these.
 DOUBTED_SHARE = 0.3
 # A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
 MAX_VOLUME_SHARE_PER_MM = 0.1

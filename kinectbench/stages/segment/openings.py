@@ -1,4 +1,4 @@
-"""What no camera saw and lies open to free space, through an opening above or beside it."""
+"""What no camera saw and lies open to free space, through an opening above, beside or below it."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,6 @@ STAND_M = 0.02
 # Where so many of the nine directions upwards lead outside in a whole such cube, it is a cavity. Cracks are
 # open in three at most.
 WIDE_OPEN_ABOVE = 4
-
 # What is thicker than a seat, ends in free air below, and hangs at least as high above what is next as it is
 # wide: cameras could have looked up into it, and it may be the shade of a lamp (own choices).
 HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS = 0.2, 1.0, 0.5

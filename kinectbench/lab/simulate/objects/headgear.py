@@ -69,6 +69,7 @@ def _arched(shape: "Manifold", rise: Vector3) -> "Manifold":
     """A shell whose rim rises at its front, its back and its sides by so much; above, it stays as it is."""
 
     def move(points: Points) -> Points:
+        """Points (n, 3), metres, frame `object`, lifted the less, the higher they lie."""
         x, y, z = points.T
         turn = np.arctan2(y, x)
         front, back, side = rise

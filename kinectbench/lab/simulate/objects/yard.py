@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 # Bars of wheelbarrows; none is black.
 BARS = (*looks.METALS[:2], looks.METALS[3])
+# What lies in a wheelbarrow or a trough: brown earth; own choice.
 SOIL = looks.Look((0.36, 0.26, 0.18), 0.45)
 # A cavity runs on above the rim by this much, so that it is open; own choice.
 ABOVE_M = 0.1
