@@ -49,7 +49,7 @@ def _no_plate(signed_m: Any, *others: Any) -> Bools:
 
 
 def _none_right_below(weighed: evidence.Evidence, voxel_m: float) -> Bools:
-    return _nothing(weighed.open)
+    return _nothing(weighed.openings.open)
 
 
 def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:

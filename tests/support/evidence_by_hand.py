@@ -6,39 +6,33 @@ import numpy as np
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, TriangleMesh
-from kinectbench.stages.segment.enclosure import Shadow
+from kinectbench.stages.segment.enclosure import Hollows, Shadow
 from kinectbench.stages.segment.evidence import Evidence
+from kinectbench.stages.segment.openings import Openings
 from kinectbench.stages.segment.solid import SolidShape
 
 NO_MESH = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 
 
 def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
-    """Nothing is said of any voxel but what is given; `under` and `empty` are of the shadow."""
+    """Nothing is said of any voxel but what is given; fields of its parts are given by their own names."""
     no, none = np.zeros(shape, bool), np.zeros(shape, np.uint8)
     fields: dict[str, Any] = {
         "signed_m": np.zeros(shape, np.float32),
         "enclosed": np.zeros(shape, np.float32),
+        "hollows": Hollows(given.pop("hollow", no), given.pop("doubtful", no)),
         "shadow": Shadow(given.pop("under", no), given.pop("empty", no)),
+        "openings": Openings(
+            **{name: given.pop(name, no) for name in ("open", "cavity", "hung")},
+            **{name: given.pop(name, none) for name in ("ups", "levels", "downs")},
+        ),
         "contact": slice(0, 0),
         "raised": np.zeros(shape[:2], bool),
         "opening_cells": 6,
         "ray_width_m": 0.0,
-        **dict.fromkeys(("ups", "levels", "downs"), none),
+        **dict.fromkeys(("observed", "carved", "behind", "excluded", "unseen"), no),
     }
-    masks = (
-        "observed",
-        "carved",
-        "behind",
-        "excluded",
-        "unseen",
-        "hollow",
-        "doubtful",
-        "open",
-        "cavity",
-        "hung",
-    )
-    return Evidence(**{**dict.fromkeys(masks, no), **fields, **given})
+    return Evidence(**{**fields, **given})
 
 
 def shape_of(

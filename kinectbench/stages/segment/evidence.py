@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
-from kinectbench.stages.segment.enclosure import Shadow, hollows, shadow
-from kinectbench.stages.segment.openings import find_openings, opening_cells
+from kinectbench.stages.segment.enclosure import Hollows, Shadow, hollows, shadow
+from kinectbench.stages.segment.openings import Openings, find_openings, opening_cells
 from kinectbench.stages.segment.rays import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, tally_rays
 
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
@@ -47,7 +47,7 @@ class FloorLayers:
         return self.first + self.low
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """What the frames say of each voxel, in the grid's shape.
 
@@ -58,17 +58,10 @@ class Evidence:
         behind: bool, just behind a surface, as far as depth was fused.
         excluded: bool, cannot be the object.
         unseen: bool, none of these (in the contact layers also what is behind a surface), and in no hollow.
-        hollow: bool, behind an apron, and empty.
-        doubtful: bool, perhaps a hollow.
-        shadow: hidden by the object, and not of it.
         enclosed: float32, of unseen voxels, the share of 26 directions that meets the object.
-        open: bool, unseen or farther behind a surface than `SHELL_M`, and free space lies above or beside it
-            through an opening that nobody looked into.
-        ups: uint8, of open voxels, how many of the nine directions upwards lead to where it was seen empty.
-        levels: uint8, how many of the eight horizontal ones do.
-        downs: uint8, how many of the nine directions downwards do, narrow openings counted.
-        cavity: bool, of these, what lies in a region that is wide open above.
-        hung: bool, of these, what is open below and belongs to a thick body that hangs high in the air.
+        hollows: behind an apron, as far as it.
+        shadow: hidden by the object, and not of it.
+        openings: what of the unseen, and of what is farther behind a surface than `SHELL_M`, is open.
         contact: the layers right above the floor.
         raised: bool (nx, ny), columns of a plate of the object that hardly rises above these layers.
         opening_cells: edge of the cube that passes through an opening, voxels.
@@ -81,16 +74,10 @@ class Evidence:
     behind: Bools
     excluded: Bools
     unseen: Bools
-    hollow: Bools
-    doubtful: Bools
-    shadow: Shadow
     enclosed: Float32
-    open: Bools
-    ups: NDArray[np.uint8]
-    levels: NDArray[np.uint8]
-    downs: NDArray[np.uint8]
-    cavity: Bools
-    hung: Bools
+    hollows: Hollows
+    shadow: Shadow
+    openings: Openings
     contact: slice
     raised: Bools
     opening_cells: int
@@ -124,28 +111,21 @@ def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_wi
     unseen = (state == UNSEEN) & ~hollow
     deep = _deep(behind, observed & carved, observation.tsdf, voxel_m)
     cells = opening_cells(ray_width_m, voxel_m)
-    openings = find_openings(state, unseen, behind, deep, contact, voxel_m, cells)
     return Evidence(
-        signed_m,
-        observed,
-        carved,
-        behind,
-        excluded,
-        unseen,
-        hollow,
-        found.doubtful,
-        shadow(state, tally),
-        tally.enclosed,
-        openings.open,
-        openings.ups,
-        openings.levels,
-        openings.downs,
-        openings.cavity,
-        openings.hung,
-        contact,
-        raised,
-        cells,
-        ray_width_m,
+        signed_m=signed_m,
+        observed=observed,
+        carved=carved,
+        behind=behind,
+        excluded=excluded,
+        unseen=unseen,
+        enclosed=tally.enclosed,
+        hollows=Hollows(hollow, found.doubtful),
+        shadow=shadow(state, tally),
+        openings=find_openings(state, unseen, behind, deep, contact, voxel_m, cells),
+        contact=contact,
+        raised=raised,
+        opening_cells=cells,
+        ray_width_m=ray_width_m,
     )
 
 

@@ -85,7 +85,9 @@ def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64)
     grid, solid, probability = shape.grid, shape.solid, shape.probability
     # What is hidden under the object, and not of it, is no opening.
     hidden = evidence.shadow.under | evidence.shadow.empty
-    is_open = evidence.open & ~hidden & (shape.labels == Label.UNKNOWN) & (probability > LEAST_PROBABILITY)
+    is_open = (
+        evidence.openings.open & ~hidden & (shape.labels == Label.UNKNOWN) & (probability > LEAST_PROBABILITY)
+    )
     is_open = broad(is_open, evidence.opening_cells)
     pieces, count = ndimage.label(is_open, np.ones((3, 3, 3)))
     if not count:
@@ -128,7 +130,8 @@ def _ways_out(evidence: Evidence, window: tuple[slice, ...], inner: Bools) -> li
     Most of them may end in a crack below a piece that borders on free space above it only.
     """
     ups, levels, downs = (
-        float(rays[window][inner].mean()) for rays in (evidence.ups, evidence.levels, evidence.downs)
+        float(rays[window][inner].mean())
+        for rays in (evidence.openings.ups, evidence.openings.levels, evidence.openings.downs)
     )
     ways: dict[Direction, float] = {
         "up": ABOVE_FIRST * ups / 9,

@@ -24,7 +24,16 @@ HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS = 0.2, 1.0, 0.5
 
 
 class Openings(NamedTuple):
-    """What lies open to free space, as `Evidence` has it."""
+    """What lies open to free space; arrays of the grid's shape.
+
+    Attributes:
+        open: bool, free space lies above or beside it through an opening that nobody looked into.
+        ups: uint8, of open voxels, how many of the nine directions upwards lead to where it was seen empty.
+        levels: uint8, how many of the eight horizontal ones do.
+        downs: uint8, how many of the nine directions downwards do, narrow openings counted.
+        cavity: bool, of these, what lies in a region that is wide open above.
+        hung: bool, of these, what is open below and belongs to a thick body that hangs high in the air.
+    """
 
     open: Bools
     ups: NDArray[np.uint8]

@@ -67,54 +67,60 @@ def unseen_probability(evidence: Evidence, voxel_size_m: float) -> Float32:
         (under, UNDER_INSIDE_SHARE),
         (under & empty, EMPTY_UNDER_SHARE),
         (empty & ~under, EMPTY_BESIDE_SHARE),
-        (evidence.doubtful & ~evidence.open, DOUBTFUL_INSIDE_SHARE),
+        (evidence.hollows.doubtful & ~evidence.openings.open, DOUBTFUL_INSIDE_SHARE),
     ):
         probability[where] = np.minimum(probability[where], share)
-    probability[evidence.hollow] = HOLLOW_INSIDE_SHARE
-    is_open = evidence.open
+    probability[evidence.hollows.sure] = HOLLOW_INSIDE_SHARE
+    is_open = evidence.openings.open
     # Farther behind a surface than a wall is thick, enclosure says nothing.
     enclosed = np.where(evidence.behind[is_open], np.float32(1), probability[is_open])
     probability[is_open] = np.minimum(enclosed, _open_probability(evidence, voxel_size_m))
     right_below = _right_below(evidence, voxel_size_m)
-    least = RIGHT_BELOW_INSIDE_SHARE[evidence.levels[right_below]]
+    least = RIGHT_BELOW_INSIDE_SHARE[evidence.openings.levels[right_below]]
     probability[right_below] = np.maximum(probability[right_below], least)
     return probability
 
 
 def _right_below(evidence: Evidence, voxel_m: float) -> Bools:
     """Voxels open below, not above, and right below what lies just behind a measured surface: bool."""
-    told = evidence.behind & ~evidence.open
+    told = evidence.behind & ~evidence.openings.open
     below = np.zeros_like(told)
     if evidence.ray_width_m >= RIGHT_BELOW_M:
         return below
     for layers in range(1, max(1, round(RIGHT_BELOW_M / voxel_m)) + 1):
         below[:, :, :-layers] |= told[:, :, layers:]
-    aside = evidence.cavity | evidence.hung | (evidence.ups > 0) | (evidence.downs < OPEN_BELOW)
-    found: Bools = below & evidence.open & ~aside
+    aside = (
+        evidence.openings.cavity
+        | evidence.openings.hung
+        | (evidence.openings.ups > 0)
+        | (evidence.openings.downs < OPEN_BELOW)
+    )
+    found: Bools = below & evidence.openings.open & ~aside
     return found
 
 
 def _open_probability(evidence: Evidence, voxel_m: float) -> Float32:
     """Of the open voxels, in their order, (n,) float32."""
-    at = evidence.open
-    ups, levels, downs = evidence.ups[at], evidence.levels[at], evidence.downs[at]
+    at = evidence.openings.open
+    ups, levels, downs = evidence.openings.ups[at], evidence.openings.levels[at], evidence.openings.downs[at]
     beside = np.where(downs >= OPEN_BELOW, BELOW_INSIDE_SHARE[levels], BESIDE_INSIDE_SHARE[levels])
     alone = np.where(ups > 0, CRACK_INSIDE_SHARE[ups], beside)
     among = _among_sealed(evidence, voxel_m)
     of_body = np.where(among < AMONG_SHARE[0], alone, np.interp(among, AMONG_SHARE, AMONG_INSIDE_SHARE))
-    of_body = np.where(evidence.hung[at], np.minimum(of_body, HUNG_INSIDE_SHARE), of_body)
-    return np.asarray(np.where(evidence.cavity[at], CAVITY_INSIDE_SHARE[ups], of_body), np.float32)
+    of_body = np.where(evidence.openings.hung[at], np.minimum(of_body, HUNG_INSIDE_SHARE), of_body)
+    return np.asarray(np.where(evidence.openings.cavity[at], CAVITY_INSIDE_SHARE[ups], of_body), np.float32)
 
 
 def _among_sealed(evidence: Evidence, voxel_m: float) -> Float32:
     """Of what was not seen in a cube around each open voxel, the share that is sealed: (n,) float32."""
     from scipy import ndimage
 
-    sealed = evidence.unseen & ~evidence.open & (evidence.enclosed >= INTERIOR_SHARE)
-    unseen = (evidence.unseen & ~evidence.behind) | evidence.open
+    sealed = evidence.unseen & ~evidence.openings.open & (evidence.enclosed >= INTERIOR_SHARE)
+    unseen = (evidence.unseen & ~evidence.behind) | evidence.openings.open
     cells = 2 * max(1, round((AMONG_M / voxel_m - 1) / 2)) + 1
     near, all_near = (
-        ndimage.uniform_filter(part.astype(np.float32), cells)[evidence.open] for part in (sealed, unseen)
+        ndimage.uniform_filter(part.astype(np.float32), cells)[evidence.openings.open]
+        for part in (sealed, unseen)
     )
     # A running sum leaves a little where there is nothing.
     return np.asarray(near / np.maximum(all_near, np.float32(1e-4)), np.float32)

@@ -85,7 +85,7 @@ def make_solid(observation: Observation, evidence: Evidence, layers: FloorLayers
     excluded, contact = evidence.excluded, evidence.contact
     voxel_m = observation.grid.voxel_size_m
     unseen = unseen_probability(evidence, voxel_m)
-    inferred = evidence.unseen | evidence.open
+    inferred = evidence.unseen | evidence.openings.open
     solid = np.where(inferred, unseen > 0.5, evidence.behind) & ~excluded
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     standing = solid[:, :, contact.stop] | evidence.raised
@@ -102,7 +102,7 @@ def make_solid(observation: Observation, evidence: Evidence, layers: FloorLayers
     probability = _probability(voxel_m, evidence, unseen, solid)
     probability[:, :, : layers.below] = 0
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
-    doubtful = int((evidence.doubtful & solid).sum()) / int(solid.sum())
+    doubtful = int((evidence.hollows.doubtful & solid).sum()) / int(solid.sum())
     return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
 
 
@@ -113,12 +113,12 @@ def _label(observation: Observation, evidence: Evidence, solid: Bools, below: in
     enclosed = evidence.behind | (evidence.unseen & (evidence.enclosed >= INTERIOR_SHARE))
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.carved] = Label.FREE
-    labels[~solid & ((evidence.behind & ~evidence.open) | evidence.excluded)] = Label.OTHER
-    labels[solid & enclosed & ~evidence.open] = Label.INTERIOR
-    labels[solid & evidence.doubtful] = Label.UNKNOWN
+    labels[~solid & ((evidence.behind & ~evidence.openings.open) | evidence.excluded)] = Label.OTHER
+    labels[solid & enclosed & ~evidence.openings.open] = Label.INTERIOR
+    labels[solid & evidence.hollows.doubtful] = Label.UNKNOWN
     contact = evidence.contact
     # What stands above goes on down to the floor, unless frames saw through, or it is open itself.
-    carried = solid[:, :, contact] & ~evidence.carved[:, :, contact] & ~evidence.open[:, :, contact]
+    carried = solid[:, :, contact] & ~evidence.carved[:, :, contact] & ~evidence.openings.open[:, :, contact]
     labels[:, :, contact][solid[:, :, contact]] = Label.UNKNOWN
     labels[:, :, contact][carried] = Label.INTERIOR
     labels[solid & measured & ~evidence.carved] = Label.SURFACE
@@ -140,7 +140,7 @@ def _without_specks(solid: Bools) -> Bools:
 
 def _probability(voxel_m: float, evidence: Evidence, unseen: Float32, solid: Bools) -> Float32:
     """Occupancy probability: `unseen` where nothing was measured, else from the signed distance."""
-    inferred = evidence.unseen | evidence.hollow | evidence.open
+    inferred = evidence.unseen | evidence.hollows.sure | evidence.openings.open
     probability = np.where(inferred, unseen, measured_probability(evidence.signed_m, voxel_m))
     # What the rules above decided otherwise (floor contact, specks, neighbours) stays decided.
     decided = np.where(solid, probability <= 0.5, probability >= 0.5)

@@ -61,14 +61,14 @@ def weighed(observed: Observation) -> tuple[Evidence, SolidShape]:
 )
 def test_what_was_seen_is_not_open(distance_m: np.ndarray) -> None:
     evidence, _ = weighed(observation(distance_m))
-    assert not (evidence.open & ~(evidence.unseen | evidence.behind)).any()
+    assert not (evidence.openings.open & ~(evidence.unseen | evidence.behind)).any()
 
 
 @pytest.mark.parametrize("height_m", [0.24, 0.1])
 def test_below_the_mouth_of_an_open_box_nothing_is_known(height_m: float) -> None:
     evidence, shape = weighed(observation(bin_seen_to(height_m)))
     unseen = within((0.08, 0.07, 0.0), (0.24, 0.17, height_m))
-    assert evidence.open[unseen].all() and evidence.cavity[unseen].all()
+    assert evidence.openings.open[unseen].all() and evidence.openings.cavity[unseen].all()
     assert (shape.labels[unseen] == Label.UNKNOWN).all() and not shape.solid[unseen].any()
     assert shape.probability[unseen].max() <= CAVITY_INSIDE_SHARE.max()
     # Its walls were measured from outside: so far they are known, and free space is, too.
@@ -80,9 +80,9 @@ def test_below_the_mouth_of_an_open_box_nothing_is_known(height_m: float) -> Non
 
 def test_the_same_box_closed_is_known_to_be_solid() -> None:
     evidence, shape = weighed(observation(box_distance(*BODY)))
-    assert HIGH_CORE.sum() > 20_000 and not evidence.open[HIGH_CORE].any()
+    assert HIGH_CORE.sum() > 20_000 and not evidence.openings.open[HIGH_CORE].any()
     assert shape.solid[HIGH_CORE].all() and (shape.labels[HIGH_CORE] == Label.INTERIOR).all()
-    assert not evidence.cavity.any()
+    assert not evidence.openings.cavity.any()
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,9 @@ def test_a_crack_a_wide_crack_and_a_cavity(width_m: float, is_open: bool, is_cav
     assert is_open == (width_m >= OPENING_M)
     evidence, shape = weighed(observation(body_with_a_crack(width_m)))
     below = within((0.16 - width_m / 2, 0.08, 0.03), (0.16 + width_m / 2, 0.16, 0.24))
-    assert (evidence.open[below] == is_open).all() and (evidence.cavity[below] == is_cavity).all()
+    assert (evidence.openings.open[below] == is_open).all() and (
+        evidence.openings.cavity[below] == is_cavity
+    ).all()
     assert (shape.labels[below] == (Label.UNKNOWN if is_open else Label.INTERIOR)).all()
     # Below a crack the body goes on, as between cushions; a cavity is empty.
     assert (shape.solid[below] == (not is_cavity)).mean() > 0.85
@@ -120,7 +122,7 @@ def test_a_shallow_layer_that_nobody_saw_is_open_but_no_cavity() -> None:
     layer = within((0.08, 0.07, bottom_m + VOXEL_M), (0.24, 0.17, bottom_m + 0.02))
     evidence, shape = weighed(observation(whole_m, layer))
     inner = layer & within((0.1, 0.09, 0), (0.22, 0.15, 1))
-    assert evidence.open[inner].all() and not evidence.cavity.any()
+    assert evidence.openings.open[inner].all() and not evidence.openings.cavity.any()
     assert (shape.labels[inner] == Label.UNKNOWN).all()
 
 
@@ -133,21 +135,23 @@ def test_what_lies_beside_a_cavity_is_open_as_the_toe_of_a_shoe() -> None:
         within((0.08, 0.07, 0.0), (0.14, 0.17, 0.24)),
         within((0.145, 0.075, 0.0), (0.235, 0.165, 0.1)),
     )
-    assert evidence.cavity[shaft].all() and not evidence.cavity[toe].all()
+    assert evidence.openings.cavity[shaft].all() and not evidence.openings.cavity[toe].all()
     # From hardly any voxel of the toe a ray leads out of the mouth.
-    assert (evidence.ups[toe] == 0).mean() > 0.9 and not evidence.levels[toe & HIGH_CORE].any()
-    assert evidence.open[toe].all() and (shape.labels[toe] == Label.UNKNOWN).all()
+    assert (evidence.openings.ups[toe] == 0).mean() > 0.9 and not evidence.openings.levels[
+        toe & HIGH_CORE
+    ].any()
+    assert evidence.openings.open[toe].all() and (shape.labels[toe] == Label.UNKNOWN).all()
     # Without a mouth the toe is closed.
     closed, _ = weighed(observation(box_distance(*BODY)))
-    assert not closed.open[toe & HIGH_CORE].any()
+    assert not closed.openings.open[toe & HIGH_CORE].any()
 
 
 def test_an_opening_at_the_side() -> None:
     evidence, shape = weighed(observation(cupboard_seen_to(0.15)))
     unseen = within((0.08, 0.07, 0.02), (0.24, 0.15, 0.27))
-    assert evidence.open[unseen].all() and not evidence.cavity.any()
-    assert (evidence.levels[unseen] > 0).all() and (shape.labels[unseen] == Label.UNKNOWN).all()
-    beside = unseen & (evidence.ups == 0)
+    assert evidence.openings.open[unseen].all() and not evidence.openings.cavity.any()
+    assert (evidence.openings.levels[unseen] > 0).all() and (shape.labels[unseen] == Label.UNKNOWN).all()
+    beside = unseen & (evidence.openings.ups == 0)
     assert beside.sum() > 500
     # It is a guess, whichever.
     assert shape.probability[beside].min() > 0.2 and shape.probability[beside].max() < 0.9
@@ -162,12 +166,12 @@ def test_deep_behind_a_wall_a_surface_says_nothing_of_a_cavity(truncation_m: flo
     shell = high & (outer_m < 0) & (outer_m > -SHELL_M)
     deep = high & (outer_m < -SHELL_M - 1.5 * VOXEL_M)
     assert evidence.behind[deep & (outer_m > -truncation_m)].all()
-    assert not evidence.open[shell].any() and shape.solid[shell & (outer_m < -VOXEL_M)].all()
-    assert evidence.open[deep].all() and (shape.labels[deep] == Label.UNKNOWN).all()
+    assert not evidence.openings.open[shell].any() and shape.solid[shell & (outer_m < -VOXEL_M)].all()
+    assert evidence.openings.open[deep].all() and (shape.labels[deep] == Label.UNKNOWN).all()
     assert not shape.solid[deep].any()
     # In a closed body it is interior all the same.
     closed, solid = weighed(observation(outer_m, truncation_m=truncation_m))
-    assert not closed.open[deep].any() and (solid.labels[deep] == Label.INTERIOR).all()
+    assert not closed.openings.open[deep].any() and (solid.labels[deep] == Label.INTERIOR).all()
 
 
 def test_a_void_at_the_floor_may_be_what_a_body_stands_around() -> None:
@@ -178,15 +182,17 @@ def test_a_void_at_the_floor_may_be_what_a_body_stands_around() -> None:
     evidence, shape = weighed(observation(np.minimum(outer_m, leg_m)))
     height_m = centers()[..., 2]
     low = CORE & (height_m > 0) & (height_m < STAND_M)
-    assert low.sum() > 2000 and evidence.open[low].all()
+    assert low.sum() > 2000 and evidence.openings.open[low].all()
     # It is more likely solid, but that is not known.
     assert shape.solid[low].all() and (shape.labels[low] == Label.UNKNOWN).all()
-    assert not evidence.open[HIGH_CORE].any()
+    assert not evidence.openings.open[HIGH_CORE].any()
     # What was measured from outside goes on down to the floor, and so does a leg.
     foot = (
         (height_m > 0) & (height_m < STAND_M) & ((outer_m < 0) & (outer_m > -SHELL_M + VOXEL_M) | (leg_m < 0))
     )
-    assert not evidence.open[foot].any() and (shape.labels[foot & shape.solid] != Label.UNKNOWN).all()
+    assert (
+        not evidence.openings.open[foot].any() and (shape.labels[foot & shape.solid] != Label.UNKNOWN).all()
+    )
     assert shape.solid[foot & (np.minimum(outer_m, leg_m) < -VOXEL_M)].all()
 
 
@@ -197,9 +203,9 @@ def test_next_to_the_floor_it_is_as_open_as_above() -> None:
     distance_m = looked_into(box_distance(*BODY), tunnel_m, (y_m < 0.08) | (y_m > 0.16))
     evidence, shape = weighed(observation(distance_m))
     inner = within((0.1, 0.09, 0.0), (0.22, 0.15, 0.2))
-    assert evidence.open[inner].all() and (shape.labels[inner] == Label.UNKNOWN).all()
-    above = evidence.open[:, :, [LAYERS.first]]
-    contact = evidence.open[:, :, evidence.contact]
+    assert evidence.openings.open[inner].all() and (shape.labels[inner] == Label.UNKNOWN).all()
+    above = evidence.openings.open[:, :, [LAYERS.first]]
+    contact = evidence.openings.open[:, :, evidence.contact]
     assert evidence.contact == slice(FLOOR_LAYERS, LAYERS.first) and contact[above.repeat(4, axis=2)].all()
 
 
@@ -250,7 +256,7 @@ def test_what_hangs_high_and_is_open_below_may_be_a_shade(bottom_m: float, top_m
     pole_m = box_distance((0.01, 0.01, -1.0), (0.03, 0.03, 0.36))
     evidence, shape = weighed(observation(np.minimum(body_m, pole_m), hidden=inner))
     core = within((0.14, 0.10, bottom_m + 0.02), (0.18, 0.14, top_m - 0.05))
-    assert (evidence.hung[core] == hung).all()
+    assert (evidence.openings.hung[core] == hung).all()
     if hung:
         assert (shape.labels[core] == Label.UNKNOWN).all()
         assert (shape.probability[core] == HUNG_INSIDE_SHARE).all()
