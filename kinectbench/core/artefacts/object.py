@@ -98,13 +98,58 @@ class OpenProbabilities(Part):
     crack: tuple[float, ...] = Field(description="by how many of nine directions upwards are open")
     beside: tuple[float, ...] = Field(description="by how many of eight level directions are open")
     below: tuple[float, ...] = Field(description="the same where most directions downwards are open, too")
+    open_below: int | None = Field(None, description="so many of nine are most directions downwards")
     cavity: tuple[float, ...] = Field(description="in a cavity, by how many directions upwards are open")
     hung: float | None = Field(None, description="in a thick body that hangs high in the air, at most")
     right_below_m: float | None = Field(
         None, description="so far below what a measured surface tells, metres, a board may go on"
     )
+    right_below_max_ray_m: float | None = Field(
+        None, description="where the frames' rays are narrower than this, metres"
+    )
     right_below: tuple[float, ...] | None = Field(
         None, description="there, by how many of eight level directions are open, at least"
+    )
+
+
+class CarriedLegs(Part):
+    """When a piece on the floor is a leg whose upper end was hidden, and goes on up to the object."""
+
+    min_height_m: float = Field(description="its least height, metres")
+    max_gap_m: float = Field(description="how far below the object it ends at most, metres")
+    end_layers: int = Field(description="its upper end is in so many layers, voxels")
+    min_share: float = Field(description="so many of its columns there at least find the object above them")
+
+
+class FrontierMethod(Part):
+    """Which openings that nobody looked into are told, and from where one would look into them."""
+
+    least_share: float = Field(description="of the solid's volume, that lies behind one at least")
+    least_area_m2: float = Field(description="its least area, square metres")
+    least_probability: float = Field(description="of being inside, of what counts as behind one")
+    first: tuple[float, float] = Field(
+        description="how much more a way out counts that leads upwards, or to the side, than one down"
+    )
+
+
+class EstimateMethod(Part):
+    """How the IoU to the unknown truth is estimated, and what widens its interval."""
+
+    off_m: float = Field(description="how far the surface is off whatever was measured, metres")
+    off_if_thin_m: float = Field(
+        description="how much farther, times the share of the volume that 1 mm of surface is, metres"
+    )
+    off_per_sigma: float = Field(description="how much farther, of the surface's standard deviation")
+    off_per_pose: float = Field(description="how much farther, of what a usual pose may be off by")
+    missed_more: float = Field(description="of what is estimated to be missing, that may be missing, too")
+    missed_less: float = Field(description="of what is estimated to be missing, that may not be missing")
+    missed_least: float = Field(description="of the solid, that may be missing or not, besides")
+    doubted_share: float = Field(description="of the variance of what is unknown, that may be amiss")
+    max_volume_share_per_mm: float = Field(
+        description="of the volume, that 1 mm of surface is before thin parts are a reason"
+    )
+    max_shifted_share: float = Field(
+        description="of the volume, that a usual pose's error moves before poses are a reason"
     )
 
 
@@ -149,6 +194,9 @@ class SolidMethod(Part):
     hollow_enclosed_share: float | None = Field(
         None, description="of 26 directions that enclose a voxel: from so many on it would not be empty"
     )
+    hollow_apron_m: float | None = Field(
+        None, description="a hollow reaches its aprons if they are so near at its own height, metres"
+    )
     hollow_lean: tuple[float, float] | None = Field(
         None, description="most that an apron leans in, as a share of the way down, and how far down, metres"
     )
@@ -167,6 +215,10 @@ class SolidMethod(Part):
         None, description="widths of the frames' rays in voxels, and what part of the votes is believed"
     )
     smoothing_voxels: float | None = Field(None, description="sigma of the Gaussian, voxels")
+    speck_share: float | None = Field(
+        None, description="of the largest piece's volume: pieces with less are dropped"
+    )
+    carried_legs: CarriedLegs | None = Field(None, description="of legs whose upper end was hidden")
     probability_by_enclosure: Curve | None = Field(
         None, description="[share of 26 enclosing directions, probability] of unseen voxels"
     )
@@ -198,6 +250,8 @@ class SolidMethod(Part):
         description="what lies no higher above the floor is open: a thing may stand on its edges; metres",
     )
     probability_by_rule: RuleProbabilities | None = Field(None, description="where a rule says so")
+    frontiers: FrontierMethod | None = Field(None, description="of openings that nobody looked into")
+    estimate: EstimateMethod | None = Field(None, description="of the IoU to the unknown truth")
     chosen_on: str | None = Field(None, description="the data that the constants were chosen on")
 
 

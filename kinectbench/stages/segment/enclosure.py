@@ -13,7 +13,6 @@ from kinectbench.stages.segment.rays import (
     INSIDE,
     NEUTRAL,
     OUTSIDE,
-    SEALED,
     UNSEEN,
     Tally,
     tally_rays,
@@ -74,14 +73,13 @@ def hollows(state: NDArray[np.uint8], tally: Tally, voxel_size_m: float) -> Holl
     seat do, or a hollow begins under it. Own rule.
 
     Args:
-        state: as for `tally_rays`; the grid is upright, its last axis points up.
+        state: as for `tally_rays`, nothing SEALED; the grid is upright, its last axis points up.
         tally: of its rays.
         voxel_size_m: edge of a voxel, metres.
     """
-    state = np.where(state == SEALED, np.uint8(OUTSIDE), state)
     bordered = _bordered(state)
     enclosed = tally.enclosed
-    outside = tally.down(OUTSIDE, SEALED, BEYOND)
+    outside = tally.down(OUTSIDE, BEYOND)
     least, second = _overhang(bordered)
     below = _under_inside(bordered)
     overhang, reach, doubtful_reach = (
@@ -175,13 +173,13 @@ def shadow(state: NDArray[np.uint8], tally: Tally) -> Shadow:
     object is inside, 7 % of what is called empty there, and 0.1 % of what is called empty elsewhere.
 
     Args:
-        state: as for `tally_rays`; the grid is upright.
+        state: as for `tally_rays`, nothing SEALED; the grid is upright.
         tally: of its rays.
     """
     seen_around = np.pad(state, 1, constant_values=NEUTRAL)
-    level, level_empty = tally.level(INSIDE), tally.level(OUTSIDE, SEALED)
+    level, level_empty = tally.level(INSIDE), tally.level(OUTSIDE)
     down = tally.down(INSIDE)
-    inside, empty = tally.all(INSIDE), tally.all(OUTSIDE, SEALED)
+    inside, empty = tally.all(INSIDE), tally.all(OUTSIDE)
     overhung = _under_inside(seen_around) < NOT_UNDER
     held = _under_inside(np.ascontiguousarray(seen_around[:, :, ::-1]))[:, :, ::-1] < NOT_UNDER
     beneath = (state == UNSEEN) & overhung & ~held & (level < LEVEL_ENCLOSED)

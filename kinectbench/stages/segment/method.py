@@ -3,7 +3,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import Curve, OpenProbabilities, RuleProbabilities, SolidMethod
+from kinectbench.core.artefacts.object import (
+    CarriedLegs,
+    Curve,
+    EstimateMethod,
+    FrontierMethod,
+    OpenProbabilities,
+    RuleProbabilities,
+    SolidMethod,
+)
 from kinectbench.core.voxels.observation import (
     RAY_WIDTHS_VOXELS,
     TRUST_IN_VOTES,
@@ -28,12 +36,33 @@ from kinectbench.stages.segment.enclosure import (
     OVERHANG_M,
 )
 from kinectbench.stages.segment.enclosure import OPEN_BELOW as HOLLOW_OPEN_BELOW
+from kinectbench.stages.segment.estimate import (
+    DOUBTED_SHARE,
+    MAX_SHIFTED_SHARE,
+    MAX_VOLUME_SHARE_PER_MM,
+    MISSED_LEAST,
+    MISSED_LESS,
+    MISSED_MORE,
+    OFF_M,
+    OFF_M_IF_THIN,
+    OFF_PER_POSE,
+    OFF_PER_SIGMA,
+)
 from kinectbench.stages.segment.evidence import (
+    APRON_M,
     LEAST_WEIGHT_SHARE,
     MIN_FREE_SHARE,
     MIN_FREE_VOTES,
     SHELL_M,
 )
+from kinectbench.stages.segment.frontiers import (
+    ABOVE_FIRST,
+    BESIDE_FIRST,
+    LEAST_AREA_M2,
+    LEAST_PROBABILITY,
+    LEAST_SHARE,
+)
+from kinectbench.stages.segment.morphology import END_LAYERS, MAX_GAP_M, MIN_HEIGHT_M, MIN_SHARE
 from kinectbench.stages.segment.openings import (
     HUNG_COLUMNS,
     HUNG_M,
@@ -59,13 +88,15 @@ from kinectbench.stages.segment.probability import (
     HUNG_INSIDE_SHARE,
     INSIDE_SHARE,
     INTERIOR_SHARE,
+    OPEN_BELOW,
     RIGHT_BELOW_INSIDE_SHARE,
     RIGHT_BELOW_M,
+    RIGHT_BELOW_MAX_RAY_M,
     SIGNED_INSIDE_SHARE,
     SIGNED_VOXELS,
     UNDER_INSIDE_SHARE,
 )
-from kinectbench.stages.segment.solid import SMOOTHING_VOXELS
+from kinectbench.stages.segment.solid import SMOOTHING_VOXELS, SPECK_SHARE
 
 
 def _curve(at: NDArray[np.floating], share: NDArray[np.floating]) -> Curve:
@@ -93,6 +124,7 @@ METHOD = SolidMethod(
     hollow_enclosed_height_m=MIN_ENCLOSED_HOLLOW_M,
     hollow_beneath_share=(round(OPEN_BENEATH, 4), round(APRON_BENEATH, 4)),
     hollow_open_below=HOLLOW_OPEN_BELOW,
+    hollow_apron_m=APRON_M,
     hollow_lean=(MAX_LEAN, LEAN_REACH_M),
     least_weight_share=LEAST_WEIGHT_SHARE,
     min_free_votes=MIN_FREE_VOTES,
@@ -101,6 +133,10 @@ METHOD = SolidMethod(
     voxels_per_free_share=VOXELS_PER_FREE_SHARE,
     trust_in_votes=(RAY_WIDTHS_VOXELS, TRUST_IN_VOTES),
     smoothing_voxels=SMOOTHING_VOXELS,
+    speck_share=SPECK_SHARE,
+    carried_legs=CarriedLegs(
+        min_height_m=MIN_HEIGHT_M, max_gap_m=MAX_GAP_M, end_layers=END_LAYERS, min_share=MIN_SHARE
+    ),
     probability_by_enclosure=_curve(ENCLOSING, INSIDE_SHARE),
     probability_by_signed_voxels=_curve(SIGNED_VOXELS, SIGNED_INSIDE_SHARE),
     shell_m=SHELL_M,
@@ -115,9 +151,11 @@ METHOD = SolidMethod(
         crack=_shares(CRACK_INSIDE_SHARE),
         beside=_shares(BESIDE_INSIDE_SHARE),
         below=_shares(BELOW_INSIDE_SHARE),
+        open_below=OPEN_BELOW,
         cavity=_shares(CAVITY_INSIDE_SHARE),
         hung=round(float(HUNG_INSIDE_SHARE), 4),
         right_below_m=RIGHT_BELOW_M,
+        right_below_max_ray_m=RIGHT_BELOW_MAX_RAY_M,
         right_below=_shares(RIGHT_BELOW_INSIDE_SHARE),
     ),
     probability_by_rule=RuleProbabilities(
@@ -126,6 +164,24 @@ METHOD = SolidMethod(
         under=round(float(UNDER_INSIDE_SHARE), 4),
         under_empty=round(float(EMPTY_UNDER_SHARE), 4),
         beside_empty=round(float(EMPTY_BESIDE_SHARE), 4),
+    ),
+    frontiers=FrontierMethod(
+        least_share=LEAST_SHARE,
+        least_area_m2=LEAST_AREA_M2,
+        least_probability=LEAST_PROBABILITY,
+        first=(ABOVE_FIRST, BESIDE_FIRST),
+    ),
+    estimate=EstimateMethod(
+        off_m=OFF_M,
+        off_if_thin_m=OFF_M_IF_THIN,
+        off_per_sigma=OFF_PER_SIGMA,
+        off_per_pose=OFF_PER_POSE,
+        missed_more=MISSED_MORE,
+        missed_less=MISSED_LESS,
+        missed_least=MISSED_LEAST,
+        doubted_share=DOUBTED_SHARE,
+        max_volume_share_per_mm=MAX_VOLUME_SHARE_PER_MM,
+        max_shifted_share=MAX_SHIFTED_SHARE,
     ),
     chosen_on="simulated objects: furniture of 4 families, seeds 1 to 42; openings on the families looked at",
 )

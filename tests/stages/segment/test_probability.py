@@ -24,6 +24,7 @@ from kinectbench.stages.segment.probability import (
     OPEN_BELOW,
     RIGHT_BELOW_INSIDE_SHARE,
     RIGHT_BELOW_M,
+    RIGHT_BELOW_MAX_RAY_M,
     SIGNED_INSIDE_SHARE,
     SIGNED_VOXELS,
     UNDER_INSIDE_SHARE,
@@ -138,8 +139,10 @@ def test_a_board_goes_on_right_below_what_was_measured(rays: dict[str, int], goe
     said = {name: np.full(shape, value, kinds[name]) for name, value in rays.items()}
     evidence = evidence_of(shape, open=open_below, unseen=open_below, behind=~open_below, **said)
     below, right_below, _ = unseen_probability(evidence, RIGHT_BELOW_M)[0, 0]
-    wide = unseen_probability(replace(evidence, ray_width_m=RIGHT_BELOW_M), RIGHT_BELOW_M)[0, 0]
-    assert wide[1] == wide[0] == below
+    for ray_width_m, holds in ((0.99 * RIGHT_BELOW_MAX_RAY_M, goes_on), (RIGHT_BELOW_MAX_RAY_M, False)):
+        seen = replace(evidence, ray_width_m=ray_width_m)
+        lower, upper, _ = unseen_probability(seen, RIGHT_BELOW_M)[0, 0]
+        assert lower == below and upper == (right_below if holds else below)
     assert (right_below == RIGHT_BELOW_INSIDE_SHARE[3]) == goes_on
     assert right_below > below if goes_on else right_below == below
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinectbench.stages.segment.enclosure import Hollows, Shadow, _open_beneath, hollows, shadow
-from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, SEALED, UNSEEN, tally_rays
+from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, UNSEEN, tally_rays
 
 
 def seat(*, apron_inset: int | None, thick: int = 3) -> np.ndarray:
@@ -37,18 +37,6 @@ def test_behind_an_apron_is_hollow(inset):
     inner[10 + inset + 2 : 50 - inset - 2, 10 + inset + 2 : 50 - inset - 2, 18:30] = True
     # Not in the corners, which two aprons enclose.
     assert found[26:34, 26:34, 18:30].all() and found[inner].mean() > 0.8 and not found[~inner].any()
-
-
-def test_a_narrow_opening_is_as_empty_as_a_wide_one():
-    """What is sealed was seen to be empty all the same: a hollow or a shadow ends there."""
-    state, table = seat(apron_inset=2), under_a_top(*FOUR)
-    sealed, sealed_table = (np.where(each == OUTSIDE, np.uint8(SEALED), each) for each in (state, table))
-    sealed[:, :30], sealed_table[:, :4] = state[:, :30], table[:, :4]
-    np.testing.assert_array_equal(hollows_of(sealed, 0.005).sure, hollows_of(state, 0.005).sure)
-    np.testing.assert_array_equal(hollows_of(sealed, 0.005).doubtful, hollows_of(state, 0.005).doubtful)
-    assert hollows_of(state, 0.005).sure.any() and shadow_of(table).under.any()
-    np.testing.assert_array_equal(shadow_of(sealed_table).under, shadow_of(table).under)
-    np.testing.assert_array_equal(shadow_of(sealed_table).empty, shadow_of(table).empty)
 
 
 def test_a_frayed_edge_of_the_top_is_no_hollow():

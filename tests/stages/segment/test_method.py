@@ -1,0 +1,111 @@
+"""Whether the record of how a solid was made forgets a constant."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinectbench.stages import segment
+from kinectbench.stages.segment import method
+
+# Modules of whose constants none is recorded, and why.
+ASIDE = {
+    "candidate_pictures": "pictures for a person, who chooses by them",
+    "candidates": "boxes for a person, who chooses from them",
+    "choose": "what is chosen, not how it is made solid: `selection` in quality.json says how",
+    "doubts": "warnings, which say what they found",
+    "find_object": "what is chosen, as above",
+    "floor": "the floor, which floor.json has with how well it was measured",
+    "grids": "extents of grids, which every volume has",
+    "quality": "warnings and the verdict, which say what they found",
+    "select": "what is chosen, as above",
+    "witness": "warnings and what they rest on, which quality.json has",
+}
+# Constants that shape nothing.
+NO_FIGURES = {
+    ("enclosure", "NOT_UNDER"): "stands for infinitely far",
+    ("rays", "UNSEEN"): "a code",
+    ("rays", "OUTSIDE"): "a code",
+    ("rays", "INSIDE"): "a code",
+    ("rays", "NEUTRAL"): "a code",
+    ("rays", "SEALED"): "a code",
+    ("rays", "BEYOND"): "a code",
+    ("rays", "DIRECTIONS"): "neighbours that a voxel of any grid has",
+    ("rays", "_DOWN"): "an index",
+    ("rays", "_LEVEL"): "an index",
+    ("rays", "_UP"): "an index",
+    ("rays", "_BYTE"): "how counts are packed",
+    ("rays", "_SHIFT"): "how counts are packed",
+}
+MODULES = [module.name for module in pkgutil.iter_modules(segment.__path__)]
+
+
+def module_of(name: str) -> ModuleType:
+    return importlib.import_module(f"{segment.__name__}.{name}")
+
+
+def parsed(module: ModuleType) -> ast.Module:
+    return ast.parse(inspect.getsource(module))
+
+
+def is_numeric(value: Any) -> bool:
+    """A number, or a container of some."""
+    if isinstance(value, dict):
+        value = (*value, *value.values())
+    if isinstance(value, tuple | list | set | frozenset):
+        return any(is_numeric(one) for one in value)
+    return isinstance(value, int | float | np.number | np.ndarray)
+
+
+def constants(module: ModuleType) -> set[str]:
+    """Names of the numeric constants that a module gives a value itself."""
+    named: set[str] = set()
+    for node in parsed(module).body:
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
+        for target in targets:
+            named |= {one.id for one in ast.walk(target) if isinstance(one, ast.Name)}
+    return {name for name in named if is_numeric(getattr(module, name))}
+
+
+def recorded() -> set[tuple[str, str]]:
+    """Module and name of the constants that `METHOD` is made of."""
+    source, used = parsed(method), set()
+    imported = {
+        alias.asname or alias.name: (node.module.rpartition(".")[2], alias.name)
+        for node in source.body
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(segment.__name__)
+        for alias in node.names
+    }
+    for node in source.body:
+        if isinstance(node, ast.Assign):
+            used |= {one.id for one in ast.walk(node) if isinstance(one, ast.Name)}
+    return {found for name, found in imported.items() if name in used}
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if name not in ASIDE])
+def test_no_constant_of_the_solid_is_forgotten(name: str) -> None:
+    found = {(name, constant) for constant in constants(module_of(name))}
+    assert found - recorded() - set(NO_FIGURES) == set()
+
+
+def test_every_exception_is_one() -> None:
+    for name in ASIDE:
+        assert constants(module_of(name)) and name not in {module for module, _ in recorded()}
+    assert all(constant in constants(module_of(name)) for name, constant in NO_FIGURES)
+    assert not set(NO_FIGURES) & recorded()
+
+
+def test_what_a_constant_is() -> None:
+    assert {"SHELL_M", "MIN_FREE_VOTES", "MIN_FREE_SHARE"} <= constants(module_of("evidence"))
+    assert {"ENCLOSING", "UNDER_INSIDE_SHARE"} <= constants(module_of("probability"))
+    # Neither words nor what another module gives a value to.
+    assert "NO_FLOOR" not in constants(module_of("floor")) and "INSIDE" not in constants(
+        module_of("evidence")
+    )
+    assert ("evidence", "SHELL_M") in recorded() and ("enclosure", "OPEN_BELOW") in recorded()
