@@ -65,12 +65,13 @@ def object_lines(rows: "Sequence[RecordingSummary]") -> None:
 
     Of what was made in this run the latter stands among the warnings already.
     """
-    from kinectbench.core.artefacts.object import with_interval
+    from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
     for row in rows:
         estimate = with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, 2)
         if estimate and row.estimated_iou_reasons:
-            out.print(Text(f"{row.recording}: estimated IoU {estimate}, because of"), soft_wrap=True)
+            found = f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"
+            out.print(Text(found), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
         for frontier in () if row.made else row.frontiers or ():

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from pydantic import Field, field_serializer
 
-from kinectbench.core.artefacts.object import FrontierPart, QualityFile
+from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW, FrontierPart, QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Part, Stored
@@ -33,8 +33,8 @@ class RecordingSummary(Part):
     recommended: str | None = Field(description="the setting `trajectory` that is recommended")
     repeatability_iou: float | None = Field(description="IoU of the solids made of odd and of even frames")
     estimated_iou: float | None = Field(description="estimate of the solid's IoU to the unknown truth")
-    estimated_iou_low: float | None = Field(description="least that it is in 95 of 100 objects")
-    estimated_iou_high: float | None = Field(description="most that it is in 95 of 100 objects")
+    estimated_iou_low: float | None = Field(description=INTERVAL_LOW)
+    estimated_iou_high: float | None = Field(description=INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] | None = Field(description="what widens that interval")
     frontiers: tuple[FrontierPart, ...] | None = Field(description="openings that nobody looked into")
     views: int | None = Field(description="their number")

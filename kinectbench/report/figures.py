@@ -13,6 +13,12 @@ MAX_LISTED = 6
 HIDDEN = ("verdict", "warnings", "format_version")
 # Said in words of their own, beside the object's other figures.
 OF_THE_ESTIMATE = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons")
+# What a key alone would leave open: of what a share is.
+NAMES: Mapping[str, str] = {
+    "unknown_share": "never seen, share of the solid",
+    "unknown_air_share": "never seen and taken for air, by the solid's volume",
+    "doubtful_share": "perhaps a hollow, share of the solid",
+}
 # The colour of each grade of health.json; warnings turn "good" into "warn".
 TONES: Mapping[Grade, str] = {"5 mm": "good", "10 mm": "good", "not good": "bad"}
 GRADE_WORDS: Mapping[Grade, str] = {"5 mm": "good at 5 mm", "10 mm": "good at 10 mm", "not good": "not good"}
@@ -107,6 +113,8 @@ def _rows(values: Mapping[str, Any], prefix: str) -> list[tuple[str, str]]:
 
 def _name(key: str) -> str:
     """A key for people: `median_residual_m` is `median residual (m)`."""
+    if key in NAMES:
+        return NAMES[key]
     for suffix, unit in UNITS.items():
         if key.endswith(suffix) and len(key) > len(suffix):
             return f"{key[: -len(suffix)].replace('_', ' ')} ({unit})"

@@ -4,8 +4,14 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kinectbench.core.artefacts.object import with_interval
-from kinectbench.core.artefacts.score_figures import SHARES, SurfaceMetrics, fields_of
-from kinectbench.core.artefacts.scores import OVERALL, CategoryAverages, Extremes, OverallAverages, ScoreTable
+from kinectbench.core.artefacts.score_figures import SHARES, ScoreRow, SurfaceMetrics, fields_of
+from kinectbench.core.artefacts.scores import (
+    OVERALL,
+    CategoryAverages,
+    Extremes,
+    OverallAverages,
+    ScoreTable,
+)
 from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED
@@ -236,26 +242,23 @@ ObjectTruth = tuple[str, str, int, str, int]
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
     """How much of each object's truth is unknown, the most unknown first; the methods share one truth."""
-    table = max(tables, key=lambda of: len(of.truth_unknown_share), default=None)
-    if table is None:
-        return ()
-    left_out = table.all_unknown_pairs.get(protocol, ())
-    rows = {
-        name: [row for row in table.pairs(protocol) if row.object == name]
-        for name in table.truth_unknown_share
-    }
-    falling = sorted(table.truth_unknown_share.items(), key=lambda item: (-item[1], item[0]))
+    found = []
+    for name in {name for table in tables for name in table.truth_unknown_share}:
+        # That which has most of its pairs: of another method some predictions may have failed.
+        table = max(tables, key=lambda of: len(_pairs_of(of, protocol, name)))
+        rows, left_out = _pairs_of(table, protocol, name), table.all_unknown_pairs.get(protocol, ())
+        if rows and name in table.truth_unknown_share:
+            count = sum(row.pair in left_out for row in rows)
+            found.append((table.truth_unknown_share[name], name, rows[0].category, len(rows), count))
+    falling = sorted(found, key=lambda row: (-row[0], row[1]))
     return tuple(
-        (
-            name,
-            rows[name][0].category,
-            len(rows[name]),
-            per_cent(share),
-            sum(row.pair in left_out for row in rows[name]),
-        )
-        for name, share in falling
-        if rows[name]
+        (name, category, pairs, per_cent(share), left) for share, name, category, pairs, left in falling
     )
+
+
+def _pairs_of(table: ScoreTable, protocol: str, name: str) -> list[ScoreRow]:
+    """The rows of one object under a protocol."""
+    return [row for row in table.pairs(protocol) if row.object == name]
 
 
 def best_and_worst(tables: Sequence[ScoreTable], protocol: str) -> dict[str, Extremes]:

@@ -57,7 +57,7 @@ def told(rows: list[RecordingSummary], monkeypatch: pytest.MonkeyPatch) -> list[
 def test_a_line_for_each_opening_and_each_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = told([row(tmp_path, ESTIMATE)], monkeypatch)
     assert lines == [
-        "bin: estimated IoU 0.74 (0.35 to 0.80), because of",
+        "bin: estimated IoU 0.74 (0.35 to 0.80); the interval in brackets is so wide because of:",
         "  an opening that nobody looked into",
         "  thin parts",
         f"bin: {ADVICE}",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from synthetic_release import RECORDINGS, synthetic_settings, write_build
 
+from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW
 from kinectbench.core.artefacts.targets import (
     COLUMNS,
     EARLIER_COLUMNS,
@@ -104,10 +105,12 @@ def test_color_and_other_warnings(build: Path, tmp_path: Path) -> None:
     settings = settings.model_copy(
         update={"license": "unspecified", "publish": settings.publish.model_copy(update={"color": True})}
     )
+    recordings = [each.model_copy(update={"split": "test"}) for each in settings.recordings]
+    settings = settings.model_copy(update={"recordings": recordings})
     summary = publish(settings, build, tmp_path / "benchmark", ["chair_02"])
     assert (tmp_path / "benchmark" / "views" / "chair_02" / "000.color.jpg").is_file()
     assert [line.split(":")[0] for line in summary.warnings] == [
-        "no licence is stated", "colour images are included"
+        "no licence is stated", "colour images are included", "no validation split"
     ]  # fmt: skip
     assert "faces" in (tmp_path / "benchmark" / "README.md").read_text()
     assert (summary.pairs, summary.recordings) == (1, ("chair_02",))
@@ -142,8 +145,8 @@ def test_the_estimate_is_told_with_its_interval_and_its_reasons(build: Path, tmp
     assert "| chair_02 | blue_chair | 1 | 0 | 0.741 (0.352 to 0.800) | 0.930 |" in card
     assert "| chair_01 | red_chair | 2 | 0 |  | 0.930 |" in card
     sheet = (summary.folder / "datasheet.md").read_text()
-    assert "- the least that this is in 95 of 100 objects: 0.352, of 1 recording\n" in sheet
-    assert "- the most that this is in 95 of 100 objects: 0.8, of 1 recording\n" in sheet
+    assert f"- {INTERVAL_LOW}: 0.352, of 1 recording\n" in sheet
+    assert f"- {INTERVAL_HIGH}: 0.8, of 1 recording\n" in sheet
     assert f"- chair_02: {advice}\n" in sheet
     page = (summary.folder / "index.html").read_text()
     assert "0.741 (0.352 to 0.800)" in page and "<li>an opening</li>" in page and f"<li>{advice}</li>" in page
@@ -199,7 +202,7 @@ def test_recordings_without_pairs(build: Path, tmp_path: Path) -> None:
     summary = publish(
         synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_01", "chair_02"]
     )
-    assert summary.recordings == ("chair_02",) and "chair_01: not a single view" in summary.warnings[-1]
+    assert summary.recordings == ("chair_02",) and "chair_01: not a single view" in summary.warnings[0]
     with pytest.raises(ReleaseError, match="no pair to publish"):
         publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_01"])
 

@@ -196,7 +196,15 @@ def test_terminal_table(table: ScoreTable, release: Release, tmp_path: Path) -> 
     assert table.by_category is not None
     chair = table.by_category["known"]["chair"]
     assert f"{chair['iou']:.3f} / {chair['ce']:.3f}" in text
-    assert "4 failed" in text and "0.208 / 0.153" in text and text.count(LABEL) == 5
+    assert "nothing: 4 predictions failed" in text and "0.208 / 0.153" in text and text.count(LABEL) == 1
+    # Under no category: what failed may be of any.
+    (line,) = (line for line in text.splitlines() if "4 predictions failed" in line)
+    assert not any(cell.strip() for cell in line.split("│")[2:])
+
+
+def test_published_scores_stand_only_beside_their_categories(table: ScoreTable) -> None:
+    strange = table.model_copy(update={"thresholds": {"lamp": 0.5}, "by_category": {}, "overall": {}})
+    assert list(map(str, score_table([strange], published=True).columns[0].cells)) == ["soft"]
 
 
 def test_published_scores() -> None:

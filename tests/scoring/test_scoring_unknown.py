@@ -161,7 +161,8 @@ def test_what_people_see(tables: tuple[ScoreTable, ScoreTable], tmp_path: Path) 
             console.print(shown)
     text = console.export_text()
     assert LINE in text and "occluded: 3 of 4 pairs are left out" in text and "paper: " not in text
-    rows = [row.split() for row in text.splitlines() if "truth unknown" in row]
+    rows = [row.split() for row in text.splitlines() if "truth unknown " in row]
+    assert " ".join(text.split()).count("what is a guess; space") == 2
     assert [[cell for cell in row if "." in cell] for row in rows] == [
         ["87.5", "0.0", "43.8"] * 2,  # under `known` and `paper`
         ["87.5", "0.0", "43.8"],
@@ -174,6 +175,13 @@ def test_what_people_see(tables: tuple[ScoreTable, ScoreTable], tmp_path: Path) 
         ("red_chair", "chair", 2, "75.0 %", 1),
         ("old_table", "table", 1, "0.0 %", 0),
     )
+    # A method of which a prediction failed has fewer pairs than the object.
+    rows_left = tuple(row for row in tables[0].rows if row.pair != "chair_01/000")
+    broken = tables[0].model_copy(
+        update={"rows": rows_left, "truth_unknown_share": {**tables[0].truth_unknown_share, "red_chair": 0.5}}
+    )
+    several = report_tables.truth_of_objects((broken, tables[1]), "known")
+    assert several == report_tables.truth_of_objects(tables, "known")
     page = write_report(synthetic_settings(RECORDINGS), None, tables, tmp_path / "index.html").read_text()
     assert page.count(f'<p class="note">{LINE}</p>') == 1 and ">75.0 %</td>" in page
 

@@ -12,6 +12,14 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Split
 
 Triple = tuple[float, float, float]
+# What the ends of the estimate's interval are, wherever they are told; docs/ground-truth.md has the rule, and
+# in how many simulated objects the IoU lay between them.
+INTERVAL_LOW = "lower end of its interval: more is missing, and every guess behind an opening wrong; no bound"
+INTERVAL_HIGH = (
+    "upper end of its interval: less is missing, and every guess behind an opening right; no bound"
+)
+# Before the lines of `estimated_iou_reasons`, where an estimate is told with its interval in brackets.
+REASONS_FOLLOW = "the interval in brackets is so wide because of"
 Curve = tuple[tuple[float, float], ...]
 
 
@@ -259,9 +267,13 @@ class FrontierPart(Part):
     """An opening that nobody looked into: unseen space borders on free space without any surface."""
 
     direction: Literal["up", "side", "down"] = Field(description="from the unseen region outward")
-    area_m2: float = Field(description="of its projection along that direction, square metres")
+    area_m2: float = Field(
+        description="of its faces along that direction, square metres: what is open of the box `size_m`, "
+        "and more than the box where some of its faces lie behind others"
+    )
     size_m: tuple[float, float] = Field(
-        description="seen from above the longer and the shorter side; at the side width and height; metres"
+        description="of the box around its faces: seen from above the longer and the shorter side; at the "
+        "side width and height; metres"
     )
     center_m: Triple = Field(description="its middle, floor frame, metres")
     look_from: Triple = Field(description="unit vector, floor frame: to where a camera would look into it")
@@ -281,18 +293,19 @@ class QualityFile(Stored):
     warnings: tuple[str, ...] = Field((), description="one line each")
     repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
     estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
-    estimated_iou_low: float | None = Field(
-        None, description="lower end of an interval: if the other guess is right behind every opening"
-    )
-    estimated_iou_high: float | None = Field(
-        None, description="its upper end: if the guess is right behind every opening"
-    )
+    estimated_iou_low: float | None = Field(None, description=INTERVAL_LOW)
+    estimated_iou_high: float | None = Field(None, description=INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] = Field((), description="what widens the interval, a line each")
     frontiers: tuple[FrontierPart, ...] = Field(
         (), description="openings that nobody looked into, that with the largest volume behind it first"
     )
     surface_sigma_m: float | None = Field(None, description="standard deviation of the surface, metres")
-    unknown_share: float | None = Field(None, description="of the solid: never seen")
+    unknown_share: float | None = Field(
+        None, description="of the solid: never seen; what nobody saw and is taken for air is no part of it"
+    )
+    unknown_air_share: float | None = Field(
+        None, description="never seen and taken for air beside the solid, by the solid's volume; may exceed 1"
+    )
     doubtful_share: float | None = Field(None, description="of the solid: perhaps a hollow")
     volume_m3: float | None = Field(None, description="of the solid, cubic metres")
     labels: LabelCounts | None = Field(None, description="voxels of each label")

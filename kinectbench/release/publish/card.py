@@ -21,8 +21,9 @@ QUALITY = {
     "estimated_iou": ("estimated IoU", "{:.3f}", 1.0),
     "repeatability_iou": ("repeatability IoU", "{:.3f}", 1.0),
     "surface_sigma_m": ("σ of the surface", "{:.1f} mm", 1000.0),
-    "unknown_share": ("never seen", "{:.1f} %", 100.0),
-    "doubtful_share": ("perhaps a hollow", "{:.1f} %", 100.0),
+    "unknown_share": ("never seen, of the solid", "{:.1f} %", 100.0),
+    "unknown_air_share": ("never seen, taken for air, by its volume", "{:.1f} %", 100.0),
+    "doubtful_share": ("perhaps a hollow, of the solid", "{:.1f} %", 100.0),
     "volume_m3": ("volume", "{:.1f} l", 1000.0),
     "good_frames": ("frames fused", "{:.0f}", 1.0),
 }

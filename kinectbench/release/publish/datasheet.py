@@ -7,6 +7,7 @@ from string import Template
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.release.publish.attribution import (
     citation_line,
@@ -21,11 +22,12 @@ NOT_STATED = "Not stated."
 # Key of quality.json -> what it says, unit, factor.
 FIGURES = {
     "estimated_iou": ("estimated IoU of the solid to the unknown truth", "", 1.0),
-    "estimated_iou_low": ("the least that this is in 95 of 100 objects", "", 1.0),
-    "estimated_iou_high": ("the most that this is in 95 of 100 objects", "", 1.0),
+    "estimated_iou_low": (INTERVAL_LOW, "", 1.0),
+    "estimated_iou_high": (INTERVAL_HIGH, "", 1.0),
     "repeatability_iou": ("IoU of solids made of odd and of even frames", "", 1.0),
     "surface_sigma_m": ("standard deviation of the surface", " mm", 1000.0),
     "unknown_share": ("share of the solid that no frame saw", " %", 100.0),
+    "unknown_air_share": ("space beside it that no frame saw, taken for air, by its volume", " %", 100.0),
     "doubtful_share": ("share of the solid that may be a hollow", " %", 100.0),
 }
 

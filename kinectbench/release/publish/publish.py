@@ -130,19 +130,27 @@ def _write(
 ) -> PublishSummary:
     """Fill one folder."""
     found, made = list[Removed](), dict[str, Published]()
-    warnings = _warnings(settings, options.hold_back)
+    left_out = []
     for name in recordings:
         recording = settings.recording(name)
         hidden = recording.split in options.hold_back
         published = publish_recording(Built(settings, recording, build / name, hidden), folder, found)
         if published is None:
-            warnings.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
+            left_out.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
         else:
             made[name] = published
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
     infos = {name: published.info for name, published in made.items()}
-    warnings = [*reasons_against_distribution(infos), *warnings, *_doubted(infos), *_unknown(made)]
+    # What would do harm first, then what is wrong with the truth, and last how it is used.
+    warnings = [
+        *reasons_against_distribution(infos),
+        *_gives_away(settings, options.hold_back),
+        *left_out,
+        *_doubted(infos),
+        *_unknown(made),
+        *_without_thresholds(settings),
+    ]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     _write_texts(settings, folder, made, targets, warnings, options, found)
     public = _public_settings(settings, options.hold_back, found)
@@ -195,19 +203,24 @@ def _write_texts(
         scrubbed_file(given, THRESHOLDS_JSON, found).write(folder)
 
 
-def _warnings(settings: BenchmarkSettings, hold_back: Sequence[str]) -> list[str]:
-    """What a user of the release should know from the settings and options alone."""
+def _gives_away(settings: BenchmarkSettings, hold_back: Sequence[str]) -> list[str]:
+    """What the release shows that may be meant to stay hidden: people, and the size of held-back shapes."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
-    if not any(recording.split == "validation" for recording in settings.recordings):
-        warnings.append("no validation split: thresholds are fixed at 0.5 unless a threshold file is given")
     if hold_back and settings.pairs.framing == "object":
         warnings.append(
             "with framing 'object' the cube of a held-back pair tells how long its shape is and where its "
             "middle lies: use `pairs: {framing: view}`"
         )
     return warnings
+
+
+def _without_thresholds(settings: BenchmarkSettings) -> list[str]:
+    """A line if there is no split on which methods could choose their thresholds."""
+    if any(recording.split == "validation" for recording in settings.recordings):
+        return []
+    return ["no validation split: thresholds are fixed at 0.5 unless a threshold file is given"]
 
 
 def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:

@@ -23,6 +23,9 @@ LEAST_PROBABILITY = 0.025
 # Above an open box most level ways out end in the air inside of it, under a shelf most ways down on the shelf
 # below: from above, and then from beside, one sees most (own choices).
 ABOVE_FIRST, BESIDE_FIRST = 2.0, 1.5
+# From so much of a unit vector up or down it is told as straight above or below, and under so much as level
+# (own choices).
+STEEP, LEVEL = 0.95, 0.35
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,8 @@ class Frontier:
 
     Attributes:
         direction: from the unseen region outward.
-        area_m2: of its projection along that direction.
+        area_m2: of its faces, along that direction: what is open of the box `size_m`, and more than the box
+            where some of its faces lie behind others.
         size_m: (2,) extents of its faces: for up and down the longer and the shorter one seen from above, for
             side the width and the height.
         center_m: (3,) middle of its faces, floor frame, metres.
@@ -54,18 +58,32 @@ class Frontier:
 
     @property
     def advice(self) -> str:
-        """One line for the person who records."""
+        """One line for the person who records: what nobody saw, and where to stand, by `look_from` alone."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
-        if self.direction == "up":
-            return f"nobody looked into the opening at the top, {size}: record from above"
-        if self.direction == "down":
-            return f"nobody saw the underside, {size}: record from low down, too"
-        # Not -0.0.
-        x, y = (round(along, 1) + 0.0 for along in self.look_from[:2])
-        return (
-            f"nobody looked into the opening at the side, {size}: record from the direction "
-            f"({x:.1f}, {y:.1f}) of the floor frame, at the height of {100 * self.center_m[2]:.0f} cm"
-        )
+        what = {
+            "up": f"nobody looked into the opening at the top, {size}",
+            "side": f"nobody looked into the opening at the side, {size}",
+            "down": f"nobody saw the underside, {size}",
+        }[self.direction]
+        return f"{what}: record {where_to_stand(self.look_from, self.center_m[2])}"
+
+
+def where_to_stand(look_from: tuple[float, float, float], height_m: float) -> str:
+    """From where to look at a point, in words.
+
+    Args:
+        look_from: unit vector, floor frame: from the point to the camera.
+        height_m: of the point above the floor.
+    """
+    up, height = look_from[2], f"{100 * height_m:.0f} cm"
+    # Not -0.0.
+    x, y = (round(along, 1) + 0.0 for along in look_from[:2])
+    towards = f"from the direction ({x:.1f}, {y:.1f}) of the floor frame"
+    if abs(up) > STEEP:
+        return "from above" if up > 0 else f"from below, lower than {height}"
+    if abs(up) < LEVEL:
+        return f"{towards}, at the height of {height}"
+    return f"{towards}, obliquely from above" if up > 0 else f"{towards}, lower than {height}, looking up"
 
 
 def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64) -> tuple[Frontier, ...]:

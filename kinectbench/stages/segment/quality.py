@@ -10,6 +10,7 @@ from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
+    IouEstimate,
     PoseError,
     estimate_iou,
     volume_share_per_mm,
@@ -70,11 +71,12 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     solid = int(together.solid.sum())
     unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
+    unknown_air = int((~together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
     warnings = (
         *seen.warnings,
         *(frontier.advice for frontier in frontiers),
-        *_warnings(chosen, together, repeatability, estimate.value, unknown),
+        *_warnings(chosen, together, repeatability, estimate, frontiers, unknown),
     )
     boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
     whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
@@ -90,6 +92,7 @@ def measure_quality(
         frontiers=tuple(_frontier_part(frontier) for frontier in frontiers),
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
+        unknown_air_share=round(unknown_air, 4),
         doubtful_share=round(together.doubtful_share, 4),
         volume_m3=round(solid * together.grid.voxel_size_m**3, 6),
         labels=_label_counts(together.labels),
@@ -136,20 +139,32 @@ def _label_counts(labels: NDArray[np.uint8]) -> LabelCounts:
 
 
 def _warnings(
-    chosen: Segmentation, shape: SolidShape, repeatability: float, estimated: float, unknown: float
+    chosen: Segmentation,
+    shape: SolidShape,
+    repeatability: float,
+    estimate: IouEstimate,
+    frontiers: tuple[Frontier, ...],
+    unknown: float,
 ) -> list[str]:
-    """A line for people for each thing that is wrong with a solid."""
+    """A line for people for each thing that is wrong with a solid.
+
+    What to record again is told by the frontiers where there are any: nothing here says otherwise.
+    """
     share_per_mm, doubtful = volume_share_per_mm(shape.mesh), shape.doubtful_share
     never_seen = unknown - doubtful
+    # The reasons beside the estimate say why; the lines before these, from where.
+    why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"
+    closer = "" if frontiers else "; record from closer, and what was hidden from where it is seen"
+    around = ", as said above" if frontiers else ": walk around the object"
+    below = "record from where the openings above would be seen" if frontiers else "record from low down, too"
     fused = (
         (
             repeatability < GOOD_REPEATABILITY,
             f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh",
         ),
         (
-            estimated < GOOD_ESTIMATED_IOU,
-            f"estimated IoU of the solid to the truth: {estimated:.2f} only; its parts are thin, hidden, "
-            "without depth or cut off: record from closer, and from low down, too",
+            estimate.value < GOOD_ESTIMATED_IOU,
+            f"estimated IoU of the solid to the truth: {estimate.value:.2f} only because of {why}{closer}",
         ),
         (
             share_per_mm > MAX_VOLUME_SHARE_PER_MM,
@@ -160,12 +175,12 @@ def _warnings(
     seen = (
         (
             never_seen > MAX_UNKNOWN_SHARE,
-            f"{never_seen:.0%} of the solid was never measured nor enclosed: walk around the object",
+            f"{never_seen:.0%} of the solid was never measured nor enclosed{around}",
         ),
         (
             doubtful > MAX_DOUBTFUL_SHARE,
             f"{doubtful:.0%} of the solid is a thick slab, or a hollow that no frame looked "
-            "into: it lies under a top, behind flush sides, and open below; record from low down, too",
+            f"into: it lies under a top, behind flush sides, and open below; {below}",
         ),
     )
     return [

@@ -30,6 +30,7 @@ from kinectbench.stages.segment.frontiers import (
     LEAST_SHARE,
     Frontier,
     find_frontiers,
+    where_to_stand,
 )
 from kinectbench.stages.segment.openings import OPENING_M
 from kinectbench.stages.segment.solid import make_solid
@@ -113,6 +114,24 @@ def test_the_direction_in_which_most_ways_lead_out(ways: dict[str, int], directi
         "down": "underside, 10 x 10 cm",
     }
     assert words[direction] in found.advice
+
+
+@pytest.mark.parametrize(
+    ("look_from", "words"),
+    [
+        ((0.0, 0.0, 1.0), "from above"),
+        ((0.6, 0.0, 0.8), "from the direction (0.6, 0.0) of the floor frame, obliquely from above"),
+        ((0.0, -1.0, 0.0), "from the direction (0.0, -1.0) of the floor frame, at the height of 45 cm"),
+        (
+            (-0.7, -0.01, -0.7),
+            "from the direction (-0.7, 0.0) of the floor frame, lower than 45 cm, looking up",
+        ),
+        ((0.0, 0.0, -1.0), "from below, lower than 45 cm"),
+    ],
+)
+def test_words_say_where_the_look_is_from(look_from: tuple[float, float, float], words: str) -> None:
+    """The underside of an inner shelf, say, is seen from its open side and not from the floor."""
+    assert where_to_stand(look_from, 0.45) == words
 
 
 def test_where_most_ways_lead_it_may_end_at_no_free_space() -> None:

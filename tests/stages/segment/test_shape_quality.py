@@ -1,5 +1,6 @@
 """What quality.json warns of, of solids written down by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 from evidence_by_hand import shape_of
 
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.stages.segment.quality import _unsupported
+from kinectbench.stages.segment.estimate import IouEstimate
+from kinectbench.stages.segment.frontiers import Frontier
+from kinectbench.stages.segment.quality import _unsupported, _warnings
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
@@ -24,3 +27,22 @@ def test_a_solid_that_hangs_or_falls_apart(low: int, parted: bool) -> None:
     assert [line[:34] for line in warnings] == (
         ["the solid begins 0.06 m above the "] * (low > 0) + ["the solid is in 2 large pieces tha"] * parted
     )
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool) -> None:
+    solid = np.zeros((8, 8, 20), bool)
+    solid[2:6, 2:6, :16] = True
+    vertices = np.argwhere(solid) * 0.01
+    shape = shape_of(solid, mesh=TriangleMesh(vertices, np.zeros((0, 3), np.int64)))
+    shape = replace(shape, doubtful_share=0.2)
+    chosen = SimpleNamespace(floor=SimpleNamespace(found=True, T_floor_world=np.eye(4)))
+    opening = Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), 0.001, 0.5, 1.0, 0.5)
+    estimate = IouEstimate(0.7, 0.3, 0.9, ("an opening that nobody looked into",) * told)
+    lines = _warnings(chosen, shape, 0.95, estimate, (opening,) * told, 0.5)
+    assert len(lines) == 3 and lines[0].startswith(
+        "estimated IoU of the solid to the truth: 0.70 only because of "
+    )
+    assert ("an opening that nobody" in lines[0]) == told
+    remedies = [line for line in lines for words in ("closer", "walk around", "low down") if words in line]
+    assert len(remedies) == (0 if told else 3)
