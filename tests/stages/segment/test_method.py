@@ -26,9 +26,11 @@ ASIDE = {
     "select": "what is chosen, as above",
     "witness": "warnings and what they rest on, which quality.json has",
 }
-# Constants that shape nothing.
+# Constants that shape nothing but words.
 NO_FIGURES = {
     ("enclosure", "NOT_UNDER"): "stands for infinitely far",
+    ("frontiers", "STEEP"): "words of advice; `look_from` is recorded",
+    ("frontiers", "LEVEL"): "words of advice; `look_from` is recorded",
     ("rays", "UNSEEN"): "a code",
     ("rays", "OUTSIDE"): "a code",
     ("rays", "INSIDE"): "a code",
