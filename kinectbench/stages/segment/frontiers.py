@@ -25,7 +25,7 @@ LEAST_PROBABILITY = 0.025
 ABOVE_FIRST, BESIDE_FIRST = 2.0, 1.5
 # From so much of a unit vector up or down it is told as straight above or below, and under so much as level
 # (own choices).
-STEEP, LEVEL = 0.95, 0.35
+STEEP, LEVEL = 0.9, 0.35
 
 
 @dataclass(frozen=True)
