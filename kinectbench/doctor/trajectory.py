@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import covered_arc_rad
@@ -36,9 +35,6 @@ HOPELESS, LEAST_PAIRS = 0.6, 3
 CLEARLY_BETTER = 0.8
 # Poses that fit no better than if the camera had stood still fit badly, if it did not.
 MOVED, NO_BETTER = 0.15, 0.9
-# Of five simulated bins and vases recorded from near, surfaces lie 0.6 to 0.9 sigma of the depth from each
-# other by the true poses, and 3.2 and more by the same poses in another order.
-NOISE_SIGMAS = 1.5
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
            1e-3: "milliseconds read as seconds", 1e-6: "microseconds read as seconds",
            1e-9: "nanoseconds read as seconds"}  # fmt: skip
@@ -191,22 +187,8 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
             "the given poses fit the depth no better than if the camera had stood still, by any reading that "
             "was tried"
         )
-        if _within_noise(look, fit):
-            what += (
-                f"; but surfaces lie on each other to {1000 * fit.residual_m:.1f} mm, which is the sensor's "
-                "noise: of something that looks alike from all sides, or is flat, depth cannot tell"
-            )
-            advice = "compare: `trajectory: ignore` tracks the camera instead"
-            yield Finding("trajectory_unproven", "warning", what, look.where, advice)
-            return
         advice = "they are of another recording, camera or clock: `trajectory: ignore`"
         yield Finding("trajectory_wrong", "stops", what, look.where, advice)
-
-
-def _within_noise(look: Look, fit: PoseFit) -> bool:
-    """Whether the surfaces of two frames lie as near to each other as the sensor's noise lets them."""
-    _, median_m, _ = depth_quantiles_m(look).tolist()
-    return fit.residual_m < NOISE_SIGMAS * float(depth_sigma_m(np.array(median_m)))
 
 
 def _arc(look: Look, fit: PoseFit) -> Iterator[Finding]:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,7 +16,6 @@ from kinectbench.doctor import Finding, inspect
 from kinectbench.doctor.during_build import doubted_scale, refuse_hopeless
 from kinectbench.doctor.finding import Diagnosis, gravest_first
 from kinectbench.doctor.look import frames_to_read
-from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.settings.models import CameraSettings, FusionSettings
 from kinectbench.stages.ingest.readers import open_recording
@@ -48,21 +46,6 @@ def test_depth_of_the_object_that_would_make_no_surface_is_told() -> None:
     (found,) = diagnosis.findings
     assert (found.name, found.severity) == ("far_depth", "warning")
     assert "beyond 1.4 m" in found.what and "fusion.max_depth_m" in found.advice
-
-
-@pytest.mark.parametrize(
-    ("residual_m", "expected"),
-    [(0.003, ("trajectory_unproven", "warning")), (0.03, ("trajectory_wrong", "stops"))],
-)
-def test_poses_that_depth_cannot_tell_from_standing_still(residual_m: float, expected: tuple) -> None:
-    """Of something that looks alike from all sides surfaces lie on each other by the true poses, too."""
-    _, look = inspect(CHAIR)
-    assert look is not None
-    fit = fit_trajectory(look)
-    assert fit is not None and not fit.reading.changes
-    slides = replace(fit, best=0.25, still=0.26, residual_m=residual_m)
-    found = [(each.name, each.severity) for each in check_trajectory(look, slides)]
-    assert found == [expected]
 
 
 def test_camera_height_is_that_of_the_truth() -> None:

@@ -23,7 +23,7 @@ def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
         "hollows": Hollows(given.pop("hollow", no), given.pop("doubtful", no)),
         "shadow": Shadow(given.pop("under", no), given.pop("empty", no)),
         "openings": Openings(
-            **{name: given.pop(name, no) for name in ("open", "cavity", "hung")},
+            **{name: given.pop(name, no) for name in ("open", "cavity", "hung", "room")},
             **{name: given.pop(name, none) for name in ("ups", "levels", "downs")},
         ),
         "contact": slice(0, 0),

@@ -133,6 +133,9 @@ class FrontierMethod(Part):
     """Which openings that nobody looked into are told, and from where one would look into them."""
 
     least_share: float = Field(description="of the solid's volume, that lies behind one at least")
+    around_corner_share: float | None = Field(
+        None, description="of what lies around a corner, less than so much leads straight out"
+    )
     least_area_m2: float = Field(description="its least area, square metres")
     least_probability: float = Field(description="of being inside, of what counts as behind one")
     first: tuple[float, float] = Field(
@@ -252,6 +255,9 @@ class SolidMethod(Part):
     )
     probability_open: OpenProbabilities | None = Field(
         None, description="of what lies open to free space through an opening that nobody looked into"
+    )
+    room: tuple[float, int, int] | None = Field(
+        None, description="edge of the cube that fits into one, metres; ways that meet it level, and upwards"
     )
     stand_m: float | None = Field(
         None,

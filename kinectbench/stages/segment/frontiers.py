@@ -1,5 +1,6 @@
 """Openings that nobody looked into: how large they are, where, and from where they would be seen."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,6 +24,9 @@ LEAST_PROBABILITY = 0.025
 # Above an open box most level ways out end in the air inside of it, under a shelf most ways down on the shelf
 # below: from above, and then from beside, one sees most (own choices).
 ABOVE_FIRST, BESIDE_FIRST = 2.0, 1.5
+# A piece lies around a corner if less than this share of it leads straight out; a room has a roof.
+STRAIGHT_SHARE = 0.5
+ROOM_WAYS: tuple[Direction, ...] = ("side", "down", "up")
 # From so much of a unit vector up or down it is told as straight above or below, and under so much as level
 # (own choices).
 STEEP, LEVEL = 0.9, 0.35
@@ -44,6 +48,7 @@ class Frontier:
         inside_share: how much of that is expected to be inside, 0 to 1.
         solid_share: how much of it the solid takes for inside, 0 to 1.
         inside_solid_share: how much of it is expected to be inside and taken for it, 0 to 1.
+        into_room: it leads into a room wider than itself, into which frames looked in part.
     """
 
     direction: Direction
@@ -55,6 +60,7 @@ class Frontier:
     inside_share: float
     solid_share: float
     inside_solid_share: float
+    into_room: bool = False
 
     @property
     def advice(self) -> str:
@@ -65,7 +71,11 @@ class Frontier:
             "side": f"nobody looked into the opening at the side, {size}",
             "down": f"nobody saw the underside, {size}",
         }[self.direction]
-        return f"{what}: record {where_to_stand(self.look_from, self.center_m[2])}"
+        where = where_to_stand(self.look_from, self.center_m[2])
+        if self.into_room and self.direction == "side":
+            what = f"nobody looked around the corners behind the opening at the side, {size}"
+            return f"{what}: record {where}, and from the left and the right of that"
+        return f"{what}: record {where}"
 
 
 def where_to_stand(look_from: tuple[float, float, float], height_m: float) -> str:
@@ -98,35 +108,49 @@ def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64)
         evidence: what the frames say of each of its voxels.
         T_floor_grid: (4, 4), of its grid.
     """
-    from scipy import ndimage
-
-    grid, solid, probability = shape.grid, shape.solid, shape.probability
     # What is hidden under the object, and not of it, is no opening.
     hidden = evidence.shadow.under | evidence.shadow.empty
     is_open = (
-        evidence.openings.open & ~hidden & (shape.labels == Label.UNKNOWN) & (probability > LEAST_PROBABILITY)
+        evidence.openings.open
+        & ~hidden
+        & (shape.labels == Label.UNKNOWN)
+        & (shape.probability > LEAST_PROBABILITY)
     )
     is_open = broad(is_open, evidence.opening_cells)
-    pieces, count = ndimage.label(is_open, np.ones((3, 3, 3)))
-    if not count:
-        return ()
-    index = np.arange(1, count + 1)
-    voxel_m3 = grid.voxel_size_m**3
-    volumes_m3 = voxel_m3 * np.bincount(pieces.reshape(-1), minlength=count + 1)[1:]
-    least_m3 = LEAST_SHARE * voxel_m3 * int(solid.sum())
+    found: list[Frontier] = []
+    corners = _around_corners(is_open, evidence)
+    if corners.any():
+        # One looks around the corners of a room through its doorway: that is the frontier of all of them.
+        room = _with_its_edges(evidence.openings.room, evidence.carved, evidence.opening_cells)
+        found += _of_pieces(shape, evidence, T_floor_grid, corners, room)
+    found += _of_pieces(shape, evidence, T_floor_grid, is_open & ~corners, None)
+    return tuple(sorted(found, key=lambda frontier: -frontier.volume_m3))
+
+
+def _of_pieces(
+    shape: SolidShape, evidence: Evidence, T_floor_grid: Float64, is_open: Bools, room: Bools | None
+) -> Iterator[Frontier]:
+    """The frontiers of the pieces of open voxels; those in one room are one piece with its air."""
+    from scipy import ndimage
+
+    whole = is_open if room is None else is_open | room
+    pieces, count = ndimage.label(whole, np.ones((3, 3, 3)))
+    voxel_m3 = shape.grid.voxel_size_m**3
+    volumes_m3 = voxel_m3 * np.bincount(pieces[is_open], minlength=count + 1)[1:]
+    least_m3 = LEAST_SHARE * voxel_m3 * int(shape.solid.sum())
     windows = ndimage.find_objects(pieces)
-    free = np.pad(evidence.carved, 1)
-    found = []
-    for piece in index[volumes_m3 >= least_m3]:
+    free = np.pad(evidence.carved if room is None else evidence.carved & ~room, 1)
+    for piece in 1 + np.flatnonzero((volumes_m3 > 0) & (volumes_m3 >= least_m3)):
         window = windows[piece - 1]
-        inner = pieces[window] == piece
-        taken = solid[window][inner]
-        expected = probability[window][inner].astype(np.float64)
-        cells = _Piece(
-            grid.voxel_size_m,
-            inner,
-            free[tuple(slice(part.start, part.stop + 2) for part in window)],
-            np.array([part.start for part in window]),
+        cells = pieces[window] == piece
+        inner = cells & is_open[window]
+        taken = shape.solid[window][inner]
+        expected = shape.probability[window][inner].astype(np.float64)
+        part = _Piece(
+            shape.grid.voxel_size_m,
+            cells,
+            free[tuple(slice(along.start, along.stop + 2) for along in window)],
+            np.array([along.start for along in window]),
         )
         behind = (
             float(volumes_m3[piece - 1]),
@@ -134,12 +158,37 @@ def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64)
             float(taken.mean()),
             float((expected * taken).mean()),
         )
-        for way in _ways_out(evidence, window, inner):
-            frontier = _frontier(cells, way, T_floor_grid, behind)
+        for way in _ways_out(evidence, window, inner) if room is None else ROOM_WAYS:
+            frontier = _frontier(part, way, T_floor_grid, behind, room is not None)
             if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
-                found.append(frontier)
+                yield frontier
                 break
-    return tuple(sorted(found, key=lambda frontier: -frontier.volume_m3))
+
+
+def _around_corners(is_open: Bools, evidence: Evidence) -> Bools:
+    """Those pieces of open voxels next to the air in a room from most of which no ray leads straight out."""
+    from scipy import ndimage
+
+    openings = evidence.openings
+    if not openings.room.any():
+        return openings.room
+    pieces, count = ndimage.label(is_open, np.ones((3, 3, 3)))
+    straight = is_open & ((openings.ups > 0) | (openings.levels > 0))
+    sizes, lead_out = (np.bincount(pieces[cells], minlength=count + 1) for cells in (is_open, straight))
+    beside = np.zeros(count + 1, bool)
+    beside[pieces[ndimage.binary_dilation(openings.room, iterations=2)]] = True
+    around: Bools = (beside & (lead_out < STRAIGHT_SHARE * sizes))[pieces]
+    return around
+
+
+def _with_its_edges(room: Bools, carved: Bools, cells: int) -> Bools:
+    """The air in rooms with what a cube does not reach of it, along walls and in the doorway."""
+    from scipy import ndimage
+
+    if not room.any():
+        return room
+    reached: Bools = ndimage.binary_dilation(room, iterations=max(1, cells // 2), mask=room | carved)
+    return reached
 
 
 def _ways_out(evidence: Evidence, window: tuple[slice, ...], inner: Bools) -> list[Direction]:
@@ -180,7 +229,11 @@ class _Piece:
 
 
 def _frontier(
-    piece: _Piece, direction: Direction, T_floor_grid: Float64, behind: tuple[float, float, float, float]
+    piece: _Piece,
+    direction: Direction,
+    T_floor_grid: Float64,
+    behind: tuple[float, float, float, float],
+    into_room: bool,
 ) -> Frontier | None:
     """Of one piece of open voxels; None where it touches no free space in that direction.
 
@@ -214,6 +267,7 @@ def _frontier(
         _three(points_floor.mean(axis=0)),
         _three(look),
         *behind,
+        into_room,
     )
 
 

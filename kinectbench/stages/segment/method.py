@@ -61,6 +61,7 @@ from kinectbench.stages.segment.frontiers import (
     LEAST_AREA_M2,
     LEAST_PROBABILITY,
     LEAST_SHARE,
+    STRAIGHT_SHARE,
 )
 from kinectbench.stages.segment.morphology import END_LAYERS, MAX_GAP_M, MIN_HEIGHT_M, MIN_SHARE
 from kinectbench.stages.segment.openings import (
@@ -69,6 +70,9 @@ from kinectbench.stages.segment.openings import (
     HUNG_WIDTHS,
     OPENING_M,
     OPENING_RAYS,
+    ROOM_M,
+    ROOM_ROOFS,
+    ROOM_SIDES,
     STAND_M,
     WIDE_OPEN_ABOVE,
 )
@@ -144,6 +148,7 @@ METHOD = SolidMethod(
     opening_rays=OPENING_RAYS,
     wide_open_above=WIDE_OPEN_ABOVE,
     hung=(HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS),
+    room=(ROOM_M, ROOM_SIDES, ROOM_ROOFS),
     stand_m=STAND_M,
     probability_open=OpenProbabilities(
         among_m=AMONG_M,
@@ -170,6 +175,7 @@ METHOD = SolidMethod(
         least_area_m2=LEAST_AREA_M2,
         least_probability=LEAST_PROBABILITY,
         first=(ABOVE_FIRST, BESIDE_FIRST),
+        around_corner_share=STRAIGHT_SHARE,
     ),
     estimate=EstimateMethod(
         off_m=OFF_M,

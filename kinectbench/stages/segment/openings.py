@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools
 from kinectbench.stages.segment.morphology import broad, opened
-from kinectbench.stages.segment.rays import BEYOND, INSIDE, OUTSIDE, SEALED, UNSEEN, tally_rays
+from kinectbench.stages.segment.rays import BEYOND, INSIDE, NEUTRAL, OUTSIDE, SEALED, UNSEEN, tally_rays
 
 # An opening is one if a cube of this edge passes, or of so many widths of the frames' rays if that is less:
 # farther into a narrower one no sensor sees. At 1.6 m a Kinect's ray is 3 mm wide (own choice).
@@ -21,6 +21,10 @@ WIDE_OPEN_ABOVE = 4
 # What is thicker than a seat, ends in free air below, and hangs at least as high above what is next as it is
 # wide: cameras could have looked up into it, and it may be the shade of a lamp (own choices).
 HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS = 0.2, 1.0, 0.5
+# A room is air that a cube of this edge fits into, with surface around it in so many of the eight horizontal
+# directions and above it in so many of the nine upward ones: without these the air below a chair would be
+# one, and half of the chair unknown. On kennels cubes of 40 to 90 mm do equally well (own choices).
+ROOM_M, ROOM_SIDES, ROOM_ROOFS = 0.06, 5, 5
 
 
 class Openings(NamedTuple):
@@ -33,6 +37,7 @@ class Openings(NamedTuple):
         downs: uint8, how many of the nine directions downwards do, narrow openings counted.
         cavity: bool, of these, what lies in a region that is wide open above.
         hung: bool, of these, what is open below and belongs to a thick body that hangs high in the air.
+        room: bool, the air in rooms, of which frames saw a part through a doorway.
     """
 
     open: Bools
@@ -41,6 +46,7 @@ class Openings(NamedTuple):
     downs: NDArray[np.uint8]
     cavity: Bools
     hung: Bools
+    room: Bools
 
 
 def find_openings(
@@ -70,6 +76,8 @@ def find_openings(
     is_open = (unseen | deep) & ((ups > 0) | (levels > 0))
     cavity = _cavity(is_open & (ups > 0), rays.up(OUTSIDE), cells)
     is_open |= (unseen | deep) & _beside_cavity(state, cavity, cells)
+    room = _room(state, levels, voxel_m)
+    is_open |= (unseen | deep) & _around(state, room, cells)
     downs = rays.down(OUTSIDE, SEALED, BEYOND)
     hung = _hung((unseen | deep) & (downs > 0), state, contact, voxel_m, cells)
     is_open |= hung
@@ -79,7 +87,7 @@ def find_openings(
     near_floor = slice(contact.start, contact.start + round(STAND_M / voxel_m))
     untold = (unseen & ~behind) | deep
     is_open[:, :, near_floor] |= opened(untold[:, :, near_floor], (cells, cells, 1))
-    return Openings(is_open, ups, levels, downs, cavity, hung)
+    return Openings(is_open, ups, levels, downs, cavity, hung, room)
 
 
 def _cavity(open_above: Bools, ups: NDArray[np.uint8], cells: int) -> Bools:
@@ -152,6 +160,33 @@ def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, cells: int) -> Bools
     rays = tally_rays(np.where(cavity, np.uint8(OUTSIDE), state))
     near = (state == UNSEEN) & ~cavity & ((rays.up(OUTSIDE) > 0) | (rays.level(OUTSIDE) > 0))
     return broad(near, max(1, cells // 2))
+
+
+def _room(state: NDArray[np.uint8], levels: NDArray[np.uint8], voxel_m: float) -> Bools:
+    """The air in rooms: surface lies around it and above it, and a doorway leads to it (own rule).
+
+    Args:
+        state: of each voxel, SEALED told apart.
+        levels: uint8, how many of eight horizontal directions lead outside.
+        voxel_m: edge of a voxel, metres.
+    """
+    walls = np.isin(state, (INSIDE, NEUTRAL))
+    around = tally_rays(np.where(walls, state, np.uint8(UNSEEN)))
+    air = (state == OUTSIDE) | ((state == UNSEEN) & (levels > 0))
+    air &= (around.level(INSIDE) >= ROOM_SIDES) & (around.up(INSIDE) >= ROOM_ROOFS)
+    return broad(air, max(1, round(ROOM_M / voxel_m)))
+
+
+def _around(state: NDArray[np.uint8], room: Bools, cells: int) -> Bools:
+    """What is unseen and in sight of the air in a room: what lies around the corner of its doorway.
+
+    No ray leads straight outside from the corners of a kennel, and yet nothing separates them from the air in
+    its middle.
+    """
+    if not room.any():
+        return room
+    rays = tally_rays(np.where(room, np.uint8(OUTSIDE), np.where(state == OUTSIDE, np.uint8(SEALED), state)))
+    return broad((state == UNSEEN) & (rays.all(OUTSIDE) > 0), cells)
 
 
 def opening_cells(ray_width_m: float, voxel_m: float) -> int:

@@ -24,6 +24,7 @@ from kinectbench.lab.simulate.objects.figures import shoe, toy_animal
 from kinectbench.lab.simulate.objects.frames import ladder, tray_stand
 from kinectbench.lab.simulate.objects.headgear import helmet
 from kinectbench.lab.simulate.objects.joinery import Draw, Parts, assemble
+from kinectbench.lab.simulate.objects.kennels import kennel
 from kinectbench.lab.simulate.objects.lamps import lamp
 from kinectbench.lab.simulate.objects.lattices import crate, wire_basket
 from kinectbench.lab.simulate.objects.laundry import washing_machine
@@ -67,6 +68,7 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "toy_animal": toy_animal,
     "blob": blob,
     "sculpture": sculpture,
+    "kennel": kennel,
     "sideboard": sideboard,
     "piano": piano,
     "stool": stool,
@@ -88,7 +90,7 @@ LOOKED_AT: tuple[str, ...] = (
     *PAPER_FURNITURE,
     *("bin", "open_box", "drawer", "bucket", "basket", "pot", "sink"),
     *("rack", "lamp", "crate", "bookshelf", "ladder", "wire_basket", "tray_stand"),
-    *("open_cabinet", "fridge"),
+    *("open_cabinet", "fridge", "kennel"),
     *("mug", "shoe", "kettle", "vase", "toy_animal"),
     *("blob", "sculpture"),
 )
