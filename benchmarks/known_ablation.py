@@ -33,7 +33,7 @@ def _nothing(*grids: Any) -> Bools:
 
 def _no_openings(state: Any, *others: Any) -> tuple[Any, ...]:
     none, no_rays = _nothing(state), np.zeros(state.shape, np.uint8)
-    return openings.Openings(none, no_rays, no_rays, no_rays, none, none)
+    return openings.Openings(none, no_rays, no_rays, no_rays, none, none, none)
 
 
 def _no_shadow(state: Any, tally: Any) -> enclosure.Shadow:
@@ -70,6 +70,9 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "cavities are empty, and what lies beside open": ((openings, "_cavity", _nothing),),
     "what lies beside a cavity is open": (
         (openings, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
+    ),
+    "what lies around the corner of a doorway is open": (
+        (openings, "_around", lambda state, room, _: _nothing(room)),
     ),
     "what hangs high may be a shade": ((openings, "HUNG_M", 1e6),),
     "narrower for a sensor that is near": ((openings, "OPENING_RAYS", 1e6),),

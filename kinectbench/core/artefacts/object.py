@@ -256,8 +256,10 @@ class SolidMethod(Part):
     probability_open: OpenProbabilities | None = Field(
         None, description="of what lies open to free space through an opening that nobody looked into"
     )
-    room: tuple[float, int, int] | None = Field(
-        None, description="edge of the cube that fits into one, metres; ways that meet it level, and upwards"
+    room: tuple[float, int, int, float, float] | None = Field(
+        None,
+        description="edge of the cube that fits into one, metres; ways that meet surface, level and upwards; "
+        "least and most of its boundary that a doorway is",
     )
     stand_m: float | None = Field(
         None,

@@ -23,8 +23,11 @@ WIDE_OPEN_ABOVE = 4
 HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS = 0.2, 1.0, 0.5
 # A room is air that a cube of this edge fits into, with surface around it in so many of the eight horizontal
 # directions and above it in so many of the nine upward ones: without these the air below a chair would be
-# one, and half of the chair unknown. On kennels cubes of 40 to 90 mm do equally well (own choices).
+# one, and half of the chair unknown. Cubes of 40 to 90 mm do equally well.
 ROOM_M, ROOM_SIDES, ROOM_ROOFS = 0.06, 5, 5
+# A doorway is a share of a room's boundary in this range: .03 to .09 in kennels, .32 to .39 in compartments
+# of bookshelves, cabinets and refrigerators, which are no rooms; without one it was not looked into.
+ROOM_DOORWAY = (0.01, 0.2)
 
 
 class Openings(NamedTuple):
@@ -163,18 +166,37 @@ def _beside_cavity(state: NDArray[np.uint8], cavity: Bools, cells: int) -> Bools
 
 
 def _room(state: NDArray[np.uint8], levels: NDArray[np.uint8], voxel_m: float) -> Bools:
-    """The air in rooms: surface lies around it and above it, and a doorway leads to it (own rule).
+    """The air in rooms: surface lies around it and above it, and a small doorway leads to it (own rule).
 
     Args:
         state: of each voxel, SEALED told apart.
         levels: uint8, how many of eight horizontal directions lead outside.
         voxel_m: edge of a voxel, metres.
     """
+    from scipy import ndimage
+
     walls = np.isin(state, (INSIDE, NEUTRAL))
     around = tally_rays(np.where(walls, state, np.uint8(UNSEEN)))
     air = (state == OUTSIDE) | ((state == UNSEEN) & (levels > 0))
     air &= (around.level(INSIDE) >= ROOM_SIDES) & (around.up(INSIDE) >= ROOM_ROOFS)
-    return broad(air, max(1, round(ROOM_M / voxel_m)))
+    pieces, count = ndimage.label(broad(air, max(1, round(ROOM_M / voxel_m))))
+    outside = np.isin(state, (OUTSIDE, SEALED))
+    doorway, around_it = (_faces(pieces, count, cells) for cells in (outside, np.ones_like(outside)))
+    held = (doorway > ROOM_DOORWAY[0] * around_it) & (doorway < ROOM_DOORWAY[1] * around_it)
+    held[0] = False
+    room: Bools = held[pieces]
+    return room
+
+
+def _faces(pieces: NDArray[np.int32], count: int, beside: Bools) -> NDArray[np.int64]:
+    """How many faces of each piece, from 0 to `count`, touch other voxels of a mask: (count + 1,)."""
+    faces = np.zeros(count + 1, np.int64)
+    for axis in range(3):
+        along = np.moveaxis(pieces, axis, 0), np.moveaxis(beside, axis, 0)
+        for own, other in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+            touched = along[1][other] & (along[0][own] != along[0][other])
+            faces += np.bincount(along[0][own][touched], minlength=count + 1)
+    return faces
 
 
 def _around(state: NDArray[np.uint8], room: Bools, cells: int) -> Bools:

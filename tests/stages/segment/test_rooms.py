@@ -1,7 +1,16 @@
 """Rooms wider than the doorway through which they were looked into, in little scenes."""
 
 import numpy as np
-from observed_boxes import BODY, LAYERS, VOXEL_M, box_distance, centers, looked_into, observation
+from observed_boxes import (
+    BODY,
+    LAYERS,
+    VOXEL_M,
+    box_distance,
+    centers,
+    cupboard_seen_to,
+    looked_into,
+    observation,
+)
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.stages.segment.evidence import Evidence, weigh
@@ -54,3 +63,9 @@ def test_it_is_unknown_and_one_is_told_to_look_through_the_doorway() -> None:
 def test_a_body_that_nobody_could_look_into_is_not() -> None:
     distance_m, room = kennel(looked_in=False)
     assert not weighed(distance_m).openings.open[room].any()
+
+
+def test_a_compartment_that_is_open_in_front_is_no_room() -> None:
+    # All of its front is open: what was not seen of it lies behind its opening, and its boards are closed.
+    assert weighed(kennel(looked_in=True)[0]).openings.room.any()
+    assert not weighed(cupboard_seen_to(0.1)).openings.room.any()
