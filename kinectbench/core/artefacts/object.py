@@ -256,10 +256,8 @@ class SolidMethod(Part):
     probability_open: OpenProbabilities | None = Field(
         None, description="of what lies open to free space through an opening that nobody looked into"
     )
-    room: tuple[float, int, int, float, float] | None = Field(
-        None,
-        description="edge of the cube that fits into one, metres; ways that meet surface, level and upwards; "
-        "least and most of its boundary that a doorway is",
+    room: tuple[float, ...] | None = Field(
+        None, description="edge of a cube in it, m; walls in 8 level and 9 upward ways; doorway's shares"
     )
     stand_m: float | None = Field(
         None,
