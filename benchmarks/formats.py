@@ -29,8 +29,14 @@ from kinectbench.stages.ingest.sequence_folder import read_sequence, write_seque
 
 # What a layout cannot hold: no stated pose; colour as a video.
 WITHOUT_POSES = {"realsense", "realsense_old", "klg"}
-COLOR = {"7scenes": "pixels", "realsense": "pixels", "realsense_old": "pixels", "stray": "video"}
-MASKS = {"bop"}
+COLOR = {
+    "7scenes": "pixels",
+    "wildrgbd": "pixels",
+    "realsense": "pixels",
+    "realsense_old": "pixels",
+    "stray": "video",
+}
+MASKS = {"bop", "wildrgbd"}
 # Numbers as float32, or text with nine decimals.
 POSE_TOLERANCE = 1e-6
 PEAK_MB = 500.0

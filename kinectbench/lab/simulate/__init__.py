@@ -19,4 +19,5 @@ Format = Literal[
     "stray",
     "scanner_app",
     "bop",
+    "wildrgbd",
 ]

@@ -173,6 +173,18 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
     return _pinhole(read_matrix(path, 3), path)
 
 
+def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
+    """Read a JSON object with a pinhole matrix, column by column, and the size of its images in pixels.
+
+    Raises:
+        RecordingError: not JSON, or one of them is missing or not what it should be.
+    """
+    raw = read_object(path, ", ".join((key, *size_keys)))
+    width, height = (int(_number(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
+    matrix = _pinhole(_open3d_matrix(raw.get(key), path, key), path)
+    return replace(matrix, width=width, height=height)
+
+
 def read_object(path: Path, what: str) -> dict[str, Any]:
     """Read a JSON object; `what` it must hold, for messages.
 
@@ -194,13 +206,13 @@ def _number(value: object, where: str) -> float:
     return float(value)
 
 
-def _open3d_matrix(value: object, path: Path) -> Float64:
+def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
     """Nine numbers by column (by row if only that makes a pinhole matrix), or three rows of three."""
     numbers = numbers_of(value)
     if numbers.shape == (3, 3):
         return numbers
     if numbers.shape != (9,):
-        raise RecordingError(f"{path}: 'intrinsic_matrix' must hold nine numbers")
+        raise RecordingError(f"{path}: '{key}' must hold nine numbers")
     by_row = not numbers[6:8].any()
     return numbers.reshape(3, 3) if by_row else numbers.reshape(3, 3).T
 

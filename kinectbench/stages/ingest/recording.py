@@ -184,6 +184,8 @@ class FileRecording(Recording):
         depth = decode_depth_png(read_image_file(files.depth), str(files.depth))
         depth = self.clean_depth(depth, index)
         mask = None if files.mask is None else decode_mask(read_image_file(files.mask), str(files.mask))
+        if mask is not None and mask.shape != depth.shape:
+            raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
 
     def color(self, index: int) -> tuple[str, bytes] | None:

@@ -20,6 +20,7 @@ from kinectbench.lab.simulate.writers.image_folders import (
     write_redwood,
     write_seven_scenes,
     write_tum,
+    write_wildrgbd,
 )
 from kinectbench.lab.simulate.writers.phones import write_scanner_app, write_stray
 from kinectbench.lab.simulate.writers.realsense import write_realsense
@@ -43,6 +44,7 @@ WRITERS: dict[Format, Writer] = {
     "stray": write_stray,
     "scanner_app": write_scanner_app,
     "bop": write_bop,
+    "wildrgbd": write_wildrgbd,
 }
 # The formats that are one file, and what its name ends in.
 SUFFIXES: dict[Format, str] = {
@@ -64,7 +66,7 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """The stamp in nanoseconds under which a reader finds a frame (own rule).
 
     Bags keep stamps, TUM folders, .klg and .sens keep microseconds, Redwood's names twelve digits of them.
-    7-Scenes, plain folders and BOP scenes have none: there a frame's number counts seconds. 3D Scanner App
+    7-Scenes, plain folders, BOP and WildRGB-D scenes have none: there a frame's number counts seconds. 3D Scanner App
     has seconds as a float.
 
     Args:
@@ -72,7 +74,7 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
         index: the frame's place among those that were written, from 0.
         stamp_ns: of the frame as written, nanoseconds.
     """
-    if file_format in ("7scenes", "folder", "bop"):
+    if file_format in ("7scenes", "folder", "bop", "wildrgbd"):
         return index * NS_PER_S
     if file_format == "scanner_app":
         return round(stamp_ns / NS_PER_S * NS_PER_S)

@@ -1,4 +1,4 @@
-"""Folders of images: TUM RGB-D, 7-Scenes, plain ones as Open3D uses them, Redwood's scans, BOP scenes."""
+"""Folders of images: TUM RGB-D, 7-Scenes, plain ones as Open3D uses them, Redwood's scans, BOP, WildRGB-D."""
 
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -136,6 +136,26 @@ def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
             camera["cam_t_w2c"] = (T_camera_world[:3, 3] * MM_PER_M).tolist()
         cameras[str(index)] = camera
     (folder / "scene_camera.json").write_text(pretty_json(cameras))
+
+
+def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
+    """Write a scene of WildRGB-D into an empty folder: depth/, rgb/, metadata, cam_poses.txt.
+
+    Depth is PNG in mm, colour PNG, K column by column, poses camera to world. The layout has no stamps. A writer
+    does not see the truth: there are no masks. Colour that is not registered is left out, as the layout has one
+    camera.
+    """
+    make_folders(folder, "depth", "rgb")
+    rows: list[str] = []
+    for index, frame in enumerate(frames):
+        (folder / "depth" / f"{index:05d}.png").write_bytes(frame.depth_png())
+        if rig.color_registered:
+            (folder / "rgb" / f"{index:05d}.png").write_bytes(png_bytes(frame.color_bgr))
+        if frame.T_world_camera is not None:
+            rows.append(f"{index:05d} {' '.join(matrix_rows(frame.T_world_camera))}")
+    write_lines(folder / "cam_poses.txt", rows)
+    K = {"w": rig.depth.width, "h": rig.depth.height, "K": rig.depth.K.T.ravel().tolist()}
+    (folder / "metadata").write_text(pretty_json(K))
 
 
 def seconds(stamp_ns: int) -> str:

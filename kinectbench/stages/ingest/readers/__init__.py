@@ -22,6 +22,7 @@ FORMATS = {
     "stray": "kinectbench.stages.ingest.readers.stray_scanner:StrayScannerRecording",
     "scanner_app": "kinectbench.stages.ingest.readers.scanner_app:ScannerAppRecording",
     "bop": "kinectbench.stages.ingest.readers.bop:BopRecording",
+    "wildrgbd": "kinectbench.stages.ingest.readers.wildrgbd:WildRgbdRecording",
     "tum": "kinectbench.stages.ingest.readers.tum:TumRecording",
     "7scenes": "kinectbench.stages.ingest.readers.seven_scenes:SevenScenesRecording",
     "folder": "kinectbench.stages.ingest.readers.folder:FolderRecording",

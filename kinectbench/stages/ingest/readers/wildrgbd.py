@@ -1,0 +1,91 @@
+"""Scenes of WildRGB-D: rgb/, depth/ and masks/ as PNG, `metadata` (JSON), cam_poses.txt.
+
+As the data set's own page says (github.com/wildrgbd/wildrgbd): depth in mm; `metadata` holds w, h and K, whose
+nine numbers go column by column; a line of cam_poses.txt is a frame's number and its 4x4 matrix row by row,
+camera to world in OpenCV's axes.
+"""
+
+import re
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
+from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import read_matrix_json
+from kinectbench.stages.ingest.recording import (
+    FileRecording,
+    FrameFiles,
+    first_color_size,
+    first_depth_size,
+    first_file,
+)
+
+DEPTH_SCALE = 1000.0
+NUMBER = re.compile(r"\d{1,9}")
+
+
+class WildRgbdRecording(FileRecording):
+    """One scene of WildRGB-D, with the masks of its object; it has no stamps: a frame's number counts seconds."""
+
+    format: ClassVar[str] = "wildrgbd"
+    looks_for: ClassVar[str] = "a folder with depth/, metadata and cam_poses.txt or masks/ (rgb/)"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has depth/, metadata, and the poses or the masks."""
+        told = (path / "cam_poses.txt").is_file() or (path / "masks").is_dir()
+        return told and (path / "metadata").is_file() and (path / "depth").is_dir()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """List the depth images by number, with colour and mask of the same number."""
+        found = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
+        if not found:
+            raise RecordingError(f"{path / 'depth'}: holds no image 00000.png; copy the scene again")
+        files = tuple(
+            FrameFiles(
+                number * NS_PER_S,
+                found[number],
+                first_file(path / "rgb" / f"{found[number].stem}{end}" for end in (".png", ".jpg")),
+                first_file([path / "masks" / found[number].name]),
+            )
+            for number in sorted(found)
+        )
+        size_px = first_depth_size(files)
+        intrinsics = read_matrix_json(path / "metadata", ("w", "h")).overridden_by(settings)
+        trajectory, warnings, error = read_given(lambda: _read_poses(path, sorted(found)))
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=first_color_size(files) == size_px,
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=tuple(warnings),
+        )
+
+
+def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
+    """The poses of the frames that are there, camera to world."""
+    file = path / "cam_poses.txt"
+    if not file.is_file():
+        return None, []
+    matrices: dict[int, Float64] = {}
+    for where, row in text_rows(file):
+        values = parse_floats(row.split(), where)
+        if len(values) != 17 or not 0 <= values[0] < 10**9 or values[0] % 1:
+            raise RecordingError(f"{where}: is not a frame's number and the 16 numbers of its pose")
+        matrices.setdefault(int(values[0]), np.array(values[1:]).reshape(4, 4))
+    alone = len(matrices.keys() - set(numbers))
+    warnings = [f"{file}: {alone} poses are of frames without depth, and were left out"] if alone else []
+    stamps_ns = [number * NS_PER_S for number in numbers]
+    trajectory, lost = trajectory_from_matrices(stamps_ns, [matrices.get(n) for n in numbers], str(path))
+    return trajectory, [*warnings, *lost]
