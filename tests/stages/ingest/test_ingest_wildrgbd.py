@@ -69,7 +69,7 @@ def test_parts_that_are_missing_or_too_many(tmp_path: Path) -> None:
     assert open_recording(folder).given_trajectory is None
     for file in (folder / "depth").iterdir():
         file.unlink()
-    with pytest.raises(RecordingError, match="holds no image 00000.png"):
+    with pytest.raises(RecordingError, match=r"holds no image 00000\.png"):
         open_recording(folder)
 
 
@@ -80,7 +80,7 @@ def test_a_mask_of_another_size_or_none_damages_its_frame_only(
     folder = wildrgbd(tmp_path / "r")
     (folder / "masks/00001.png").write_bytes(b"no image" if mask is None else png(mask))
     recording = open_recording(folder)
-    with pytest.raises(DamagedImageError, match="masks/00001.png: "):
+    with pytest.raises(DamagedImageError, match=r"masks/00001\.png: "):
         recording.frame(1)
     assert recording.frame(2).mask is not None
 

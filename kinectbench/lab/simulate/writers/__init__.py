@@ -66,8 +66,8 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """The stamp in nanoseconds under which a reader finds a frame (own rule).
 
     Bags keep stamps, TUM folders, .klg and .sens keep microseconds, Redwood's names twelve digits of them.
-    7-Scenes, plain folders, BOP and WildRGB-D scenes have none: there a frame's number counts seconds. 3D Scanner App
-    has seconds as a float.
+    7-Scenes, plain folders, BOP and WildRGB-D scenes have none: there a frame's number counts seconds. 3D
+    Scanner App has seconds as a float.
 
     Args:
         file_format: of the recording.

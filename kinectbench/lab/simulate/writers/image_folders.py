@@ -141,9 +141,9 @@ def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
 def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a scene of WildRGB-D into an empty folder: depth/, rgb/, metadata, cam_poses.txt.
 
-    Depth is PNG in mm, colour PNG, K column by column, poses camera to world. The layout has no stamps. A writer
-    does not see the truth: there are no masks. Colour that is not registered is left out, as the layout has one
-    camera.
+    Depth is PNG in mm, colour PNG, K column by column, poses camera to world. The layout has no stamps. A
+    writer does not see the truth: there are no masks. Colour that is not registered is left out, as there
+    is one camera.
     """
     make_folders(folder, "depth", "rgb")
     rows: list[str] = []

@@ -1,8 +1,8 @@
 """Scenes of WildRGB-D: rgb/, depth/ and masks/ as PNG, `metadata` (JSON), cam_poses.txt.
 
-As the data set's own page says (github.com/wildrgbd/wildrgbd): depth in mm; `metadata` holds w, h and K, whose
-nine numbers go column by column; a line of cam_poses.txt is a frame's number and its 4x4 matrix row by row,
-camera to world in OpenCV's axes.
+As the data set's own page says (github.com/wildrgbd/wildrgbd): depth is in mm; `metadata` holds w, h and K,
+whose nine numbers go column by column; a line of cam_poses.txt is a frame's number and its 4x4 matrix row by
+row, camera to world in OpenCV's axes.
 """
 
 import re
@@ -32,7 +32,7 @@ NUMBER = re.compile(r"\d{1,9}")
 
 
 class WildRgbdRecording(FileRecording):
-    """One scene of WildRGB-D, with the masks of its object; it has no stamps: a frame's number counts seconds."""
+    """One scene of WildRGB-D, with the masks of its object; a frame's number counts seconds."""
 
     format: ClassVar[str] = "wildrgbd"
     looks_for: ClassVar[str] = "a folder with depth/, metadata and cam_poses.txt or masks/ (rgb/)"
