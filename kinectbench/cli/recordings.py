@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis
     from kinectbench.settings.models import RecordingSettings
 
+# What `formats` says of the evidence for a reader.
+EVIDENCE = {
+    "recording": "a real recording",
+    "copy": "a real recording whose licence lets it be copied",
+    "writer": "nothing real, but files written by the format's own description",
+}
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 
 
@@ -38,7 +44,7 @@ def init(
     with replaced_file(target) as temporary:
         temporary.write_text(text)
     count = f"{len(found)} recording{'s' * (len(found) != 1)}"
-    advice = f"{count}: fill in categories, license and source, then run `kinectbench build`"
+    advice = f"{count}: fill in category and object of each, license and source, then run `kinectbench build`"
     common.tell([str(target)], [f"wrote {target}", advice])
 
 
@@ -47,14 +53,13 @@ def formats(common: Common) -> None:
     """List the formats of recordings that are read, what tells each, and on what it was verified."""
     from kinectbench.stages.ingest.readers import FORMATS, reader_of
 
-    rows = [
-        {"format": name, "is": reader_of(name).looks_for, "verified": reader_of(name).verified or None}
-        for name in FORMATS
-    ]
-    lines = []
-    for row in rows:
-        verified = row["verified"] or "nothing real; written from documents only"
-        lines += [f"{row['format']}: {row['is']}", f"    verified on: {verified}"]
+    rows, lines = [], []
+    for name in FORMATS:
+        reader = reader_of(name)
+        facts = {"is": reader.looks_for, "evidence": reader.evidence, "verified": reader.verified or None}
+        rows.append({"format": name, **facts})
+        which = f": {reader.verified}" if reader.verified else ""
+        lines += [f"{name}: {reader.looks_for}", f"    verified on: {EVIDENCE[reader.evidence]}{which}"]
     common.tell(rows, lines)
 
 

@@ -13,10 +13,10 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
 from kinectbench.settings.words import field_range, model_of
 
-CATEGORIES = ("bench", "chair", "couch", "table", "cabinet", "stool", "shelf", "lamp", "bed")
-CATEGORY_WORDS = {name: name for name in CATEGORIES}
-CATEGORY_WORDS |= {"armchair": "chair", "sofa": "couch", "desk": "table"}
+# What `category` is until a person says it; `build` and `publish` warn of it.
 UNKNOWN_CATEGORY = "unknown"
+ASK_CATEGORY = "fill in what it is, such as chair or table"
+ASK_OBJECT = "fill in the same name wherever the same thing is recorded again"
 
 HEADER = """\
 # What this benchmark is built from, and with which settings.
@@ -42,7 +42,7 @@ def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Seq
     names = _unique_ids([folder_name if path == "." else path for path, _ in found], suffixes)
     lines = [HEADER.rstrip(), "", *_top_level(folder_name), "", "recordings:"]
     for number, ((path, kind), name) in enumerate(zip(found, names, strict=True)):
-        lines += _recording(name, path, kind, folder_name if path == "." else path)
+        lines += _recording(name, path, kind)
         lines += _recording_options() if number == 0 else []
     for section, field in BenchmarkSettings.model_fields.items():
         if isinstance(field.default, Settings):
@@ -58,15 +58,14 @@ def _top_level(folder_name: str) -> list[str]:
     return [_commented(f"{key}: {_text(value)}", fields[key].description) for key, value in values.items()]
 
 
-def _recording(name: str, path: str, kind: str, path_name: str) -> list[str]:
-    """The lines of one recording."""
-    category = _category(path_name)
+def _recording(name: str, path: str, kind: str) -> list[str]:
+    """The lines of one recording; what only a person knows is asked for."""
     fields = RecordingSettings.model_fields
-    ask = "fill in, such as chair or table" if category == UNKNOWN_CATEGORY else None
     return [
         f"  - id: {_text(name)}",
         _commented(f"    path: {_text(path)}", kind),
-        _commented(f"    category: {category}", ask),
+        _commented(f"    category: {UNKNOWN_CATEGORY}", ASK_CATEGORY),
+        _commented("    # object: …", ASK_OBJECT),
         _commented(f"    split: {fields['split'].default}", fields["split"].description),
     ]
 
@@ -75,7 +74,7 @@ def _recording_options() -> list[str]:
     """The optional keys of a recording as comments, below the first one."""
     lines = ["    # each recording may also have:"]
     for key, field in RecordingSettings.model_fields.items():
-        if field.is_required() or key == "split":
+        if field.is_required() or key in ("split", "object"):
             continue
         model = model_of(field.annotation)
         value = f"{{{', '.join(f'{name}: …' for name in model.model_fields)}}}" if model else "…"
@@ -131,14 +130,3 @@ def _unique_ids(paths: Sequence[str], suffixes: Sequence[str]) -> list[str]:
             candidate, number = f"{base}_{number}", number + 1
         ids.append(candidate)
     return ids
-
-
-def _category(path: str) -> str:
-    """The category that a path speaks of, its last part first."""
-    for part in reversed(path.split("/")):
-        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", part).lower()
-        for word in re.findall(r"[a-z]+", spaced):
-            for form in (word, word.removesuffix("s"), word.removesuffix("es")):
-                if form in CATEGORY_WORDS:
-                    return CATEGORY_WORDS[form]
-    return UNKNOWN_CATEGORY

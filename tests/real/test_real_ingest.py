@@ -44,6 +44,14 @@ def test_kitchen(tmp_path: Path) -> None:
     assert depth.max() < 20
 
 
+def test_phone_looking_down() -> None:
+    recording = open_recording(ROOT / "phone_looking_down")
+    assert (recording.format, len(recording), recording.warnings) == ("scanner_app", 92, ())
+    assert recording.given_trajectory is not None and len(recording.given_trajectory.stamps_ns) == 92
+    depth_m = recording.frame(40).depth / recording.depth_scale
+    assert 0.2 < np.median(depth_m[depth_m > 0]) < 0.9
+
+
 def test_unsynchronised_stamps(tmp_path: Path) -> None:
     sequence, warnings = ingest(ROOT / "tum_fr1_xyz_150-179", tmp_path / "s", FREIBURG1)
     assert (len(sequence), colored(sequence)) == (32, 30)

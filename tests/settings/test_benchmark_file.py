@@ -319,8 +319,6 @@ def test_init_writes_a_file_that_loads(tmp_path: Path) -> None:
     assert [r.path for r in settings.recordings] == [path for path, _ in found]
     ids = ["OfficeChairA", "sofas_01_rgbd", "tables_rgbd", "Uni_x", "stable", "001", "true", "my_furniture"]
     assert [r.id for r in settings.recordings] == ids
-    categories = ["chair", "couch", "table", *["unknown"] * 5]
-    assert [r.category for r in settings.recordings] == categories
     defaults = BenchmarkSettings.model_fields
     assert settings.fusion == defaults["fusion"].default and settings.views == defaults["views"].default
 
@@ -344,6 +342,18 @@ def test_init_shows_every_setting_at_its_default(tmp_path: Path) -> None:
                 assert re.search(rf"^  {key}: ", uncommented, re.MULTILINE)
     for key in RecordingSettings.model_fields:
         assert re.search(rf"\b{key}: ", text)
+
+
+@pytest.mark.parametrize("path", ["OfficeChairA.bag", "sofas/01", "tables/red_table", "scan", "."])
+def test_init_asks_for_category_and_object_and_invents_neither(tmp_path: Path, path: str) -> None:
+    text = init_benchmark(tmp_path / "chairs", [(path, "log"), ("desk", "log")], name_suffixes())
+    assert re.findall(r"^    category: (\w+) +# fill in what it is", text, re.MULTILINE) == ["unknown"] * 2
+    assert len(re.findall(r"^    # object: … +# fill in", text, re.MULTILINE)) == 2
+    settings = load(tmp_path, text)
+    assert [(r.category, r.object) for r in settings.recordings] == [("unknown", None)] * 2
+    # A file of an earlier version, with a category that it took from the folder's name, is read as before.
+    earlier = text.replace("category: unknown", "category: chair", 1)
+    assert [r.category for r in load(tmp_path, earlier).recordings] == ["chair", "unknown"]
 
 
 def test_init_without_recordings_says_so(tmp_path: Path) -> None:

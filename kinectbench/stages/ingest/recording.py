@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol, Self, TypeVar
+from typing import ClassVar, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+# On what a reader was tried: a real recording, one whose licence lets it be copied, or files that a writer
+# made here by the format's own description.
+Evidence = Literal["recording", "copy", "writer"]
 
 
 @dataclass(frozen=True)
@@ -81,8 +84,8 @@ class Recording(ABC):
         format: name of the format, as in the registry.
         looks_for: what a folder or file must hold to be taken for this format.
         suffixes: how names of such files end; what an id of a recording does without.
-        verified: on what real files, or files of other programs, the reader was tried; "" if it was written
-            from documents only.
+        evidence: the best kind of thing that the reader was tried on.
+        verified: what that was, files of other programs too; "" if it was only files that were written here.
         places: where each frame lies, damaged ones included; stamps are strictly increasing.
         camera: intrinsics of the depth images, pixels.
         depth_scale: native depth units per metre.
@@ -99,6 +102,7 @@ class Recording(ABC):
     format: ClassVar[str]
     looks_for: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]] = ()
+    evidence: ClassVar[Evidence] = "writer"
     verified: ClassVar[str] = ""
     path: Path
     places: tuple[Listed, ...]

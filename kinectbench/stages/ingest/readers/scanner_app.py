@@ -14,7 +14,13 @@ from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import numbers_of, read_object
 from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, PhoneRecording, scaled
-from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import (
+    Evidence,
+    FrameFiles,
+    first_color_size,
+    first_depth_size,
+    first_file,
+)
 
 DEPTH_SCALE = 1000.0
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
@@ -27,6 +33,8 @@ class ScannerAppRecording(PhoneRecording):
 
     format: ClassVar[str] = "scanner_app"
     looks_for: ClassVar[str] = "a folder with depth_00000.png and frame_00000.json (conf_, frame_*.jpg)"
+    evidence: ClassVar[Evidence] = "copy"
+    verified: ClassVar[str] = "92 frames of boards on a floor (Apache 2.0)"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:

@@ -13,7 +13,13 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import Intrinsics, read_intrinsics_matrix
-from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import (
+    Evidence,
+    FileRecording,
+    FrameFiles,
+    first_depth_size,
+    first_file,
+)
 
 DEPTH_SCALE = 1000.0
 INVALID = 65535
@@ -32,7 +38,8 @@ class SevenScenesRecording(FileRecording):
 
     format: ClassVar[str] = "7scenes"
     looks_for: ClassVar[str] = "a folder with frame-000000.depth.png (and .color.png, .pose.txt)"
-    verified: ClassVar[str] = "frames of redkitchen"
+    evidence: ClassVar[Evidence] = "recording"
+    verified: ClassVar[str] = "150 frames of redkitchen (for research use)"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:

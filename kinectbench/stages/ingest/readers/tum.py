@@ -15,7 +15,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     scale_warnings,
 )
-from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size
+from kinectbench.stages.ingest.recording import Evidence, FileRecording, FrameFiles, first_depth_size
 
 DEPTH_SCALE = 5000.0
 
@@ -28,7 +28,8 @@ class TumRecording(FileRecording):
 
     format: ClassVar[str] = "tum"
     looks_for: ClassVar[str] = "a folder with depth.txt (and rgb.txt, groundtruth.txt, camera.json)"
-    verified: ClassVar[str] = "fr3/cabinet and fr1/xyz"
+    evidence: ClassVar[Evidence] = "copy"
+    verified: ClassVar[str] = "fr3/cabinet and fr1/xyz (TUM, CC BY 4.0)"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
