@@ -51,7 +51,7 @@ class StoredFrame(RecordedFrame):
     depth: NDArray[np.uint16] | None = None
     jpeg: bytes = b""
 
-    def depth_native(self, depth_scale: float) -> NDArray[np.uint16]:
+    def depth_native(self, depth_scale: float = 1000.0) -> NDArray[np.uint16]:
         assert self.depth is not None
         # Every other layout is in millimetres as the source is.
         return (self.depth * np.uint16(round(depth_scale / 1000))).astype(np.uint16)

@@ -20,4 +20,6 @@ Format = Literal[
     "scanner_app",
     "bop",
     "wildrgbd",
+    "nerfstudio",
+    "polycam",
 ]

@@ -108,7 +108,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     if "depth_factor" in known:
         known.setdefault("depth_scale", known["depth_factor"])
     keys = [key for key in (*NEEDED, "depth_scale", "width", "height") if key in known]
-    values: dict[str, Any] = {key: _number(known[key], f"{path}: '{key}'") for key in keys}
+    values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
     if values.get("depth_scale", 1.0) <= 0:
         raise RecordingError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
@@ -142,7 +142,7 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
     if not isinstance(said, dict):
         raise RecordingError(f"{where} must hold an object with {HELD}")
     values: dict[str, Any] = {
-        key: _number(said.get(key), f"{where}: '{key}'") for key in ("width", "height", *NEEDED)
+        key: number_of(said.get(key), f"{where}: '{key}'") for key in ("width", "height", *NEEDED)
     }
     size_px = (int(values["width"]), int(values["height"]))
     camera = Intrinsics(**{key: values[key] for key in NEEDED}).camera(size_px, path)
@@ -153,7 +153,7 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
     T = rigid_or_none(matrix) if matrix.shape == (4, 4) else None
     if T is None:
         raise RecordingError(f"{path}: 'T_color_depth' must be four rows of a rigid transform")
-    return ColorCalibration(camera, tuple(_number(d, f"{where}: 'distortion'") for d in distortion), T)
+    return ColorCalibration(camera, tuple(number_of(d, f"{where}: 'distortion'") for d in distortion), T)
 
 
 def numbers_of(value: object) -> Float64:
@@ -180,7 +180,7 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
         RecordingError: not JSON, or one of them is missing or not what it should be.
     """
     raw = read_object(path, ", ".join((key, *size_keys)))
-    width, height = (int(_number(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
+    width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
     matrix = _pinhole(_open3d_matrix(raw.get(key), path, key), path)
     return replace(matrix, width=width, height=height)
 
@@ -200,7 +200,12 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     return raw
 
 
-def _number(value: object, where: str) -> float:
+def number_of(value: object, where: str) -> float:
+    """A number of a JSON file; `where` it stands, for the message.
+
+    Raises:
+        RecordingError: it is not a finite number.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise RecordingError(f"{where} must be a number, not {value!r}")
     return float(value)

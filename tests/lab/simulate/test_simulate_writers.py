@@ -28,12 +28,12 @@ READER = {
     "ros2_sqlite": "rosbag2", "ros2_mcap": "rosbag2",
     "realsense": "realsense", "realsense_old": "realsense", "klg": "klg", "sens": "sens",
     "stray": "stray", "scanner_app": "scanner_app", "bop": "bop",
-    "wildrgbd": "wildrgbd",
+    "wildrgbd": "wildrgbd", "nerfstudio": "nerfstudio", "polycam": "polycam",
 }  # fmt: skip
 SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0}
 BAGS = ["bag", "bag_compressed"]
 # Without stamps, or where they repeat, frames are counted.
-NUMBERED = {"7scenes", "folder", "redwood", "bop", "scanner_app", "wildrgbd"}
+NUMBERED = {"7scenes", "folder", "redwood", "bop", "scanner_app", "wildrgbd", "nerfstudio"}
 # Their layout has no place for poses; nor for saying that colour is registered.
 WITHOUT_POSES = {"realsense", "realsense_old", "klg"}
 UNREGISTERED = {"7scenes"}
@@ -44,7 +44,7 @@ POSE_TOLERANCE = {"sens": 2e-7, "tum": 3e-9, "stray": 3e-9}
 # Their depth images are PNG files.
 FOLDERS = ["tum", "7scenes", "folder", "redwood"]
 # One camera takes both: colour of another is left out.
-ONE_CAMERA = {"klg", "stray", "scanner_app", "bop", "wildrgbd"}
+ONE_CAMERA = {"klg", "stray", "scanner_app", "bop", "wildrgbd", "nerfstudio", "polycam"}
 START_NS = 1_400_000_000_123_456_000
 STEP_NS = 33_333_000
 DELAY_NS = 7_001_000
@@ -145,9 +145,14 @@ def test_round_trip(tmp_path: Path, name: str, registered: bool, given: bool) ->
 def test_stamps_as_read() -> None:
     stamp_ns = 1_400_000_000_123_456_789
     expected = dict.fromkeys(WRITERS, stamp_ns)
-    expected |= dict.fromkeys(("tum", "klg", "sens", "stray"), 1_400_000_000_123_456_000)
+    expected |= dict.fromkeys(("tum", "klg", "sens", "stray", "polycam"), 1_400_000_000_123_456_000)
     expected |= {"7scenes": 3 * 10**9, "folder": 3 * 10**9, "redwood": 123_456_000}
-    expected |= {"bop": 3 * 10**9, "wildrgbd": 3 * 10**9, "scanner_app": 1_400_000_000_123_456_768}
+    expected |= {
+        "bop": 3 * 10**9,
+        "wildrgbd": 3 * 10**9,
+        "nerfstudio": 3 * 10**9,
+        "scanner_app": 1_400_000_000_123_456_768,
+    }
     assert {name: stamp_as_read(name, 3, stamp_ns) for name in WRITERS} == expected
     assert seconds(stamp_ns) == "1400000000.123456"
     assert [seconds(-1), seconds(-1_500_000)] == ["-0.000001", "-0.001500"]

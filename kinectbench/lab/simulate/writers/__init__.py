@@ -13,6 +13,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.lab.simulate import Format
 from kinectbench.lab.simulate.writers.bags import write_rosbag1, write_rosbag2
 from kinectbench.lab.simulate.writers.binary_logs import write_klg, write_sens
+from kinectbench.lab.simulate.writers.captures import write_nerfstudio, write_polycam
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig
 from kinectbench.lab.simulate.writers.image_folders import (
     write_bop,
@@ -45,6 +46,8 @@ WRITERS: dict[Format, Writer] = {
     "scanner_app": write_scanner_app,
     "bop": write_bop,
     "wildrgbd": write_wildrgbd,
+    "nerfstudio": write_nerfstudio,
+    "polycam": write_polycam,
 }
 # The formats that are one file, and what its name ends in.
 SUFFIXES: dict[Format, str] = {
@@ -56,8 +59,9 @@ SUFFIXES: dict[Format, str] = {
     "sens": ".sens",
 }
 # Where `cut` looks for the image that comes last, and the formats whose stamps are microseconds.
-DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png")
-MICROSECONDS = ("tum", "klg", "sens", "stray")
+DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png", "keyframes/depth/*.png")
+MICROSECONDS = ("tum", "klg", "sens", "stray", "polycam")
+WITHOUT_STAMPS = ("7scenes", "folder", "bop", "wildrgbd", "nerfstudio")
 
 __all__ = ["SUFFIXES", "WRITERS", "RecordedFrame", "Rig", "Writer", "cut", "stamp_as_read"]
 
@@ -65,16 +69,16 @@ __all__ = ["SUFFIXES", "WRITERS", "RecordedFrame", "Rig", "Writer", "cut", "stam
 def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """The stamp in nanoseconds under which a reader finds a frame (own rule).
 
-    Bags keep stamps, TUM folders, .klg and .sens keep microseconds, Redwood's names twelve digits of them.
-    7-Scenes, plain folders, BOP and WildRGB-D scenes have none: there a frame's number counts seconds. 3D
-    Scanner App has seconds as a float.
+    Bags keep stamps, TUM folders, .klg, .sens, StrayScanner and Polycam keep microseconds, Redwood's names
+    twelve digits of them. 7-Scenes, plain folders, BOP, WildRGB-D and transforms.json have none: there a
+    frame's number counts seconds. 3D Scanner App has seconds as a float.
 
     Args:
         file_format: of the recording.
         index: the frame's place among those that were written, from 0.
         stamp_ns: of the frame as written, nanoseconds.
     """
-    if file_format in ("7scenes", "folder", "bop", "wildrgbd"):
+    if file_format in WITHOUT_STAMPS:
         return index * NS_PER_S
     if file_format == "scanner_app":
         return round(stamp_ns / NS_PER_S * NS_PER_S)

@@ -25,6 +25,8 @@ FORMATS = {
     "wildrgbd": "kinectbench.stages.ingest.readers.wildrgbd:WildRgbdRecording",
     "tum": "kinectbench.stages.ingest.readers.tum:TumRecording",
     "7scenes": "kinectbench.stages.ingest.readers.seven_scenes:SevenScenesRecording",
+    "polycam": "kinectbench.stages.ingest.readers.polycam:PolycamRecording",
+    "nerfstudio": "kinectbench.stages.ingest.readers.nerfstudio:NerfstudioRecording",
     "folder": "kinectbench.stages.ingest.readers.folder:FolderRecording",
 }
 

@@ -90,10 +90,11 @@ class FolderRecording(FileRecording):
 def _images(folder: Path, suffixes: frozenset[str]) -> list[Path]:
     """The images of a folder in the order people count: 2 before 10."""
     files = (f for f in folder.iterdir() if f.suffix.lower() in suffixes and not f.name.startswith("."))
-    return sorted(files, key=lambda file: (_counting_key(file.stem), file.name))
+    return sorted(files, key=lambda file: (counting_key(file.stem), file.name))
 
 
-def _counting_key(stem: str) -> list[tuple[int, str]]:
+def counting_key(stem: str) -> list[tuple[int, str]]:
+    """What sorts names in the order people count: 2 before 10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", stem)]
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
 from kinectbench.stages.ingest.intrinsics import Intrinsics
@@ -13,6 +14,12 @@ from kinectbench.stages.ingest.recording import FileRecording, read_image_file
 
 # Of ARKit's colour images, where none is there to tell.
 COLOR_PX = (1920, 1440)
+# ARKit's camera looks along -z with y up, as OpenGL's does.
+OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
+# Polycam's own page says that intrinsics differ "a pixel or two" from frame to frame, as a phone focuses.
+USUAL_PX = 2.0
+# Frames that differ by more of the focal length are of several cameras (own choice).
+LARGEST_SHARE = 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,10 +39,14 @@ class PhoneRecording(FileRecording):
         file = self.confidence[index] if self.confidence else None
         if file is None or self.min_confidence == 0:
             return depth
-        confidence = decode_color_bgr(read_image_file(file), str(file))[..., 0]
+        confidence = self.levels(decode_color_bgr(read_image_file(file), str(file))[..., 0])
         if confidence.shape != depth.shape:
             raise DamagedImageError(f"{file}: its size is not that of the depth image")
         return np.where(confidence >= self.min_confidence, depth, np.uint16(0))
+
+    def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What a confidence image (height, width) says as 0, 1 or 2: low, middle, high."""
+        return image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Colour of a frame at the size of depth: as it was encoded if it has it, else a PNG; or None."""
@@ -67,3 +78,50 @@ def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> 
         cx=(float(K[0, 2]) + 0.5) * x - 0.5,
         cy=(float(K[1, 2]) + 0.5) * y - 0.5,
     )
+
+
+def scaled_to_depth(
+    K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int], path: Path
+) -> Intrinsics:
+    """Intrinsics (3, 3) of colour for depth of another size, once both have the same shape.
+
+    Raises:
+        RecordingError: they differ in shape by more than a pixel of depth.
+    """
+    (width, height), fits = color_px, min(color_px) > 0
+    if not fits or abs(width * depth_px[1] / height - depth_px[0]) > 1:
+        raise RecordingError(
+            f"{path}: the intrinsics are for {width}x{height} images, but the depth images are "
+            f"{depth_px[0]}x{depth_px[1]}, which is another shape: export depth again, whole and upright"
+        )
+    return scaled(K, color_px, depth_px)
+
+
+def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
+    """One camera for frames whose intrinsics differ a little, by medians (own rule).
+
+    Args:
+        rows: (n, 4) fx, fy, cx, cy of each frame, pixels.
+        path: the recording, for messages.
+
+    Returns:
+        The pinhole matrix (3, 3), and a warning where frames differ by more than is usual.
+
+    Raises:
+        RecordingError: a focal length is not positive, or frames differ so much that they are of several
+            cameras.
+    """
+    fx, fy, cx, cy = np.median(rows, axis=0).tolist()
+    if (rows[:, :2] <= 0).any():
+        raise RecordingError(f"{path}: a focal length is not positive; export the recording again")
+    apart_px = float(np.abs(rows - [fx, fy, cx, cy]).max())
+    if apart_px > LARGEST_SHARE * fx:
+        raise RecordingError(
+            f"{path}: the intrinsics of its frames differ by {apart_px:.0f} pixels; a recording must keep "
+            "one camera and zoom: give the frames of one"
+        )
+    warnings = []
+    if apart_px > USUAL_PX:
+        what = f"the intrinsics of its frames differ by {apart_px:.1f} pixels; their medians are taken"
+        warnings.append(f"{path}: {what}")
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), warnings

@@ -13,7 +13,12 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import numbers_of, read_object
-from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, PhoneRecording, scaled
+from kinectbench.stages.ingest.readers.phone_images import (
+    COLOR_PX,
+    OPENGL_FROM_OPTICAL,
+    PhoneRecording,
+    scaled,
+)
 from kinectbench.stages.ingest.recording import (
     Evidence,
     FrameFiles,
@@ -24,8 +29,6 @@ from kinectbench.stages.ingest.recording import (
 
 DEPTH_SCALE = 1000.0
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
-# ARKit's camera looks along -z with y up.
-OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 class ScannerAppRecording(PhoneRecording):

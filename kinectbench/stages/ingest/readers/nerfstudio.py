@@ -1,0 +1,210 @@
+"""Folders with a transforms.json whose frames have depth: nerfstudio's data sets, and Polycam's made by it.
+
+As nerfstudio's page on data conventions says: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are of all frames
+or of each; `transform_matrix` is camera to world in OpenGL's axes; the first pixel's centre is (0.5, 0.5).
+Depth is in mm, or as `depth_unit_scale_factor` (instant-ngp's `integer_depth_scale`) says, metres a unit.
+`mask_path` is not read: it is of pixels to leave out of training, not of an object.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
+from kinectbench.stages.ingest.intrinsics import (
+    Intrinsics,
+    number_of,
+    numbers_of,
+    read_object,
+    scale_warnings,
+)
+from kinectbench.stages.ingest.readers.folder import counting_key
+from kinectbench.stages.ingest.readers.phone_images import (
+    OPENGL_FROM_OPTICAL,
+    PhoneRecording,
+    one_camera,
+    scaled_to_depth,
+)
+from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size, first_file
+from kinectbench.stages.ingest.registration import Undistortion
+
+FILE = "transforms.json"
+DEPTH_KEYS = ("depth_file_path", "depth_path")
+SCALE_KEYS = ("depth_unit_scale_factor", "integer_depth_scale")
+PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
+# In Brown's order; a fourth radial term is not in his model.
+BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
+MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+METRES_PER_UNIT = 0.001
+# The first frame lies within (own choice).
+HEAD_BYTES = 1 << 16
+
+Frame = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NerfstudioRecording(PhoneRecording):
+    """A transforms.json with depth; frames count seconds in the order of their depth's names.
+
+    Attributes:
+        undistortion: how its images become pinhole images, or None.
+    """
+
+    format: ClassVar[str] = "nerfstudio"
+    looks_for: ClassVar[str] = "a folder with transforms.json whose frames have a depth_file_path"
+
+    undistortion: Undistortion | None = field(default=None, compare=False)
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has a transforms.json that names depth, or nothing else that could be read."""
+        if not (path / FILE).is_file():
+            return False
+        with (path / FILE).open("rb") as file:
+            head = file.read(HEAD_BYTES)
+        return any(f'"{key}"'.encode() in head for key in DEPTH_KEYS) or not (path / "depth").is_dir()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read the frames that have depth, their one camera, and their poses."""
+        said, frames, warnings = _read_frames(path)
+        files = tuple(
+            FrameFiles(index * NS_PER_S, path / depth, _color(path, frame))
+            for index, (depth, frame) in enumerate(frames)
+        )
+        size_px = first_depth_size(files)
+        whole = [said | frame for _, frame in frames]
+        intrinsics, varied = _intrinsics(path, whole, first_color_size(files) or size_px, size_px)
+        unit_m = number_of(_first(said, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
+        if unit_m <= 0:
+            raise RecordingError(f"{path / FILE}: its depth scale must be above 0 (metres a unit)")
+        trajectory, lost, error = read_given(lambda: _trajectory(path, said, files, whole))
+        camera = intrinsics.overridden_by(settings).camera(size_px, path)
+        coefficients = _distortion(path, whole)
+        return cls(
+            path=path,
+            places=files,
+            camera=camera,
+            depth_scale=settings.depth_scale or 1 / unit_m,
+            color_registered=any(file.color for file in files),
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=(*warnings, *varied, *scale_warnings(path, 1 / unit_m, settings), *lost),
+            undistortion=Undistortion(camera, coefficients) if any(coefficients) else None,
+        )
+
+    def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
+        """Take lens distortion out."""
+        return self.undistortion.depth(depth) if self.undistortion else depth
+
+    def color(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of a frame at the size of depth, without lens distortion; or None."""
+        color = super().color(index)
+        if color is None or self.undistortion is None:
+            return color
+        bgr = decode_color_bgr(color[1], f"{self.places[index].color}")
+        return ".png", encode_png(self.undistortion.color(bgr))
+
+
+def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
+    """What is said of all frames; those with depth, in the order of its names; and warnings."""
+    file = path / FILE
+    said = read_object(file, "frames")
+    frames = said.pop("frames", None)
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise RecordingError(f"{file}: 'frames' must be a list of objects")
+    named = [(_name(file, depth), f) for f in frames if (depth := _first(f, DEPTH_KEYS)) is not None]
+    if not named:
+        raise RecordingError(
+            f"{file}: none of its {len(frames)} frames has a depth_file_path, so there is colour only: "
+            "export it with depth, as from a camera or phone that measures it"
+        )
+    alone = len(frames) - len(named)
+    warnings = [f"{file}: {alone} frames have no depth_file_path and were left out"] if alone else []
+    return said, sorted(named, key=lambda row: counting_key(row[0])), warnings
+
+
+def _first(said: Frame, keys: tuple[str, ...], default: object = None) -> Any:
+    return next((said[key] for key in keys if said.get(key) is not None), default)
+
+
+def _name(file: Path, name: object) -> str:
+    """The name of a file in the folder."""
+    parts = PurePosixPath(name).parts if isinstance(name, str) and "\0" not in name else ()
+    if not parts or ".." in parts or parts[0] == "/":
+        raise RecordingError(f"{file}: {name!r} does not name a file inside the recording's folder")
+    return str(name)
+
+
+def _color(path: Path, frame: Frame) -> Path | None:
+    name = frame.get("file_path")
+    return None if name is None else first_file([path / _name(path / FILE, name)])
+
+
+def _intrinsics(
+    path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
+) -> tuple[Intrinsics, list[str]]:
+    """The intrinsics of the depth images; and warnings."""
+    file = path / FILE
+    model = {str(frame.get("camera_model")) for frame in frames if frame.get("camera_model") not in MODELS}
+    if model:
+        raise RecordingError(
+            f"{file}: cameras of the model {min(model)} are not read: undistort the images first"
+        )
+    if any(frame.get(key) is None for frame in frames for key in PINHOLE_KEYS):
+        return Intrinsics(), []
+    sizes = {
+        tuple(
+            int(number_of(frame.get(key, px), f"{file}: '{key}'"))
+            for key, px in zip("wh", color_px, strict=True)
+        )
+        for frame in frames
+    }
+    if len(sizes) > 1:
+        raise RecordingError(f"{file}: its frames are of several sizes; a recording must keep one camera")
+    rows = [[number_of(frame[key], f"{file}: '{key}'") for key in PINHOLE_KEYS] for frame in frames]
+    K, warnings = one_camera(np.array(rows), path)
+    K[:2, 2] -= 0.5
+    width, height = sizes.pop()
+    return scaled_to_depth(K, (width, height), size_px, path), warnings
+
+
+def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
+    """Brown's coefficients k1 k2 p1 p2 k3, which all frames share."""
+    file = path / FILE
+    rows = {tuple(number_of(f.get(key, 0), f"{file}: '{key}'") for key in BROWN_KEYS) for f in frames}
+    if len(rows) > 1 or any(frame.get("k4") for frame in frames):
+        what = "k4 is not 0" if len(rows) == 1 else "frames differ in their distortion"
+        raise RecordingError(f"{file}: {what}, which is not read: undistort the images first")
+    return rows.pop()
+
+
+def _trajectory(
+    path: Path, said: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Camera to world in metres: nerfstudio's `applied_scale` is taken back."""
+    scale = number_of(said.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
+    if scale <= 0:
+        raise RecordingError(f"{path / FILE}: 'applied_scale' must be above 0")
+    matrices = [_matrix(path, frame.get("transform_matrix"), scale) for frame in frames]
+    return trajectory_from_matrices([file.stamp_ns for file in files], matrices, str(path))
+
+
+def _matrix(path: Path, value: object, scale: float) -> Float64 | None:
+    if value is None:
+        return None
+    T = numbers_of(value)
+    if T.shape != (4, 4):
+        raise RecordingError(f"{path / FILE}: 'transform_matrix' must be four rows of four numbers")
+    T[:3, 3] /= scale
+    with np.errstate(invalid="ignore"):  # of what is not finite
+        return np.asarray(T @ OPENGL_FROM_OPTICAL)

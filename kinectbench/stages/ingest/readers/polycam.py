@@ -1,0 +1,123 @@
+"""Polycam's raw data: keyframes/ with depth, images and cameras of each frame, named by microseconds.
+
+As Polycam's own page says (github.com/PolyCam/polyform): depth is in mm; confidence 0, 127 or 255; a JSON of
+each frame holds intrinsics, width and height of its image, and `t_00` to `t_23`, camera to world row by row
+in ARKit's axes. `corrected_cameras/`, `corrected_images/` are the optimised poses and the undistorted images.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, read_object
+from kinectbench.stages.ingest.readers.phone_images import (
+    OPENGL_FROM_OPTICAL,
+    PhoneRecording,
+    one_camera,
+    scaled_to_depth,
+)
+from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
+
+DEPTH_SCALE = 1000.0
+NS_PER_US = 1000
+# Longer numbers are no microseconds that 64-bit nanoseconds hold.
+STAMP_US = re.compile(r"[0-8]?\d{1,15}")
+HIGH = 255
+CAMERA_KEYS = ("fx", "fy", "cx", "cy", "width", "height")
+POSE_KEYS = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
+
+
+class PolycamRecording(PhoneRecording):
+    """A folder of Polycam's raw data; its optimised poses are taken where they are there."""
+
+    format: ClassVar[str] = "polycam"
+    looks_for: ClassVar[str] = "a folder with keyframes/depth and keyframes/cameras or corrected_cameras"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has keyframes/ with depth/ and cameras."""
+        inside = path / "keyframes"
+        cameras = any((inside / name).is_dir() for name in ("cameras", "corrected_cameras"))
+        return cameras and (inside / "depth").is_dir()
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """List the depth images by stamp, and read the camera of each."""
+        inside = path / "keyframes"
+        corrected = any((inside / "corrected_cameras").glob("*.json"))
+        kind = "corrected_" if corrected else ""
+        warnings = [] if corrected else [f"{path}: has no corrected_cameras; ARKit's own poses are taken"]
+        depth = {int(f.stem): f for f in (inside / "depth").glob("*.png") if STAMP_US.fullmatch(f.stem)}
+        if not depth:
+            raise RecordingError(f"{inside / 'depth'}: holds no depth image; export the raw data again")
+        stems = [depth[stamp_us].stem for stamp_us in sorted(depth)]
+        files = tuple(
+            FrameFiles(
+                int(stem) * NS_PER_US,
+                depth[int(stem)],
+                first_file([inside / f"{kind}images" / f"{stem}.jpg"]),
+            )
+            for stem in stems
+        )
+        cameras = [_read_camera(inside / f"{kind}cameras" / f"{stem}.json") for stem in stems]
+        size_px = first_depth_size(files)
+        K, color_px, varied = _shared(inside / f"{kind}cameras", cameras)
+        said = scaled_to_depth(K, color_px, size_px, path)
+        stamps_ns = [file.stamp_ns for file in files]
+        trajectory, lost, error = read_given(
+            lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
+        )
+        intrinsics = said.overridden_by(settings)
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=any(file.color for file in files),
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=(*warnings, *varied, *lost),
+            confidence=tuple(first_file([inside / "confidence" / f"{stem}.png"]) for stem in stems),
+            min_confidence=settings.min_confidence,
+        )
+
+    def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Polycam's 0, 127 and 255 as 0, 1 and 2."""
+        return np.where(image == HIGH, np.uint8(2), np.minimum(image, np.uint8(1)))
+
+
+def _read_camera(file: Path) -> dict[str, Any] | None:
+    """The JSON of a frame, or None if it is not there."""
+    if not file.is_file():
+        return None
+    return read_object(file, "the intrinsics and t_00 to t_23") | {"file": str(file)}
+
+
+def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64, tuple[int, int], list[str]]:
+    """The pinhole matrix of all images, their size, and warnings."""
+    there = [camera for camera in cameras if camera]
+    if not there:
+        raise RecordingError(f"{folder}: holds no camera of a depth image; export the raw data again")
+    rows = np.array([[number_of(c.get(key), f"{c['file']}: '{key}'") for key in CAMERA_KEYS] for c in there])
+    if (rows[:, 4:] != rows[0, 4:]).any():
+        raise RecordingError(f"{folder}: its images are of several sizes; a recording must keep one camera")
+    K, warnings = one_camera(rows[:, :4], folder)
+    return K, (int(rows[0, 4]), int(rows[0, 5])), warnings
+
+
+def _pose(camera: dict[str, Any] | None) -> Float64 | None:
+    """Camera to world in optical axes."""
+    if camera is None or POSE_KEYS[0] not in camera:
+        return None
+    numbers = numbers_of([camera.get(key) for key in POSE_KEYS])
+    if numbers.shape != (12,):
+        raise RecordingError(f"{camera['file']}: t_00 to t_23 must be numbers")
+    with np.errstate(invalid="ignore"):  # of what is not finite
+        return np.asarray(np.vstack([numbers.reshape(3, 4), [0, 0, 0, 1]]) @ OPENGL_FROM_OPTICAL)
