@@ -32,7 +32,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 1,
     "pairs": 2,
     "suggest": 1,
-    "publish": 7,
+    "publish": 8,
     "synthesize": 2,
     "score": 3,
     "baselines": 1,

@@ -10,8 +10,10 @@ import yaml
 from jsonschema import Draft202012Validator
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
+from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import COLUMNS
 from kinectbench.release.publish.attribution import citation_text
+from kinectbench.release.publish.card import origins_table
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.publish.schemas import JSON_FILES, schema_problems, schema_texts
 from kinectbench.release.release import Release
@@ -97,7 +99,26 @@ def test_licence_and_source_of_each_recording(build: Path, tmp_path: Path) -> No
     assert "**Not for distribution.**" in (summary.folder / "README.md").read_text()
     text = (summary.folder / "LICENSE").read_text()
     assert "chair_01\n  licence: CC-BY-4.0\n  source: Jo's kitchen" in text and "NOT FOR DISTRIBUTION" in text
+    card = (summary.folder / "README.md").read_text()
+    assert "| chair_01 | CC-BY-4.0 | Jo's kitchen |" in card and "| chair_02 | CC0-1.0 | unspecified |" in card
     assert publish(settings, build, tmp_path / "c", ["chair_01"]).warnings == ()
+
+
+def test_the_card_names_recordings_of_one_origin_together() -> None:
+    infos = {
+        name: RecordingInfo.model_construct(license=license, source=source)
+        for name, license, source in (
+            ("b", "CC0-1.0", "our lab"),
+            ("c", "CC-BY-4.0", "a | b,\nsecond line"),
+            ("a", "CC0-1.0", "our lab"),
+            ("d", "CC-BY-4.0", "our lab"),
+        )
+    }
+    assert origins_table(infos).splitlines()[2:] == [
+        "| a, b | CC0-1.0 | our lab |",
+        "| c | CC-BY-4.0 | a \\| b, second line |",
+        "| d | CC-BY-4.0 | our lab |",
+    ]
 
 
 def test_citation() -> None:

@@ -1,7 +1,7 @@
 """What a release says to people: the card README.md, and READING.md, which reads it without this package."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from kinectbench.core.artefacts.benchmark import UNSPECIFIED, ReleaseInfo
+from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
@@ -111,6 +111,7 @@ def card(
         truth=INPUT_LINES if hidden else TRUTH_LINES,
         shown="partial_256" if hidden else "full",
         quality=_quality(info),
+        origins=origins_table(info.recordings),
         warnings="\n".join(f"- {line}" for line in warnings) or "None.",
     )
     return f"---\n{_head(info, targets, license)}---\n\n{body}"
@@ -176,6 +177,16 @@ def _quality(info: ReleaseInfo) -> str:
         for name, recording in sorted(info.recordings.items())
     ]
     return _markdown(["recording", "object", "pairs", "refused", *labels], rows)
+
+
+def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
+    """Licence and source, as stated, of the recordings that share them: whom to name, and for what."""
+    sharing: dict[tuple[str, str], list[str]] = {}
+    for name, info in sorted(recordings.items()):
+        source = " ".join(info.source.split()).replace("|", "\\|")
+        sharing.setdefault((source, info.license.replace("|", "\\|")), []).append(name)
+    rows = [[", ".join(names), license, source] for (source, license), names in sharing.items()]
+    return _markdown(["recordings", "licence", "source"], rows)
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
