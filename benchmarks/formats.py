@@ -28,7 +28,7 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 # What a layout cannot hold: no stated pose; colour as a video.
-WITHOUT_POSES = {"realsense", "realsense_old", "klg"}
+WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip"}
 COLOR = {
     "7scenes": "pixels",
     "wildrgbd": "pixels",
@@ -75,7 +75,7 @@ def stored_frames(source: Recording) -> Iterator[StoredFrame]:
 def settings_of(name: str, source: Recording) -> CameraSettings | None:
     """What has to be said of a container that does not say its intrinsics."""
     c = source.camera
-    if name not in ("klg", "7scenes"):
+    if name not in ("klg", "7scenes", "redwood_zip"):
         return None
     return CameraSettings(width=c.width, height=c.height, fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy)
 

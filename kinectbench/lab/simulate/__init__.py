@@ -22,4 +22,5 @@ Format = Literal[
     "wildrgbd",
     "nerfstudio",
     "polycam",
+    "redwood_zip",
 ]

@@ -62,12 +62,12 @@ def test_same_spec_same_bytes(tmp_path, form):
     assert beside <= set(first)
     assert all(".part" not in path.name for path in tmp_path.rglob("*"))
     truth = read_truth(folder)
-    # A .klg does not say its intrinsics.
-    settings = CameraSettings(**asdict(truth.camera)) if form == "klg" else None
+    # They do not say their intrinsics.
+    settings = CameraSettings(**asdict(truth.camera)) if form in ("klg", "redwood_zip") else None
     recording = open_recording(tmp_path / "a" / name, settings)
     assert [frame.stamp_ns for frame in every_frame(recording)] == truth.stamps_ns.tolist()
     assert asdict(recording.camera) == pytest.approx(asdict(truth.camera), rel=1e-7)
-    if form in ("klg", "realsense", "realsense_old"):
+    if form in ("klg", "realsense", "realsense_old", "redwood_zip"):
         assert recording.given_trajectory is None
         return
     assert np.abs(recording.given_trajectory.T_world_camera - truth.T_world_camera).max() < 1e-6

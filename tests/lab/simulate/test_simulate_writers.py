@@ -29,13 +29,14 @@ READER = {
     "realsense": "realsense", "realsense_old": "realsense", "klg": "klg", "sens": "sens",
     "stray": "stray", "scanner_app": "scanner_app", "bop": "bop",
     "wildrgbd": "wildrgbd", "nerfstudio": "nerfstudio", "polycam": "polycam",
+    "redwood_zip": "redwood_zip",
 }  # fmt: skip
 SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0}
 BAGS = ["bag", "bag_compressed"]
 # Without stamps, or where they repeat, frames are counted.
-NUMBERED = {"7scenes", "folder", "redwood", "bop", "scanner_app", "wildrgbd", "nerfstudio"}
+NUMBERED = {"7scenes", "folder", "redwood", "redwood_zip", "bop", "scanner_app", "wildrgbd", "nerfstudio"}
 # Their layout has no place for poses; nor for saying that colour is registered.
-WITHOUT_POSES = {"realsense", "realsense_old", "klg"}
+WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip"}
 UNREGISTERED = {"7scenes"}
 # It says where the colour camera is.
 CALIBRATED = {"tum", "folder", "redwood", "ros2_sqlite", "ros2_mcap", "realsense", "realsense_old", "sens"}
@@ -50,7 +51,8 @@ STEP_NS = 33_333_000
 DELAY_NS = 7_001_000
 DEPTH = Camera(64, 48, 60.0, 61.0, 31.5, 22.25)
 COLOR = Camera(80, 60, 75.0, 76.0, 40.0, 28.5)
-SETTINGS = {"klg": CameraSettings(**asdict(DEPTH))}
+# Their layouts do not say the intrinsics.
+SETTINGS = dict.fromkeys(("klg", "redwood_zip"), CameraSettings(**asdict(DEPTH)))
 T_COLOR_DEPTH = rigid(rotation_from_quaternion_xyzw([0.01, 0, 0, 1]), [-0.025, 0.001, 0])
 
 
@@ -147,6 +149,7 @@ def test_stamps_as_read() -> None:
     expected = dict.fromkeys(WRITERS, stamp_ns)
     expected |= dict.fromkeys(("tum", "klg", "sens", "stray", "polycam"), 1_400_000_000_123_456_000)
     expected |= {"7scenes": 3 * 10**9, "folder": 3 * 10**9, "redwood": 123_456_000}
+    expected["redwood_zip"] = 123_456_000
     expected |= {
         "bop": 3 * 10**9,
         "wildrgbd": 3 * 10**9,

@@ -11,6 +11,7 @@ from pathlib import Path
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.lab.simulate import Format
+from kinectbench.lab.simulate.writers.archives import write_redwood_zip
 from kinectbench.lab.simulate.writers.bags import write_rosbag1, write_rosbag2
 from kinectbench.lab.simulate.writers.binary_logs import write_klg, write_sens
 from kinectbench.lab.simulate.writers.captures import write_nerfstudio, write_polycam
@@ -48,6 +49,7 @@ WRITERS: dict[Format, Writer] = {
     "wildrgbd": write_wildrgbd,
     "nerfstudio": write_nerfstudio,
     "polycam": write_polycam,
+    "redwood_zip": write_redwood_zip,
 }
 # The formats that are one file, and what its name ends in.
 SUFFIXES: dict[Format, str] = {
@@ -57,6 +59,7 @@ SUFFIXES: dict[Format, str] = {
     "realsense_old": ".bag",
     "klg": ".klg",
     "sens": ".sens",
+    "redwood_zip": ".zip",
 }
 # Where `cut` looks for the image that comes last, and the formats whose stamps are microseconds.
 DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png", "keyframes/depth/*.png")
@@ -82,7 +85,7 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
         return index * NS_PER_S
     if file_format == "scanner_app":
         return round(stamp_ns / NS_PER_S * NS_PER_S)
-    if file_format == "redwood":
+    if file_format in ("redwood", "redwood_zip"):
         return stamp_ns // 1000 % 10**12 * 1000
     return stamp_ns // 1000 * 1000 if file_format in MICROSECONDS else stamp_ns
 

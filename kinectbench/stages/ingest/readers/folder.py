@@ -1,7 +1,8 @@
 """Plain folders: `depth/` and `color/` images with an intrinsics file, as Open3D and Redwood use them."""
 
 import re
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePath
 from typing import ClassVar, Self
 
 import numpy as np
@@ -64,7 +65,7 @@ class FolderRecording(FileRecording):
         color = next(
             (_images(path / name, COLOR_SUFFIXES) for name in COLOR_FOLDERS if (path / name).is_dir()), []
         )
-        stamps_ns = _stamps_ns(depth)
+        stamps_ns = stamps_of_names(depth)
         partners = _partners(depth, color, path)
         order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
         files = tuple(FrameFiles(stamps_ns[i], depth[i], partners[i]) for i in order)
@@ -98,7 +99,7 @@ def counting_key(stem: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", stem)]
 
 
-def _key(file: Path) -> str:
+def frame_key(file: PurePath) -> str:
     """What must agree for depth and colour to be one frame: the stem, without leading zeros of a number."""
     redwood = NUMBER_AND_STAMP.fullmatch(file.stem)
     if redwood:
@@ -106,21 +107,22 @@ def _key(file: Path) -> str:
     return str(int(file.stem)) if FRAME_NUMBER.fullmatch(file.stem) else file.stem
 
 
-def _stamps_ns(depth: list[Path]) -> list[int]:
+def stamps_of_names(depth: Sequence[PurePath]) -> list[int]:
+    """Stamps in nanoseconds by Redwood's names; else a number counts seconds, or else the order does."""
     stamps = [NUMBER_AND_STAMP.fullmatch(file.stem) for file in depth]
     if all(stamps):
         stamps_ns = [int(match[2]) * 1000 for match in stamps if match]
         if len(set(stamps_ns)) == len(stamps_ns):
             return stamps_ns
-    keys = [_key(file) for file in depth]
+    keys = [frame_key(file) for file in depth]
     numbered = all(FRAME_NUMBER.fullmatch(key) for key in keys) and len(set(keys)) == len(keys)
     return [(int(key) if numbered else index) * NS_PER_S for index, key in enumerate(keys)]
 
 
 def _partners(depth: list[Path], color: list[Path], path: Path) -> list[Path | None]:
     """The colour image of each depth image: the same name, or the same place if no name agrees."""
-    by_key = {_key(file): file for file in color}
-    partners = [by_key.get(_key(file)) for file in depth]
+    by_key = {frame_key(file): file for file in color}
+    partners = [by_key.get(frame_key(file)) for file in depth]
     if not color or any(partners):
         return partners
     if len(color) != len(depth):

@@ -1,0 +1,106 @@
+"""Scans of the Redwood 3dscan data set (redwood-data.org/3dscan) in the zip archives they come in.
+
+depth/ and rgb/NUMBER-MICROSECONDS, depth in mm as PNG, colour as JPEG; by the data set's own page its
+PrimeSense cameras make 640x480 images with 525, 525, 319.5, 239.5, which the archive does not say.
+"""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import ClassVar, NamedTuple, Self
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, image_header
+from kinectbench.stages.ingest.intrinsics import Intrinsics
+from kinectbench.stages.ingest.readers.archive import Archive, holds
+from kinectbench.stages.ingest.readers.folder import (
+    DEPTH_SCALE,
+    PRIMESENSE,
+    counting_key,
+    frame_key,
+    stamps_of_names,
+)
+from kinectbench.stages.ingest.recording import RawFrame, Recording, first_whole
+
+NAMED = re.compile(rb"(?:depth|rgb)/\d{1,9}-\d{12}\.(?:png|jpg)")
+MEMBER = re.compile(r"(?:[^/]+/)?(depth|rgb)/\d{1,9}-\d{12}\.(?:png|jpg)")
+
+
+class ZippedFrame(NamedTuple):
+    """The members of a frame: stamp of depth in nanoseconds, names of depth and of colour (or None)."""
+
+    stamp_ns: int
+    depth: str
+    color: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RedwoodZipRecording(Recording):
+    """A scan in its zip archive; its trajectory is not in it.
+
+    Attributes:
+        archive: gives the images.
+    """
+
+    format: ClassVar[str] = "redwood_zip"
+    looks_for: ClassVar[str] = "a .zip of Redwood's scans: depth/0000001-000000000000.png and rgb/"
+    suffixes: ClassVar[tuple[str, ...]] = (".zip",)
+
+    places: tuple[ZippedFrame, ...]
+    archive: Archive = field(compare=False)
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether it is a zip archive that holds images named as Redwood's are."""
+        return holds(path, NAMED)
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """List the images; nothing is unpacked but the first of each kind."""
+        archive = Archive(path)
+        found = [(PurePosixPath(name), m[1]) for name in archive.names() if (m := MEMBER.fullmatch(name))]
+        named = {kind: [name for name, is_kind in found if is_kind == kind] for kind in ("depth", "rgb")}
+        depth = sorted(named["depth"], key=lambda name: (counting_key(name.stem), name.as_posix()))
+        if not depth:
+            raise RecordingError(f"{path}: holds no depth/ images, only colour; download the scan again")
+        color = {frame_key(name): name.as_posix() for name in named["rgb"]}
+        stamps_ns = stamps_of_names(depth)
+        order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
+        places = tuple(
+            ZippedFrame(stamps_ns[i], depth[i].as_posix(), color.get(frame_key(depth[i]))) for i in order
+        )
+        alone = sum(place.color is None for place in places)
+        warnings = [f"{path}: {alone} of {len(places)} depth images have no colour"] if alone else []
+        size_px = _first_size(archive, [place.depth for place in places])
+        if size_px is None:
+            raise RecordingError(f"{path}: none of the {len(places)} depth images is usable; copy it again")
+        usual = size_px == (PRIMESENSE.width, PRIMESENSE.height)
+        intrinsics = (PRIMESENSE if usual else Intrinsics()).overridden_by(settings)
+        return cls(
+            path=path,
+            places=places,
+            archive=archive,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=_first_size(archive, [p.color for p in places if p.color]) == size_px,
+            warnings=tuple(warnings),
+        )
+
+    def frame(self, index: int) -> RawFrame:
+        """Read the images of a frame."""
+        place = self.places[index]
+        name = f"{self.path}: {place.depth}"
+        depth = decode_depth_png(self.archive.read(place.depth), name)
+        color = None
+        if place.color is not None:
+            color = PurePosixPath(place.color).suffix, self.archive.read(place.color)
+        return RawFrame(name, place.stamp_ns, depth, color)
+
+
+def _first_size(archive: Archive, names: list[str]) -> tuple[int, int] | None:
+    """Width and height in pixels of the first image that is whole, or None."""
+    try:
+        return first_whole(lambda name: image_header(archive.read(name), name)[1:], names)
+    except DamagedImageError:
+        return None
