@@ -204,7 +204,7 @@ def _around(state: NDArray[np.uint8], room: Bools, cells: int) -> Bools:
 
     No ray leads straight outside from the corners of a kennel, and yet nothing separates them from the air in
     its middle. Nobody sees a room's ceiling from above: obliquely through it one would look into all closed
-    parts of a cabinet; of three kennels known and wrong are .42 % at most, .10 % if that counted (157 % without).
+    parts of a cabinet. Known and wrong of three kennels are .42 % at most, .10 % if that counted.
     """
     if not room.any():
         return room
