@@ -257,7 +257,7 @@ class SolidMethod(Part):
         None, description="of what lies open to free space through an opening that nobody looked into"
     )
     room: tuple[float, ...] | None = Field(
-        None, description="edge of a cube in it, m; walls in 8 level and 9 upward ways; doorway's shares"
+        None, description="cube in it, m; walls in 8 level, 9 upward ways; doorway's shares; times around"
     )
     stand_m: float | None = Field(
         None,

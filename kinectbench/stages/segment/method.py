@@ -70,6 +70,7 @@ from kinectbench.stages.segment.openings import (
     HUNG_WIDTHS,
     OPENING_M,
     OPENING_RAYS,
+    ROOM_AROUND,
     ROOM_DOORWAY,
     ROOM_M,
     ROOM_ROOFS,
@@ -149,7 +150,7 @@ METHOD = SolidMethod(
     opening_rays=OPENING_RAYS,
     wide_open_above=WIDE_OPEN_ABOVE,
     hung=(HUNG_M, HUNG_WIDTHS, HUNG_COLUMNS),
-    room=(ROOM_M, ROOM_SIDES, ROOM_ROOFS, *ROOM_DOORWAY),
+    room=(ROOM_M, ROOM_SIDES, ROOM_ROOFS, *ROOM_DOORWAY, ROOM_AROUND),
     stand_m=STAND_M,
     probability_open=OpenProbabilities(
         among_m=AMONG_M,

@@ -28,6 +28,9 @@ ROOM_M, ROOM_SIDES, ROOM_ROOFS = 0.06, 5, 5
 # A doorway is a share of a room's boundary in this range: .03 to .09 in kennels, .32 to .39 in compartments
 # of bookshelves, cabinets and refrigerators, which are no rooms; without one it was not looked into.
 ROOM_DOORWAY = (0.01, 0.2)
+# What lies around its corners is at most so many times as large as the room (.3 to 1.7 in kennels): what is
+# larger is the closed body that the room is a niche of, and of which nobody saw the niche's ceiling.
+ROOM_AROUND = 3.0
 
 
 class Openings(NamedTuple):
@@ -206,6 +209,8 @@ def _around(state: NDArray[np.uint8], room: Bools, cells: int) -> Bools:
     its middle. Nobody sees a room's ceiling from above: obliquely through it one would look into all closed
     parts of a cabinet. Known and wrong of three kennels are .42 % at most, .10 % if that counted.
     """
+    from scipy import ndimage
+
     if not room.any():
         return room
     state = np.where(room, np.uint8(OUTSIDE), np.where(state == OUTSIDE, np.uint8(SEALED), state))
@@ -215,7 +220,13 @@ def _around(state: NDArray[np.uint8], room: Bools, cells: int) -> Bools:
     for layer in range(1, state.shape[2]):
         below = np.where(unseen[:, :, layer], below, room[:, :, layer])
         near[:, :, layer] |= below
-    return broad(unseen & near, cells)
+    around = broad(unseen & near, cells)
+    pieces, count = ndimage.label(room | around)
+    sizes, rooms = (np.bincount(pieces[mask], minlength=count + 1) for mask in (around & ~room, room))
+    small = sizes <= ROOM_AROUND * rooms
+    small[0] = False
+    kept: Bools = around & small[pieces]
+    return kept
 
 
 def opening_cells(ray_width_m: float, voxel_m: float) -> int:
