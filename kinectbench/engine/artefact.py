@@ -28,7 +28,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 1,
     "track": 1,
     "fuse": 5,
-    "segment": 19,
+    "segment": 20,
     "sample-views": 1,
     "pairs": 2,
     "suggest": 1,
