@@ -23,4 +23,5 @@ Format = Literal[
     "nerfstudio",
     "polycam",
     "redwood_zip",
+    "record3d",
 ]

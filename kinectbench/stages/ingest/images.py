@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Bools
 
+# Units per metre of depth that was float: it is kept in steps of 0.2 mm.
+FLOAT_SCALE = 5000.0
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
 JPEG_SCAN = 0xDA
@@ -66,6 +68,13 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
             "export the raw depth again, not a picture of it"
         )
     return np.asarray(_decode(data, name, unchanged=True), dtype=np.uint16)
+
+
+def quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Depth in metres (height, width) in steps of 1 / FLOAT_SCALE m: uint16; what does not fit becomes 0."""
+    native = np.rint(metres.astype(np.float64) * FLOAT_SCALE)
+    fits = np.isfinite(native) & (native > 0) & (native <= np.iinfo(np.uint16).max)
+    return np.where(fits, native, 0).astype(np.uint16)
 
 
 def decode_color_bgr(data: bytes, name: str) -> NDArray[np.uint8]:

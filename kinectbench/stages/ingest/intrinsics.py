@@ -191,12 +191,21 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     Raises:
         RecordingError: the file is not valid JSON, or no object.
     """
+    return object_of(read_text(path), str(path), what)
+
+
+def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
+    """The JSON object of a text; `where` it stands and `what` it must hold, for messages.
+
+    Raises:
+        RecordingError: it is not valid JSON, or no object.
+    """
     try:
-        raw = json.loads(read_text(path))
+        raw = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: is not valid JSON ({error})") from error
+        raise RecordingError(f"{where}: is not valid JSON ({error})") from error
     if not isinstance(raw, dict):
-        raise RecordingError(f"{path}: must hold an object with {what}")
+        raise RecordingError(f"{where}: must hold an object with {what}")
     return raw
 
 

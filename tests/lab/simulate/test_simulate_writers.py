@@ -29,12 +29,22 @@ READER = {
     "realsense": "realsense", "realsense_old": "realsense", "klg": "klg", "sens": "sens",
     "stray": "stray", "scanner_app": "scanner_app", "bop": "bop",
     "wildrgbd": "wildrgbd", "nerfstudio": "nerfstudio", "polycam": "polycam",
-    "redwood_zip": "redwood_zip",
+    "redwood_zip": "redwood_zip", "record3d": "record3d",
 }  # fmt: skip
-SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0}
+SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0, "record3d": 5000.0}
 BAGS = ["bag", "bag_compressed"]
 # Without stamps, or where they repeat, frames are counted.
-NUMBERED = {"7scenes", "folder", "redwood", "redwood_zip", "bop", "scanner_app", "wildrgbd", "nerfstudio"}
+NUMBERED = {
+    "7scenes",
+    "folder",
+    "redwood",
+    "redwood_zip",
+    "bop",
+    "scanner_app",
+    "wildrgbd",
+    "nerfstudio",
+    "record3d",
+}
 # Their layout has no place for poses; nor for saying that colour is registered.
 WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip"}
 UNREGISTERED = {"7scenes"}
@@ -45,7 +55,7 @@ POSE_TOLERANCE = {"sens": 2e-7, "tum": 3e-9, "stray": 3e-9}
 # Their depth images are PNG files.
 FOLDERS = ["tum", "7scenes", "folder", "redwood"]
 # One camera takes both: colour of another is left out.
-ONE_CAMERA = {"klg", "stray", "scanner_app", "bop", "wildrgbd", "nerfstudio", "polycam"}
+ONE_CAMERA = {"klg", "stray", "scanner_app", "bop", "wildrgbd", "nerfstudio", "polycam", "record3d"}
 START_NS = 1_400_000_000_123_456_000
 STEP_NS = 33_333_000
 DELAY_NS = 7_001_000
@@ -149,7 +159,7 @@ def test_stamps_as_read() -> None:
     expected = dict.fromkeys(WRITERS, stamp_ns)
     expected |= dict.fromkeys(("tum", "klg", "sens", "stray", "polycam"), 1_400_000_000_123_456_000)
     expected |= {"7scenes": 3 * 10**9, "folder": 3 * 10**9, "redwood": 123_456_000}
-    expected["redwood_zip"] = 123_456_000
+    expected |= {"redwood_zip": 123_456_000, "record3d": 1_400_000_000_123_456_768}
     expected |= {
         "bop": 3 * 10**9,
         "wildrgbd": 3 * 10**9,
@@ -170,7 +180,7 @@ def test_depth_in_native_units(tmp_path: Path, name: str) -> None:
     made = [RecordedFrame(stamp, depth_m, stamp, frame(0).color_rgb, np.eye(4)) for stamp in stamps_ns]
     found = read(open_recording(write(tmp_path / "r", name, made), SETTINGS.get(name)))
     tum, millimetres = [6173, 0, 0, 0, 5002, 10000], [1235, 14000, 0, 0, 1000, 2000]
-    assert found[0].depth[0, :6].tolist() == (tum if name == "tum" else millimetres)
+    assert found[0].depth[0, :6].tolist() == (tum if SCALE[name] == 5000 else millimetres)
 
 
 @pytest.mark.parametrize("name", WRITERS)

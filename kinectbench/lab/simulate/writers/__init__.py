@@ -11,7 +11,7 @@ from pathlib import Path
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.lab.simulate import Format
-from kinectbench.lab.simulate.writers.archives import write_redwood_zip
+from kinectbench.lab.simulate.writers.archives import write_record3d, write_redwood_zip
 from kinectbench.lab.simulate.writers.bags import write_rosbag1, write_rosbag2
 from kinectbench.lab.simulate.writers.binary_logs import write_klg, write_sens
 from kinectbench.lab.simulate.writers.captures import write_nerfstudio, write_polycam
@@ -50,6 +50,7 @@ WRITERS: dict[Format, Writer] = {
     "nerfstudio": write_nerfstudio,
     "polycam": write_polycam,
     "redwood_zip": write_redwood_zip,
+    "record3d": write_record3d,
 }
 # The formats that are one file, and what its name ends in.
 SUFFIXES: dict[Format, str] = {
@@ -60,6 +61,7 @@ SUFFIXES: dict[Format, str] = {
     "klg": ".klg",
     "sens": ".sens",
     "redwood_zip": ".zip",
+    "record3d": ".r3d",
 }
 # Where `cut` looks for the image that comes last, and the formats whose stamps are microseconds.
 DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png", "keyframes/depth/*.png")
@@ -74,7 +76,7 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
 
     Bags keep stamps, TUM folders, .klg, .sens, StrayScanner and Polycam keep microseconds, Redwood's names
     twelve digits of them. 7-Scenes, plain folders, BOP, WildRGB-D and transforms.json have none: there a
-    frame's number counts seconds. 3D Scanner App has seconds as a float.
+    frame's number counts seconds. 3D Scanner App and Record3D have seconds as a float.
 
     Args:
         file_format: of the recording.
@@ -83,7 +85,7 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """
     if file_format in WITHOUT_STAMPS:
         return index * NS_PER_S
-    if file_format == "scanner_app":
+    if file_format in ("scanner_app", "record3d"):
         return round(stamp_ns / NS_PER_S * NS_PER_S)
     if file_format in ("redwood", "redwood_zip"):
         return stamp_ns // 1000 % 10**12 * 1000

@@ -14,6 +14,7 @@ from kinectbench.stages.ingest.images import (
     encode_png,
     image_header,
     is_depth_png,
+    quantised,
 )
 
 INTEGER_DEPTH = frozenset({"16UC1", "mono16"})
@@ -41,9 +42,8 @@ CONVERSIONS = {
     "yuv422_yuy2": (2, "COLOR_YUV2BGR_YUYV"),
     "yuyv": (2, "COLOR_YUV2BGR_YUYV"),
 }
-# Native units per metre: integers are millimetres, floats metres that are stored in units of 0.2 mm.
+# Native units per metre of integers.
 INTEGER_SCALE = 1000.0
-FLOAT_SCALE = 5000.0
 COMPRESSED_DEPTH = "compressedDepth"
 COMPRESSED_DEPTH_HEADER = 12
 
@@ -95,7 +95,7 @@ def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray
             return _pixels(message, name, np.dtype(np.uint16), 1)[..., 0].astype(np.uint16)
         if message.encoding == FLOAT_DEPTH:
             metres = _pixels(message, name, np.dtype(np.float32), 1)[..., 0] / float_units_per_m
-            return _quantised(metres)
+            return quantised(metres)
         raise DamagedImageError(
             f"{name}: encoding '{message.encoding}' is not depth, unlike the first message's"
         )
@@ -113,7 +113,7 @@ def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray
     a, b = struct.unpack_from("<ff", data, 4)
     valid = native > 0
     metres = np.divide(a, native - np.float64(b), out=np.zeros(native.shape), where=valid & (native > b))
-    return _quantised(metres / float_units_per_m)
+    return quantised(metres / float_units_per_m)
 
 
 def color_of(message: Any, name: str) -> tuple[str, bytes]:
@@ -152,9 +152,3 @@ def _pixels(message: Any, name: str, dtype: np.dtype[Any], channels: int) -> NDA
     rows = np.asarray(message.data[: height * step], np.uint8).reshape(height, step)[:, :row_bytes]
     order = dtype.newbyteorder(">" if message.is_bigendian else "<")
     return np.ascontiguousarray(rows).view(order).reshape(height, width, channels)
-
-
-def _quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
-    native = np.rint(metres.astype(np.float64) * FLOAT_SCALE)
-    fits = np.isfinite(native) & (native > 0) & (native <= np.iinfo(np.uint16).max)
-    return np.where(fits, native, 0).astype(np.uint16)

@@ -13,7 +13,6 @@ from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.bags.ros_images import (
     FLOAT_DEPTH,
-    FLOAT_SCALE,
     INTEGER_SCALE,
     color_of,
     depth_of,
@@ -32,7 +31,13 @@ from kinectbench.stages.ingest.bags.ros_topics import (
     intrinsics_of,
     is_named_registered,
 )
-from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
+from kinectbench.stages.ingest.images import (
+    FLOAT_SCALE,
+    DamagedImageError,
+    decode_color_bgr,
+    encode_png,
+    image_header,
+)
 from kinectbench.stages.ingest.intrinsics import scale_warnings
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.registration import Undistortion

@@ -19,6 +19,7 @@ FORMATS = {
     "rosbag2": "kinectbench.stages.ingest.bags.rosbag2:Rosbag2Recording",
     "klg": "kinectbench.stages.ingest.readers.klg:KlgRecording",
     "sens": "kinectbench.stages.ingest.readers.sens:SensRecording",
+    "record3d": "kinectbench.stages.ingest.readers.record3d:Record3dRecording",
     "redwood_zip": "kinectbench.stages.ingest.readers.redwood_zip:RedwoodZipRecording",
     "stray": "kinectbench.stages.ingest.readers.stray_scanner:StrayScannerRecording",
     "scanner_app": "kinectbench.stages.ingest.readers.scanner_app:ScannerAppRecording",

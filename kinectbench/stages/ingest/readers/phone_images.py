@@ -61,12 +61,16 @@ class PhoneRecording(FileRecording):
 
     def shrunk(self, bgr: NDArray[np.uint8]) -> tuple[str, bytes]:
         """Colour (height, width, 3) averaged over the pixels of depth, as PNG."""
-        import cv2
+        return shrunk(bgr, (self.camera.width, self.camera.height))
 
-        size_px = (self.camera.width, self.camera.height)
-        if bgr.shape[1::-1] != size_px:
-            bgr = np.asarray(cv2.resize(bgr, size_px, interpolation=cv2.INTER_AREA), np.uint8)
-        return ".png", encode_png(bgr)
+
+def shrunk(bgr: NDArray[np.uint8], size_px: tuple[int, int]) -> tuple[str, bytes]:
+    """Colour (height, width, 3) averaged over the pixels of an image of that width and height, as PNG."""
+    import cv2
+
+    if bgr.shape[1::-1] != size_px:
+        bgr = np.asarray(cv2.resize(bgr, size_px, interpolation=cv2.INTER_AREA), np.uint8)
+    return ".png", encode_png(bgr)
 
 
 def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> Intrinsics:

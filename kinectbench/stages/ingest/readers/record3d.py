@@ -1,0 +1,233 @@
+"""Record3D's .r3d files: zip archives of `metadata` (JSON) and rgbd/N.jpg, N.depth and N.conf of each frame.
+
+As the app's author says (in answers at github.com/marek-simonik/record3d): depth is float32 metres and
+confidence uint8, both packed by LZFSE, row by row; K goes column by column, for colour of w x h pixels; poses
+are quaternions x y z w and positions, camera to world in OpenGL's axes; the face camera's stand still.
+"""
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
+from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import (
+    FLOAT_SCALE,
+    DamagedImageError,
+    decode_color_bgr,
+    image_header,
+    quantised,
+)
+from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, object_of
+from kinectbench.stages.ingest.readers.archive import Archive, holds
+from kinectbench.stages.ingest.readers.phone_images import (
+    OPENGL_FROM_OPTICAL,
+    one_camera,
+    scaled_to_depth,
+    shrunk,
+)
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+
+NAMED = re.compile(rb"rgbd/\d{1,9}\.depth")
+MEMBER = re.compile(r"rgbd/(\d{1,9})\.depth")
+METADATA = "metadata"
+# Of LiDAR and of face cameras, where an older file does not say it; no phone's depth is larger (own choice).
+USUAL_PX = ((256, 192), (640, 480), (960, 720))
+LARGEST_SIDE_PX = 4096
+
+
+class PackedFrame(NamedTuple):
+    """A frame in the archive: stamp in nanoseconds, and its number in the names of its members."""
+
+    stamp_ns: int
+    number: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record3dRecording(Recording):
+    """A .r3d file: colour is brought to the size of depth, and depth of low confidence left out.
+
+    Attributes:
+        archive: gives the members.
+        members: the names of all.
+        min_confidence: depth below is no measurement.
+    """
+
+    format: ClassVar[str] = "record3d"
+    looks_for: ClassVar[str] = "a .r3d file of Record3D (needs kinectbench[record3d])"
+    suffixes: ClassVar[tuple[str, ...]] = (".r3d",)
+
+    places: tuple[PackedFrame, ...]
+    archive: Archive = field(compare=False)
+    members: frozenset[str]
+    min_confidence: int
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether it is named .r3d, or is a zip archive that holds its depth."""
+        return (path.is_file() and path.suffix.lower() in cls.suffixes) or holds(path, NAMED)
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read the metadata, and unpack the first depth image."""
+        archive = Archive(path)
+        members = frozenset(archive.names())
+        numbers = sorted(int(match[1]) for name in members if (match := MEMBER.fullmatch(name)))
+        if not numbers:
+            raise RecordingError(
+                f"{path}: holds no rgbd/0.depth, so there is colour only: record it with depth"
+            )
+        said = _read_metadata(archive, members)
+        stamps_ns, warnings = _stamps_ns(path, said, numbers)
+        K, color_px, varied = _intrinsics(path, said)
+        size_px = _depth_size(archive, said, color_px, numbers)
+        intrinsics = scaled_to_depth(K, color_px, size_px, path).overridden_by(settings)
+        trajectory, lost, error = read_given(lambda: _trajectory(path, said, numbers, stamps_ns))
+        return cls(
+            path=path,
+            places=tuple(map(PackedFrame, stamps_ns, numbers)),
+            archive=archive,
+            members=members,
+            min_confidence=settings.min_confidence,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or FLOAT_SCALE,
+            color_registered=any(name.endswith(".jpg") for name in members),
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=(*warnings, *varied, *lost),
+        )
+
+    def frame(self, index: int) -> RawFrame:
+        """Unpack the members of a frame."""
+        place, shape = self.places[index], (self.camera.height, self.camera.width)
+        stem, size = f"rgbd/{place.number}", self.camera.height * self.camera.width
+        name = f"{self.path}: {stem}.depth"
+        metres = np.frombuffer(_unpacked(self.archive.read(f"{stem}.depth"), 4 * size, name), "<f4")
+        with np.errstate(invalid="ignore", over="ignore"):  # of what is no depth
+            depth = quantised(metres.reshape(shape))
+        if self.min_confidence and f"{stem}.conf" in self.members:
+            packed = self.archive.read(f"{stem}.conf")
+            confidence = np.frombuffer(_unpacked(packed, size, f"{self.path}: {stem}.conf"), np.uint8)
+            depth = np.where(confidence.reshape(shape) >= self.min_confidence, depth, np.uint16(0))
+        return RawFrame(name, place.stamp_ns, depth, self._color(f"{stem}.jpg"))
+
+    def _color(self, member: str) -> tuple[str, bytes] | None:
+        """Colour at the size of depth: as it was encoded if it has it, else a PNG; or None."""
+        if member not in self.members:
+            return None
+        data, size_px = self.archive.read(member), (self.camera.width, self.camera.height)
+        name = f"{self.path}: {member}"
+        suffix, *found_px = image_header(data, name)
+        return (suffix, data) if tuple(found_px) == size_px else shrunk(decode_color_bgr(data, name), size_px)
+
+
+def _unpacked(data: bytes, size: int, name: str) -> bytes:
+    """What LZFSE packed, which must be `size` bytes; no more than one beyond is allocated."""
+    try:
+        import imagecodecs
+    except ImportError as error:
+        raise RecordingError(
+            f"{name}: is packed by LZFSE; install what unpacks it with `pip install 'kinectbench[record3d]'`"
+        ) from error
+    try:
+        found = bytes(imagecodecs.lzfse_decode(data, out=size + 1))
+    except imagecodecs.LzfseError as error:
+        raise DamagedImageError(f"{name}: cannot be unpacked ({error})") from error
+    if len(found) != size:
+        kind = "more than" if len(found) > size else f"{len(found)} bytes, not"
+        raise DamagedImageError(f"{name}: unpacks to {kind} the {size} bytes of its image")
+    return found
+
+
+def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, Any]:
+    if METADATA not in members:
+        raise RecordingError(f"{archive.path}: holds no {METADATA}; export it from Record3D as .r3d again")
+    return object_of(archive.read(METADATA), f"{archive.path}: {METADATA}", "K, w, h and poses")
+
+
+def _intrinsics(path: Path, said: dict[str, Any]) -> tuple[Float64, tuple[int, int], list[str]]:
+    """The pinhole matrix of colour, its size, and warnings."""
+    width, height = (int(number_of(said.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
+    rows = numbers_of(said.get("perFrameIntrinsicCoeffs"))
+    if rows.ndim != 2 or rows.shape[1:] != (4,):
+        K = numbers_of(said.get("K"))
+        rows = K[[[0, 4, 6, 7]]] if K.shape == (9,) else np.full((1, 4), np.nan)
+    if not np.isfinite(rows).all():
+        raise RecordingError(f"{path}: 'K' of its metadata must hold nine numbers")
+    K, warnings = one_camera(rows, path)
+    return K, (width, height), warnings
+
+
+def _depth_size(
+    archive: Archive, said: dict[str, Any], color_px: tuple[int, int], numbers: list[int]
+) -> tuple[int, int]:
+    """Width and height of depth: dw and dh of the metadata, else the usual size that has as many bytes."""
+    where = f"{archive.path}: {METADATA}"
+    if said.get("dw") is None or said.get("dh") is None:
+        for long, short in USUAL_PX:
+            size_px = (short, long) if color_px[0] < color_px[1] else (long, short)
+            name = f"rgbd/{numbers[0]}.depth"
+            with suppress(DamagedImageError):
+                _unpacked(archive.read(name), 4 * long * short, f"{archive.path}: {name}")
+                return size_px
+        raise RecordingError(f"{where}: does not say the size of depth (dw, dh); export it again")
+    width, height = (int(number_of(said[key], f"{where}: '{key}'")) for key in ("dw", "dh"))
+    if not (0 < width <= LARGEST_SIDE_PX and 0 < height <= LARGEST_SIDE_PX):
+        raise RecordingError(f"{where}: {width}x{height} is no size of depth images; export it again")
+    return width, height
+
+
+def _stamps_ns(path: Path, said: dict[str, Any], numbers: list[int]) -> tuple[list[int], list[str]]:
+    """The times of the frames, where all have one and they increase; else frames are counted at `fps`."""
+    times_s = numbers_of(said.get("frameTimestamps"))
+    told = times_s.ndim == 1 and numbers[-1] < len(times_s)
+    if told and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # which NaN is not
+        stamps_ns = [round(float(times_s[number]) * NS_PER_S) for number in numbers]
+        if all(after > before for before, after in pairwise(stamps_ns)):
+            return stamps_ns, []
+    fps = numbers_of(said.get("fps"))
+    period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
+    warning = f"{path}: not every frame has a time of its own; frames are counted instead"
+    return [number * period_ns for number in numbers], [warning]
+
+
+def _trajectory(
+    path: Path, said: dict[str, Any], numbers: list[int], stamps_ns: Sequence[int]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Camera to world in optical axes; None where the camera never moved, as the face camera's poses."""
+    poses = said.get("poses")
+    if poses is None:
+        return None, []
+    if not isinstance(poses, list) or len(poses) <= numbers[-1]:
+        count = len(poses) if isinstance(poses, list) else 0
+        raise RecordingError(
+            f"{path}: its metadata has {count} poses for {len(numbers)} frames; export it again"
+        )
+    matrices = [_pose(path, poses[number]) for number in numbers]
+    there = [T for T in matrices if T is not None]
+    if len(there) > 1 and all(np.array_equal(T, there[0]) for T in there):
+        return None, [f"{path}: its poses are all the same, as those of the face camera; they are ignored"]
+    return trajectory_from_matrices(stamps_ns, matrices, str(path))
+
+
+def _pose(path: Path, row: object) -> Float64 | None:
+    if row is None:
+        return None
+    numbers = numbers_of(row)
+    if numbers.shape != (7,):
+        raise RecordingError(f"{path}: a pose of its metadata must hold seven numbers (x y z w, position)")
+    if not np.isfinite(numbers).all() or np.linalg.norm(numbers[:4]) < 1e-6:
+        return np.full((4, 4), np.nan)
+    T = rigid(rotation_from_quaternion_xyzw(numbers[:4]), numbers[4:])
+    return np.asarray(T @ OPENGL_FROM_OPTICAL)
