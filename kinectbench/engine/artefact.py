@@ -4,6 +4,7 @@ An artefact is a folder that one stage makes.
 """
 
 import contextlib
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ FORMAT_VERSION = 1
 # The stages of a build; then what stands beside them or on them: candidates of boxes, releases, synthetic
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 1,
+    "ingest": 2,
     "track": 1,
     "fuse": 5,
     "segment": 20,
@@ -124,7 +125,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
     known = {} if cache is None else _known(cache)
     entries: dict[str, SourceFile] = {}
     for path in files:
-        name = path.relative_to(root).as_posix() if path != root else ""
+        name = Path(os.path.relpath(path, root)).as_posix() if path != root else ""
         try:
             stat = path.stat()
             seen = known.get(name)

@@ -48,6 +48,10 @@ class CameraSettings(Settings):
     cx: float | None = Field(None, description="principal point in x, pixels")
     cy: float | None = Field(None, description="principal point in y, pixels")
     depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
+    depth_code: Literal["plain", "rotated"] | None = Field(
+        None,
+        description="of PNG depth: rotated, if its low 3 bits are its high ones; default: told by its values",
+    )
     depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
     color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
     pose_topic: str | None = Field(None, description="of a bag: the topic of poses, or tf")

@@ -8,6 +8,9 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Float64
 
+# What stands around the numbers of a matrix in text.
+PUNCTUATION = str.maketrans(dict.fromkeys(",;[]", " "))
+
 
 def read_text(path: Path) -> str:
     """Read a UTF-8 text file, with or without a byte order mark.
@@ -49,14 +52,23 @@ def parse_floats(words: Sequence[str], where: str) -> list[float]:
     return numbers
 
 
+def read_numbers(path: Path) -> list[float]:
+    """Every number of a text file, row by row; commas, semicolons and brackets are passed over.
+
+    Raises:
+        RecordingError: it cannot be read, or holds something else.
+    """
+    rows = [parse_floats(row.translate(PUNCTUATION).split(), where) for where, row in text_rows(path)]
+    return [number for row in rows for number in row]
+
+
 def read_matrix(path: Path, side: int) -> Float64:
     """Read a square matrix (side, side) from a text file, row by row; NaN and infinity pass.
 
     Raises:
         RecordingError: it cannot be read, or does not hold side x side numbers.
     """
-    rows = [parse_floats(row.replace(",", " ").split(), where) for where, row in text_rows(path)]
-    numbers = [number for row in rows for number in row]
+    numbers = read_numbers(path)
     if len(numbers) != side * side:
         raise RecordingError(f"{path}: holds {len(numbers)} numbers, not the {side}x{side} of a matrix")
     return np.array(numbers).reshape(side, side)

@@ -10,13 +10,16 @@ import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
-from kinectbench.core.trajectory.text_rows import read_matrix, read_text
+from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
+MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
+# Focal lengths as shares of the image's side.
+LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
 HELD = "width, height, fx, fy, cx, cy"
 
 
@@ -165,12 +168,73 @@ def numbers_of(value: object) -> Float64:
 
 
 def read_intrinsics_matrix(path: Path) -> Intrinsics:
-    """Read a text file with the 3x3 intrinsic matrix, row by row.
+    """Read a text file with a pinhole matrix row by row (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
 
     Raises:
-        RecordingError: not nine numbers, or no pinhole matrix.
+        RecordingError: other numbers, or no pinhole matrix.
     """
-    return _pinhole(read_matrix(path, 3), path)
+    numbers = read_numbers(path)
+    if len(numbers) == len(NEEDED):
+        fx, fy, cx, cy = numbers
+        return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+    shape = MATRIX_SHAPES.get(len(numbers))
+    if shape is None:
+        raise RecordingError(
+            f"{path}: holds {len(numbers)} numbers, not the 3x3 of a pinhole matrix (nor 3x4, 4x4, or fx fy "
+            "cx cy)"
+        )
+    return _pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
+
+
+def check_focal_lengths(said: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
+    """Refuse focal lengths that no camera with images of this size has (own bounds: 136 and 6 degrees).
+
+    Args:
+        said: what the file says.
+        size_px: width and height of the depth images.
+        file: where it says so, for the message.
+
+    Raises:
+        RecordingError: the field of view is wider or narrower.
+    """
+    for focal, side in ((said.fx, size_px[0]), (said.fy, size_px[1])):
+        if focal is None or focal <= 0 or LEAST_FOCAL * side <= focal <= MOST_FOCAL * side:
+            continue
+        view_deg = math.degrees(2 * math.atan(side / (2 * focal)))
+        raise RecordingError(
+            f"{file}: a focal length of {focal:g} pixels gives {size_px[0]}x{size_px[1]} images a field of "
+            f"view of {view_deg:.0f} degrees: it is of another camera or unit; correct it, or give fx, fy, "
+            "cx, cy under `camera:`"
+        )
+
+
+def rig_calibration(
+    K_color: Float64,
+    color_px: tuple[int, int],
+    color_extrinsic: Float64,
+    depth_extrinsic: Float64,
+    path: Path,
+) -> ColorCalibration | None:
+    """How colour lies to depth by ScanNet's matrices, where extrinsics are each camera's place in the rig.
+
+    Args:
+        K_color: (3, 3) or larger, pixels.
+        color_px: width and height of the colour images.
+        color_extrinsic: (4, 4), colour camera to rig, metres.
+        depth_extrinsic: (4, 4), depth camera to rig, metres.
+        path: the recording.
+
+    Returns:
+        None where one of them is no calibration, or of images of another size.
+    """
+    T_rig_color, T_rig_depth = rigid_or_none(color_extrinsic), rigid_or_none(depth_extrinsic)
+    if T_rig_color is None or T_rig_depth is None or not all(color_px):
+        return None
+    try:
+        camera = Intrinsics.of_matrix(K_color).camera(color_px, path)
+    except RecordingError:
+        return None
+    return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)
 
 
 def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:

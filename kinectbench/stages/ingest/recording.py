@@ -16,6 +16,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
+from kinectbench.stages.ingest.rotated_depth import unrotated
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -123,6 +124,11 @@ class Recording(ABC):
         """Whether the folder or file has this format's layout; reads a few bytes at most."""
 
     @classmethod
+    def files_beside(cls, path: Path) -> tuple[Path, ...]:
+        """Files outside the folder that belong to the recording, such as intrinsics of several sequences."""
+        return ()
+
+    @classmethod
     @abstractmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Open the recording; what the settings give wins over what it says.
@@ -178,15 +184,24 @@ class FrameFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class FileRecording(Recording):
-    """A recording whose every image is a file; the folder formats derive from it."""
+    """A recording whose every image is a file; the folder formats derive from it.
+
+    Attributes:
+        often_rotated: depth in this layout usually has rotated bits.
+        rotated: depth has rotated bits, which are put back when it is read.
+    """
+
+    often_rotated: ClassVar[bool] = False
 
     places: tuple[FrameFiles, ...]
+    rotated: bool = False
 
     def frame(self, index: int) -> RawFrame:
         """Read the files of a frame."""
         files = self.places[index]
         depth = decode_depth_png(read_image_file(files.depth), str(files.depth))
         depth = self.clean_depth(depth, index)
+        depth = unrotated(depth) if self.rotated else depth
         mask = None if files.mask is None else decode_mask(read_image_file(files.mask), str(files.mask))
         if mask is not None and mask.shape != depth.shape:
             raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")

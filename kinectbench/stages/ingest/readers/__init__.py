@@ -3,6 +3,7 @@
 import importlib
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_coding import with_depth_code
 from kinectbench.stages.ingest.recording import Recording
 
 # name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
@@ -70,14 +72,24 @@ def open_recording(path: Path, camera: CameraSettings | None = None) -> Recordin
         if name is None:
             raise RecordingError(_unknown(path))
         settings = camera or CameraSettings()
-        return _with_delays(reader_of(name).open(path, settings), settings)
+        recording = reader_of(name).open(path, settings)
+        return with_depth_code(_with_delays(recording, settings), settings)
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
 
 
 def source_files(path: Path) -> list[Path]:
-    """Every file of a recording, sorted: the path itself, or all in the folder that are not hidden."""
-    return [path] if path.is_file() else sorted(_walk(path))
+    """Every file of a recording, sorted: the path itself, or all in the folder that are not hidden.
+
+    Files outside the folder that belong to it come last.
+    """
+    if path.is_file():
+        return [path]
+    with suppress(OSError):
+        name = format_of(path)
+        beside = () if name is None else reader_of(name).files_beside(path)
+        return [*sorted(_walk(path)), *beside]
+    return sorted(_walk(path))
 
 
 def find_recordings(folder: Path) -> list[tuple[Path, str]]:

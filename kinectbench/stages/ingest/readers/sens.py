@@ -22,9 +22,8 @@ from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajector
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import encode_png
-from kinectbench.stages.ingest.intrinsics import Intrinsics, scale_warnings
+from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration, scale_warnings
 from kinectbench.stages.ingest.readers.klg import NS_PER_US, PackedFrame, PackedRecording
-from kinectbench.stages.ingest.recording import ColorCalibration
 
 START = struct.Struct("<IQ")
 MATRICES = struct.Struct("<64f")
@@ -107,7 +106,9 @@ class SensRecording(PackedRecording):
         stamps_ns = [place.stamp_ns for place in places]
         trajectory, lost = _trajectory(stamps_ns, [matrices[i] for i in order], head, path)
         camera = intrinsics.camera(head.depth_px, path)
-        calibration = _calibration(head, path)
+        calibration = rig_calibration(
+            head.color_intrinsic, head.color_px, head.color_extrinsic, head.depth_extrinsic, path
+        )
         registered = calibration is not None and calibration.lies_on(camera)
         return cls(
             path=path,
@@ -203,15 +204,3 @@ def _trajectory(
     if T_camera_depth is not None:
         matrices = [m @ T_camera_depth if np.isfinite(m).all() else m for m in matrices]
     return trajectory_from_matrices(stamps_ns, matrices, str(path))
-
-
-def _calibration(head: SensHead, path: Path) -> ColorCalibration | None:
-    """Extrinsics are each camera's place in the rig; None where intrinsics of colour are not given."""
-    T_rig_color, T_rig_depth = rigid_or_none(head.color_extrinsic), rigid_or_none(head.depth_extrinsic)
-    if T_rig_color is None or T_rig_depth is None or not all(head.color_px):
-        return None
-    try:
-        camera = Intrinsics.of_matrix(head.color_intrinsic).camera(head.color_px, path)
-    except RecordingError:
-        return None
-    return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)

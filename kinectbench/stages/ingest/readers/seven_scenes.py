@@ -1,28 +1,52 @@
 """7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`; depth in mm, not registered."""
 
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import read_matrix
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import Intrinsics, read_intrinsics_matrix
+from kinectbench.stages.ingest.images import decode_depth_png
+from kinectbench.stages.ingest.intrinsics import (
+    Intrinsics,
+    check_focal_lengths,
+    read_intrinsics_matrix,
+    scale_warnings,
+)
+from kinectbench.stages.ingest.readers.scannet_info import Rig, is_info, read_info
 from kinectbench.stages.ingest.recording import (
     Evidence,
     FileRecording,
     FrameFiles,
+    first_color_size,
     first_depth_size,
     first_file,
+    first_whole,
+    read_image_file,
 )
 
 DEPTH_SCALE = 1000.0
 INVALID = 65535
+# Beside the frames or above them, depth's own first: of 7-Scenes' followers (3DMatch, tsdf-fusion, the Amazon
+# Picking Challenge), and of ScanNet's and BundleFusion's exports.
+MATRIX_FILES = (
+    "camera-intrinsics.txt",
+    "camera-intrinsics.depth.txt",
+    "intrinsics.K.txt",
+    "camera-intrinsics.color.txt",
+    "intrinsics.txt",
+)
+FILES_ABOVE = MATRIX_FILES[:4]
+INFO_FILES = ("_info.txt", "info.txt")
 # The dataset's own intrinsics, for its own image size.
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 COLOR_KINDS = ("color.png", "color.jpg", "color.jpeg")
@@ -60,24 +84,80 @@ class SevenScenesRecording(FileRecording):
         trajectory, warnings, error = read_given(
             lambda: trajectory_from_matrices(stamps_ns, [_pose_beside(file) for file in depth], str(path))
         )
-        matrix_file = path / "camera-intrinsics.txt"
-        default = KINECT if size_px == (KINECT.width, KINECT.height) else Intrinsics()
-        said = read_intrinsics_matrix(matrix_file) if matrix_file.is_file() else default
-        intrinsics = said.overridden_by(settings)
+        camera_file = _camera_file(path)
+        rig = _read_rig(camera_file, first_color_size(files) or (0, 0), size_px)
+        if rig is None:
+            rig, assumed = _default_rig(path, files, size_px, settings)
+            warnings = [*assumed, *warnings]
+        elif settings.fx is None:
+            check_focal_lengths(rig.depth, size_px, rig.file)
+        intrinsics = rig.depth.overridden_by(settings)
+        camera = intrinsics.camera(size_px, rig.file)
+        registered = rig.registered or (rig.color is not None and rig.color.lies_on(camera))
         return cls(
             path=path,
             places=files,
-            camera=intrinsics.camera(size_px, path),
+            camera=camera,
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
-            color_registered=False,
+            color_registered=registered,
+            color_calibration=None if registered else rig.color,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=tuple(warnings),
+            warnings=(*scale_warnings(path, rig.depth.depth_scale, settings), *warnings),
         )
+
+    @classmethod
+    def files_beside(cls, path: Path) -> tuple[Path, ...]:
+        """The intrinsics in the folder above, if they are the ones to be read."""
+        file = _camera_file(path)
+        return () if file is None or file.parent == path else (file,)
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Turn 65535 (invalid) into 0."""
         return np.where(depth == INVALID, np.uint16(0), depth)
+
+
+def _camera_file(path: Path) -> Path | None:
+    """The file with the intrinsics: in the folder, or above it, where 3DMatch and tsdf-fusion have it."""
+    own = first_file(path / name for name in MATRIX_FILES)
+    info = (file for file in (path / name for name in INFO_FILES) if is_info(file))
+    return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
+
+
+def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, int]) -> Rig | None:
+    """What the file says of the cameras; None if there is none."""
+    if file is None:
+        return None
+    if file.name in INFO_FILES:
+        return read_info(file, color_px)
+    # Depth that is to be seen with colour's intrinsics lies on colour's pixels.
+    return Rig(file, read_intrinsics_matrix(file), registered="color" in file.name and color_px == size_px)
+
+
+def _default_rig(
+    path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
+) -> tuple[Rig, list[str]]:
+    """The data set's own Kinect; and a warning, unless the settings give a camera or it is the data set."""
+    if size_px != (KINECT.width, KINECT.height):
+        return Rig(path, Intrinsics()), []
+    said = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
+    if said or _marks_holes(files):
+        return Rig(path, KINECT), []
+    return Rig(path, KINECT), [
+        f"{path}: has no intrinsics ({', '.join(MATRIX_FILES)}): those of 7-Scenes' Kinect are assumed "
+        "(585, 585, 320, 240); if another camera recorded it, give its own under `camera:`"
+    ]
+
+
+def _marks_holes(files: Sequence[FrameFiles]) -> bool:
+    """Whether depth has 65535 where nothing was measured: 7-Scenes itself has, its followers have not."""
+
+    def marked(frame: FrameFiles) -> bool:
+        return bool((decode_depth_png(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())
+
+    with suppress(RecordingError):
+        return first_whole(marked, files)
+    return False
 
 
 def _beside(depth: Path, kind: str) -> Path:

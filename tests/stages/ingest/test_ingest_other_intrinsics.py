@@ -1,0 +1,163 @@
+"""7-Scenes' file names with another camera: where its intrinsics are, and what contradicts the images."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_writers import CX, CY, FX, FY, color_image, jpeg, png, write_seven_scenes
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import Camera
+from kinectbench.engine.artefact import content_hash
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording, source_files
+
+SMALL = Camera(64, 48, FX, FY, CX, CY)
+K = f"{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1\n"
+IDENTITY = " ".join(str(float(i % 5 == 0)) for i in range(16))
+SPELLINGS = {
+    "3x3": K,
+    "commas": K.replace(" ", ", "),
+    "brackets": f"[[{FX}, 0, {CX}],\n [0, {FY}, {CY}],\n [0, 0, 1]]",
+    "one row": K.replace("\n", " "),
+    "3x4": f"{FX} 0 {CX} 0\n0 {FY} {CY} 0\n0 0 1 0\n",
+    "4x4": f"{FX} 0 {CX} 0\n0 {FY} {CY} 0\n0 0 1 0\n0 0 0 1\n",
+    "fx fy cx cy": f"{FX} {FY} {CX} {CY}\n",
+    "comment": f"# of depth\n{K}",
+}
+
+
+def bare(tmp_path: Path) -> Path:
+    """A recording in 7-Scenes' names, without intrinsics."""
+    folder = write_seven_scenes(tmp_path / "scene" / "seq-01")
+    (folder / "camera-intrinsics.txt").unlink()
+    return folder
+
+
+def kinect_sized(tmp_path: Path, code_for_none: int) -> Path:
+    """The same in the size of a Kinect, holes marked by a code."""
+    folder = bare(tmp_path)
+    depth = np.full((480, 640), 1500, np.uint16)
+    depth[:50] = code_for_none
+    for file in folder.glob("*.depth.png"):
+        file.write_bytes(png(depth))
+    return folder
+
+
+@pytest.mark.parametrize("above", [False, True])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "intrinsics.K.txt",
+        "camera-intrinsics.txt",
+        "camera-intrinsics.color.txt",
+        "camera-intrinsics.depth.txt",
+    ],
+)
+def test_intrinsics_beside_or_above_the_frames_are_read(tmp_path: Path, name: str, above: bool) -> None:
+    folder = bare(tmp_path)
+    ((folder.parent if above else folder) / name).write_text(K)
+    recording = open_recording(folder)
+    assert (recording.camera, recording.warnings) == (SMALL, ())
+    # Depth that is to be seen with colour's intrinsics lies on colour's pixels.
+    assert recording.color_registered == ("color" in name)
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_spellings_of_a_matrix(tmp_path: Path, spelling: str) -> None:
+    folder = bare(tmp_path)
+    (folder / "intrinsics.K.txt").write_text(SPELLINGS[spelling])
+    assert open_recording(folder).camera == SMALL
+
+
+def test_a_change_above_the_folder_is_a_change_of_the_recording(tmp_path: Path) -> None:
+    folder = bare(tmp_path)
+    file = folder.parent / "camera-intrinsics.txt"
+    file.write_text(K)
+    assert file in source_files(folder)
+    before = content_hash(source_files(folder), folder)
+    file.write_text(K.replace("31.5", "30.5"))
+    assert content_hash(source_files(folder), folder) != before
+    # The folder's own intrinsics win, and those above no longer count.
+    (folder / "intrinsics.K.txt").write_text(K)
+    assert file not in source_files(folder)
+    assert open_recording(folder).camera == SMALL
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (K.replace("31.5", "319.5"), r"principal point \(319.5, 23.5\) lies outside the 64x48"),
+        (K.replace("60.0", "0.6").replace("61.0", "0.6"), r"focal length of 0.6 pixels .* of 178 degrees"),
+        (K.replace("60.0", "60000"), "focal length of 60000 pixels .* of 0 degrees"),
+        (K.replace("60.0", "-60"), "focal lengths -60, 61 are not positive"),
+        (K.replace("60.0", "nan"), "is not a pinhole matrix"),
+        (f"{FX} {FY} {CX}\n", "holds 3 numbers, not the 3x3 of a pinhole matrix"),
+        ("fx fy cx cy\n", "line 1: 'fx' is not a number"),
+        ("", "holds 0 numbers"),
+    ],
+)
+def test_intrinsics_that_contradict_the_images_are_one_line(tmp_path: Path, text: str, message: str) -> None:
+    folder = bare(tmp_path)
+    (folder / "intrinsics.K.txt").write_text(text)
+    with pytest.raises(RecordingError, match=rf"intrinsics\.K\.txt.*{message}") as caught:
+        open_recording(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_settings_win_over_intrinsics_that_contradict_the_images(tmp_path: Path) -> None:
+    folder = bare(tmp_path)
+    (folder / "intrinsics.K.txt").write_text(K.replace("60.0", "0.6"))
+    said = CameraSettings(fx=FX, fy=FY, cx=CX, cy=CY)
+    assert open_recording(folder, said).camera == SMALL
+
+
+def test_the_default_camera_is_said_to_be_assumed(tmp_path: Path) -> None:
+    folder = kinect_sized(tmp_path, code_for_none=0)
+    recording = open_recording(folder)
+    assert recording.camera == Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
+    (warning,) = recording.warnings
+    assert "are assumed (585, 585, 320, 240)" in warning and "intrinsics.K.txt" in warning
+    assert "`camera:`" in warning
+    # Whoever gives the camera knows, and in 7-Scenes itself it is no assumption.
+    said = CameraSettings(fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+    assert open_recording(folder, said).warnings == ()
+    assert open_recording(kinect_sized(tmp_path / "own", code_for_none=65535)).warnings == ()
+
+
+def info(depth_shift: str = "1000", width: int = 64) -> str:
+    row = f"{FX} 0 {CX} 0 0 {FY} {CY} 0 0 0 1 0 0 0 0 1"
+    return (
+        f"m_versionNumber = 4\nm_sensorName = StructureSensor\nm_depthWidth = {width}\nm_depthHeight = 48\n"
+        f"m_depthShift = {depth_shift}\nm_calibrationColorIntrinsic = 120 0 63 0 0 122 47 0 0 0 1 0 0 0 0 1\n"
+        f"m_calibrationColorExtrinsic = {IDENTITY}\nm_calibrationDepthIntrinsic = {row}\n"
+        f"m_calibrationDepthExtrinsic = {IDENTITY}\nm_frames.size = 5\n"
+    )
+
+
+@pytest.mark.parametrize("name", ["info.txt", "_info.txt"])
+def test_the_info_of_scannets_tools_is_read(tmp_path: Path, name: str) -> None:
+    folder = bare(tmp_path)
+    for file in folder.glob("*.color.png"):
+        large = np.repeat(np.repeat(color_image(0), 2, axis=0), 2, axis=1)
+        file.with_name(file.name.replace(".png", ".jpg")).write_bytes(jpeg(large))
+        file.unlink()
+    (folder / name).write_text(info("4000"))
+    recording = open_recording(folder)
+    assert (recording.camera, recording.depth_scale, recording.warnings) == (SMALL, 4000.0, ())
+    assert recording.color_calibration is not None and not recording.color_registered
+    assert recording.color_calibration.camera == Camera(128, 96, 120.0, 122.0, 63.0, 47.0)
+    (folder / name).write_text(info(width=640))
+    with pytest.raises(RecordingError, match="are for 640x48 images"):
+        open_recording(folder)
+    for wrong in (info("0"), info("many"), info().replace("m_depthShift = 1000", "m_depthShift = -1")):
+        (folder / name).write_text(wrong)
+        with pytest.raises(RecordingError, match=name):
+            open_recording(folder)
+
+
+def test_another_info_is_none(tmp_path: Path) -> None:
+    folder = bare(tmp_path)
+    (folder / "info.txt").write_text("recorded in the kitchen")
+    with pytest.raises(RecordingError, match="does not say its intrinsics"):
+        open_recording(folder)
