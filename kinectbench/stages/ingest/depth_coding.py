@@ -12,6 +12,7 @@ from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.recording import FileRecording, Recording, read_image_file
 from kinectbench.stages.ingest.rotated_depth import SAMPLED_IMAGES, find_pattern
 
+# Units a metre: bits are rotated in depth that is kept in millimetres.
 MM_SCALE = 1000.0
 
 

@@ -17,6 +17,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
+# By how many numbers a file holds.
 MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
 # Focal lengths as shares of the image's side.
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0

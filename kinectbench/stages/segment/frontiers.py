@@ -24,7 +24,8 @@ LEAST_PROBABILITY = 0.025
 # Above an open box most level ways out end in the air inside of it, under a shelf most ways down on the shelf
 # below: from above, and then from beside, one sees most (own choices).
 ABOVE_FIRST, BESIDE_FIRST = 2.0, 1.5
-# A piece lies around a corner if less than this share of it leads straight out; a room has a roof.
+# A piece lies around a corner if less than this share of it leads straight out (own choice); a room has
+# a roof.
 STRAIGHT_SHARE = 0.5
 ROOM_WAYS: tuple[Direction, ...] = ("side", "down", "up")
 # From so much of a unit vector up or down it is told as straight above or below, and under so much as level

@@ -9,6 +9,7 @@ from pathlib import Path
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.images import DamagedImageError
 
+# Of a zip archive's first local header (APPNOTE.TXT 4.3.7).
 MAGIC = b"PK\x03\x04"
 # Names of the first members lie in the first bytes, and those of the last in the last (own choice).
 END_BYTES = 1 << 16

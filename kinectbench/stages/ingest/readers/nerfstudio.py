@@ -44,6 +44,7 @@ PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
 # In Brown's order; a fourth radial term is not in his model.
 BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
 MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+# Of depth images, where `depth_unit_scale_factor` does not say otherwise: nerfstudio's default.
 METRES_PER_UNIT = 0.001
 # The first frame lies within (own choice).
 HEAD_BYTES = 1 << 16

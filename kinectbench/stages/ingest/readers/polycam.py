@@ -25,12 +25,15 @@ from kinectbench.stages.ingest.readers.phone_images import (
 )
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
 
+# Depth is in millimetres, stamps in microseconds.
 DEPTH_SCALE = 1000.0
 NS_PER_US = 1000
 # Longer numbers are no microseconds that 64-bit nanoseconds hold.
 STAMP_US = re.compile(r"[0-8]?\d{1,15}")
+# The highest of three levels of confidence: 0, 127 and 255.
 HIGH = 255
 CAMERA_KEYS = ("fx", "fy", "cx", "cy", "width", "height")
+# Rows and columns of the camera-to-world matrix.
 POSE_KEYS = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
 
 
