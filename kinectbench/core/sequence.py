@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,13 @@ class FrameStore(Protocol):
         ...
 
 
+class UpSample(NamedTuple):
+    """Up as an accelerometer measured it at a frame: its stamp, and a unit vector in its camera's axes."""
+
+    stamp_ns: int
+    up_camera: tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Sequence:
     """A recording that every later stage can use without knowing its format.
@@ -62,6 +69,11 @@ class Sequence:
         masks: the masks that came with the recording, or None: index -> (height, width) bool, the object, or
             None for a frame without one.
         trajectory_error: why a trajectory that came with the recording cannot be used, or "".
+        up_world: (3,) unit: up in the frame of the given trajectory, by gravity; None: the recording does not
+            say.
+        up_cameras: up in some frames' own axes, by an accelerometer.
+        beside_m: of a recording whose depth is the object's only (`own_pixels`): index -> (height, width)
+            float32 metres, what was measured surely beside the object, 0 = nothing; else None.
     """
 
     camera: Camera
@@ -73,6 +85,9 @@ class Sequence:
     depth_correction_per_m: Float32 | None = None
     masks: Callable[[int], Bools | None] | None = None
     trajectory_error: str = ""
+    up_world: Float64 | None = None
+    up_cameras: tuple[UpSample, ...] = ()
+    beside_m: Callable[[int], Float32] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -12,7 +12,9 @@ from kinectbench.core.storage import NAME
 from kinectbench.core.types import Framing, PartialRule, Split
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
+SegmentBy = Literal["masks", "turntable"]
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+Vector4 = Annotated[tuple[float, float, float, float], Field(strict=False)]
 # Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
 # (the rules for solids were chosen with it).
 LEAST_RANGE_M = 3.0
@@ -92,6 +94,22 @@ class BoxSettings(Settings):
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
 
 
+class FloorSettings(Settings):
+    """The plane that the object stands on, by hand."""
+
+    plane_world: Vector4 = Field(
+        description="a x + b y + c z + d = 0, the normal (a, b, c) up and of length 1; metres, world frame"
+    )
+
+    @field_validator("plane_world")
+    @classmethod
+    def _a_plane(cls, plane_world: tuple[float, float, float, float]) -> Vector4:
+        # Rounded normals are made ones of length 1 where the plane is used; others are a slip.
+        if not 0.5 <= math.hypot(*plane_world[:3]) <= 2:
+            raise ValueError("the first three numbers are the plane's normal, of length 1")
+        return plane_world
+
+
 class RecordingSettings(Settings):
     """One recording of the benchmark."""
 
@@ -103,7 +121,16 @@ class RecordingSettings(Settings):
     trajectory: TrajectoryMode | None = Field(None, description="default: trust if the recording has one")
     camera: CameraSettings | None = Field(None, description="only what the recording does not say")
     box: BoxSettings | None = Field(None, description="only where objects touch")
-    masks: str | None = Field(None, description="folder of per-view PNG masks, relative to benchmark.yaml")
+    floor: FloorSettings | None = Field(None, description="only where the plane it stands on is not found")
+    segment_by: SegmentBy | None = Field(
+        None,
+        description="masks, turntable: the object moves before the camera; masks or its turns say what it is",
+    )
+    masks: str | None = Field(
+        None,
+        description="folder of PNG masks, relative to benchmark.yaml: of views; with `segment_by: masks` of "
+        "frames",
+    )
     license: str | None = Field(None, description="of this recording's data; default: the benchmark's")
     source: str | None = Field(
         None, description="who recorded it, or where it is from; default: the benchmark's"
@@ -112,6 +139,16 @@ class RecordingSettings(Settings):
     _names = field_validator("id", "category", "object")(
         lambda value: value if value is None else check_name(value)
     )
+
+    @property
+    def plane_world(self) -> Vector4 | None:
+        """The plane it stands on, given by hand: [a, b, c, d], metres, world frame."""
+        return None if self.floor is None else self.floor.plane_world
+
+    @property
+    def trajectory_mode(self) -> TrajectoryMode | None:
+        """What is done with a given trajectory: that of the camera says nothing of an object that moves."""
+        return "ignore" if self.trajectory is None and self.segment_by else self.trajectory
 
     @property
     def object_name(self) -> str:
@@ -131,7 +168,12 @@ class TrackingSettings(Settings):
 class FusionSettings(Settings):
     """TSDF fusion."""
 
-    voxel_size_m: float = Field(0.005, ge=0.001, le=0.05, description="edge of a voxel of the object")
+    voxel_size_m: float | None = Field(
+        None,
+        ge=0.001,
+        le=0.05,
+        description="edge of a voxel of the object; default: 5 mm, of what is small and near less",
+    )
     scene_voxel_size_m: float | None = Field(
         None,
         ge=0.002,

@@ -87,7 +87,11 @@ def test_an_alias_is_read_and_an_override_changes_one_place_only(tmp_path: Path)
         ),
         ("fx: 525", "fxx: 5", "7: recordings.chair.camera.fxx: unknown key; did you mean 'fx'?"),
         ("5e-3", "9", "9: fusion.voxel_size_m: found 9; wanted a number from 0.001 to 0.05"),
-        ("5e-3", "", "9: fusion.voxel_size_m: found nothing; wanted a number from 0.001 to 0.05"),
+        (
+            "count: 10",
+            "min_pixels: ",
+            "10: views.min_pixels: found nothing; wanted a whole number from 16 up",
+        ),
         ("5e-3", "5mm", "9: fusion.voxel_size_m: found the text '5mm'; wanted a number from 0.001 to 0.05"),
         ("5e-3", "[1, 2]", "9: fusion.voxel_size_m: found [1, 2]; wanted a number from 0.001 to 0.05"),
         ("525", "-1", "7: recordings.chair.camera.fx: found -1; wanted a number above 0"),

@@ -51,10 +51,10 @@ def test_each_end_of_a_range_holds(model: type[Settings]) -> None:
                         model.model_validate({name: limit + outward})
 
 
-@pytest.mark.parametrize("value", ["0.005", True, None, float("nan"), float("inf"), [0.005]])
+@pytest.mark.parametrize("value", ["4", True, None, float("nan"), float("inf"), [4.0]])
 def test_values_of_another_type_are_not_converted(value: object) -> None:
     with pytest.raises(ValidationError):
-        FusionSettings.model_validate({"voxel_size_m": value})
+        FusionSettings.model_validate({"truncation_voxels": value})
 
 
 def test_settings_cannot_be_changed() -> None:
@@ -132,3 +132,15 @@ def test_reading_settings_loads_no_heavy_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    "floor", [[0, 0, 0, 1], [0, 0, 1], [0, 0, 1, "1"], [0, 0, 100, 1], [0, 0, float("nan"), 1]]
+)
+def test_a_plane_has_a_normal_and_a_distance(floor: object) -> None:
+    said = {"id": "a", "path": "a", "category": "mug"}
+    with pytest.raises(ValidationError, match="floor"):
+        RecordingSettings.model_validate({**said, "floor": {"plane_world": floor}})
+    given = RecordingSettings.model_validate({**said, "floor": {"plane_world": [0, 0.6, 0.8, -1]}})
+    assert given.plane_world == (0, 0.6, 0.8, -1)
+    assert RecordingSettings.model_validate(said).plane_world is None

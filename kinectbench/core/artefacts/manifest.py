@@ -41,6 +41,12 @@ class Failed(Stored):
     format_version: int = Field(1, description="version of this file's format")
     stage: str | None = Field(description="name of the stage that failed; null if its process was killed")
     error: str = Field(description="the reason in one line, as it was shown")
+    fingerprint: str | None = Field(
+        None,
+        description="of what was to be made, if it would fail again: it is not tried before this or the "
+        "package's version is another; null if it may succeed (a full disk, a killed process)",
+    )
+    package_version: str | None = Field(None, description="version of KinectBench that failed; null likewise")
 
 
 class SourceFile(NamedTuple):

@@ -41,6 +41,15 @@ class CameraFile(Stored):
     trajectory_error: str = Field(
         default="", description='Why the trajectory that came with the recording is not used, or "".'
     )
+    up_world: tuple[float, float, float] | None = Field(
+        default=None,
+        description="Unit vector: up by gravity, in the frame of the given trajectory; absent: not known.",
+    )
+    up_cameras: tuple[tuple[int, float, float, float], ...] | None = Field(
+        default=None,
+        description="[stamp in ns, x, y, z] of some frames: unit vector, up in the camera's axes, by an "
+        "accelerometer; absent: none, or its place is not known.",
+    )
 
     @field_validator("format_version")
     @classmethod

@@ -1,15 +1,17 @@
 """What is stored beside the poses of a trajectory: health.json and depth_calibration.json."""
 
-from typing import ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from kinectbench.core.artefacts.stored import DegreesInFile, MillimetresInFile, Part, ScaledPart, Stored
 from kinectbench.core.geometry.depth import TERMS, DepthCalibration
 from kinectbench.core.types import Float64
 
-Grade = Literal["5 mm", "10 mm", "not good"]
+Grade = Literal["good", "fair", "not good"]
+# Files of older versions name millimetres, which no recording promised.
+OLDER_GRADES: dict[Any, Grade] = {"5 mm": "good", "10 mm": "fair"}
 Source = Literal["trust", "refine", "tracked"]
 Recommendation = Literal["trust", "refine", "ignore"]
 FrameState = Literal["tracked", "relocalised", "lost", "rejected"]
@@ -72,9 +74,7 @@ class GivenFigures(ScaledPart):
     median_shift_m: Millimetres = Field(
         None, description="by how much frames disagree with those near them, mm"
     )
-    distant_shift_m: Millimetres = Field(
-        None, description="by how much frames far apart in time do, median, mm"
-    )
+    distant_shift_m: Millimetres = Field(None, description="by how much distant frames do, median, mm")
     distant_unmatched: float | None = Field(
         None, description="share of such frames that ought to see the same place and fit nowhere near"
     )
@@ -118,7 +118,9 @@ class TrajectoryHealth(ScaledPart, Stored):
     format_version: int = Field(1, description="of this file")
     source: Source = Field(description="trust: the given poses; refine: these, corrected; tracked: found")
     verdict: str = Field(description="what ground truth the poses are good for, and why, in one sentence")
-    grade: Grade = Field(description="the same in one word")
+    grade: Annotated[Grade, BeforeValidator(lambda grade: OLDER_GRADES.get(grade, grade))] = Field(
+        description="the same in a word or two; no bound of any error"
+    )
     recommended: Recommendation | None = Field(
         None, description="what to do with a given trajectory; null without one"
     )

@@ -20,6 +20,8 @@ UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
 UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
 # A longer pause is not a few dropped frames.
 JUMP_PERIODS, JUMP_NS = 10, 1_000_000_000
+# No depth camera is faster; a clock that goes back so often is none; fewer stamps do not tell (own choices).
+FASTEST_HZ, BACK_SHARE, LEAST_STAMPS = 1000.0, 0.1, 10
 # A step back by more than this begins another clock.
 RESET_NS = 1_000_000_000
 
@@ -66,6 +68,29 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
         return [f"{where}: images are {period_s:g} s apart; if the stamps are {unit}, write seconds"]
     what = f"images are {period_s:g} s apart: the stamps look like {unit}"
     raise RecordingError(f"{where}: {what}; write seconds")
+
+
+def no_times(stamps_ns: Sequence[int]) -> str:
+    """Why stamps are no times of frames, but such as steps since the frame before; "" if they are times.
+
+    Args:
+        stamps_ns: of images, in the order of recording, nanoseconds.
+    """
+    if len(stamps_ns) < LEAST_STAMPS:
+        return ""
+    steps = np.diff(np.asarray(stamps_ns, np.int64))
+    back_share = float((steps < 0).mean())
+    if back_share >= BACK_SHARE:
+        return f"they go back in {back_share:.0%} of their steps"
+    period_ns = usual_period_ns(np.sort(np.asarray(stamps_ns, np.int64)))
+    if 0 < period_ns < NS_PER_S / FASTEST_HZ:
+        return f"they would be of {NS_PER_S / period_ns:.0f} frames a second"
+    return ""
+
+
+def counted_ns(count: int) -> list[int]:
+    """Stamps of frames without any, nanoseconds: they count whole seconds."""
+    return [index * NS_PER_S for index in range(count)]
 
 
 def format_stamp(stamp_ns: int) -> str:

@@ -10,7 +10,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import closest_rotation, quaternion_xyzw_from_rotation, rigid
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_from_xyzw
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.stamps import first_by_stamp, format_stamp, parse_stamp_ns
+from kinectbench.core.trajectory.stamps import counted_ns, first_by_stamp, format_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.types import Float64
 
@@ -45,14 +45,19 @@ def read_given(
         return None, [], str(error)
 
 
-def read_trajectory(path: Path) -> tuple[GivenTrajectory, list[str]]:
+def read_trajectory(path: Path, frames: int | None = None) -> tuple[GivenTrajectory, list[str]]:
     """Read a TUM trajectory file, camera to world, and put it in order.
+
+    Args:
+        path: the file.
+        frames: of a recording whose stamps are no times: its rows are of these frames, which count seconds.
 
     Returns:
         The trajectory, and warnings.
 
     Raises:
-        RecordingError: a row is not eight finite numbers, a quaternion has no length, or no row is there.
+        RecordingError: a row is not eight finite numbers, a quaternion has no length, or no row is there; or
+            there are not as many rows as frames.
     """
     rows = []
     for where, row in text_rows(path):
@@ -62,6 +67,13 @@ def read_trajectory(path: Path) -> tuple[GivenTrajectory, list[str]]:
         stamp_ns = parse_stamp_ns(words[0], where)
         numbers = parse_floats(words[1:], where)
         rows.append(TimedPose(stamp_ns, tuple(numbers[:3]), tuple(numbers[3:]), where))
+    if frames is not None and len(rows) != frames:
+        raise RecordingError(
+            f"{path}: holds {len(rows)} poses for {frames} frames whose stamps are no times: which pose is "
+            "of which frame cannot be told; write one for each frame, in their order"
+        )
+    if frames is not None:
+        rows = [row._replace(stamp_ns=ns) for row, ns in zip(rows, counted_ns(frames), strict=True)]
     return trajectory_from_poses(rows, str(path))
 
 

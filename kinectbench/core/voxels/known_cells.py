@@ -67,7 +67,7 @@ def _index_map(to: Grid, grid: Grid) -> Float64:
     return np.concatenate([T[:3, :3] * scale, T[:3, 3:] / to.voxel_size_m], axis=1)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _tiles(known):  # type: ignore[no-untyped-def]
     nx, ny, nz = known.shape
     tiles = np.empty(((nx - 1) // TILE + 1, (ny - 1) // TILE + 1, (nz - 1) // TILE + 1), np.uint8)
@@ -80,7 +80,7 @@ def _tiles(known):  # type: ignore[no-untyped-def]
     return tiles
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _known_in(fine, coarse, nx, ny, nz):  # type: ignore[no-untyped-def]
     packed = np.full((nx, ny, nz // BLOCK), np.uint8(255))  # most are known
     for i in range(0, nx, BLOCK):
@@ -110,7 +110,7 @@ def _known_in(fine, coarse, nx, ny, nz):  # type: ignore[no-untyped-def]
     return packed
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
     """The state of all tiles that the centres of 8^3 cells may lie in, and whether all lie in the grid."""
     known, tiles, M = level
@@ -129,7 +129,7 @@ def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
     return np.int64(state), inside
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
     """Along one axis: first and last tile of a block (none: last < first), and if all is inside."""
     half = BLOCK / 2
@@ -142,7 +142,7 @@ def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
     return first, last, low >= 0 and high < count
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
     """The bytes (8, 8) of a block whose centres all lie in one grid, cell by cell along z."""
     known, _, M = level
@@ -158,7 +158,7 @@ def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
             block[a, b] = bits
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
     """The bytes (8, 8) of a block that the end of a grid runs through."""
     for a in range(BLOCK):
@@ -173,7 +173,7 @@ def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
             block[a, b] = bits
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _voxel(level, start, n):  # type: ignore[no-untyped-def]
     """1 or 0: whether the voxel that the n-th cell after `start` lies in is known; -1 beyond the grid."""
     known, _, M = level

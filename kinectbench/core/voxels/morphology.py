@@ -67,7 +67,7 @@ def packed_shell(full: Packed) -> Packed:
     return np.asarray(_shell(np.ascontiguousarray(full)))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _shell(full):  # type: ignore[no-untyped-def]
     nx, ny, nb = full.shape
     shell = np.zeros_like(full)

@@ -60,7 +60,7 @@ def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
     return np.where((nearest >= 0) & (nearest < count), nearest, count).astype(np.uint32)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
     """How many layers of cells each pixel sees; one row and one column more, for cells outside the image."""
     reach = np.zeros((depth.shape[0] + 1, depth.shape[1] + 1), np.uint16)
@@ -79,7 +79,7 @@ def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
     return reach
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _tiles(reach):  # type: ignore[no-untyped-def]
     """The least and the greatest reach in each tile of pixels."""
     height, width = reach.shape
@@ -93,7 +93,7 @@ def _tiles(reach):  # type: ignore[no-untyped-def]
     return least, greatest
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
     """Block by block: mostly the pixels that a block of cells falls on decide all of them alike."""
     nx, ny = len(columns), len(rows)
@@ -116,7 +116,7 @@ def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
     return packed
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _ranges(pixels):  # type: ignore[no-untyped-def]
     """The first and the last pixel that each 8 x 8 cells fall on, those outside the image among them."""
     first = np.empty((pixels.shape[0] // BLOCK, pixels.shape[1] // BLOCK), np.int64)
@@ -128,7 +128,7 @@ def _ranges(pixels):  # type: ignore[no-untyped-def]
     return first, last
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
     """Whether all or none of a block's cells, in eight layers from the first, are seen; SOME: look closer."""
     left, right, top, bottom = span

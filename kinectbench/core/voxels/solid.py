@@ -21,7 +21,7 @@ def snapped_cells(vertices_world: Float64, grid: Grid) -> Int64:
     return np.asarray(_snap(np.ascontiguousarray(vertices_world, dtype=np.float64), subcells))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _snap(vertices, affine):  # type: ignore[no-untyped-def]
     # Not a matrix product: a library would wake all cores for it.
     fixed = np.empty(vertices.shape, np.int64)
@@ -33,7 +33,7 @@ def _snap(vertices, affine):  # type: ignore[no-untyped-def]
     return fixed
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def crossings(fixed, faces, axes, start, shape, touching):  # type: ignore[no-untyped-def]
     """Every crossing of a mesh with the lines along one axis through a square lattice.
 
@@ -125,7 +125,7 @@ def _cross(corners, i0, i1, j0, j1, nv, touching, count, lines, heights, signs):
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _longer(values, count, capacity):  # type: ignore[no-untyped-def]
     longer = np.empty(capacity, values.dtype)
     longer[:count] = values[:count]
@@ -151,7 +151,7 @@ def voxelize_solid(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray
     return np.asarray(_fill(fixed, np.ascontiguousarray(faces, dtype=np.int32), *grid.shape))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _fill(fixed, faces, nx, ny, nz):  # type: ignore[no-untyped-def]
     lines, heights, signs = crossings(fixed, faces, (0, 1, 2), SUBCELL // 2, (nx, ny), False)
     first = np.zeros(nx * ny + 1, np.int64)

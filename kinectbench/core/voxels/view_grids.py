@@ -52,7 +52,7 @@ def _cube(centre_rotated: Float64, side_m: float, T_world_camera: Float64) -> Gr
     return Grid((FULL_CELLS,) * 3, side_m / FULL_CELLS, rigid(rotation, corner_world))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
     """The least and the largest coordinates (3,) of points (n, 3), turned into the view's axes."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -112,7 +112,7 @@ def partial_grids(
     return fine, coarse
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _mark(depth, K, corner, voxel, fine, coarse):  # type: ignore[no-untyped-def]
     nx, ny, nz = fine.shape[0], fine.shape[1], fine.shape[2] * 8
     for v in range(depth.shape[0]):

@@ -31,6 +31,15 @@ def test_a_file_is_in_its_own_units_and_keeps_what_it_does_not_know() -> None:
     assert TrajectoryHealth.model_validate(health) == health
 
 
+@pytest.mark.parametrize(
+    ("older", "now"), [("5 mm", "good"), ("10 mm", "fair"), ("not good", "not good"), ("fair", "fair")]
+)
+def test_grades_of_older_files_are_read_by_their_names_of_today(older: str, now: str) -> None:
+    assert TrajectoryHealth.parse(json.dumps({**HEAD, "grade": older}), "here").grade == now
+    with pytest.raises(StorageError, match="grade"):
+        TrajectoryHealth.parse(json.dumps({**HEAD, "grade": f"{older} "}), "here")
+
+
 def test_rows_are_of_the_frames_and_none_twice() -> None:
     for frames in ([7], [-1], [0, 0]):
         content = {**HEAD, "per_frame": [{"frame": frame} for frame in frames]}

@@ -1,0 +1,83 @@
+"""A recording seen through masks: what is left of it is the object; what surely is not says what is free."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.sequence import FrameStore, Sequence
+from kinectbench.core.types import Bools, Float32
+
+# Along an outline a sensor's depth mixes both sides, and a drawn mask is a pixel off (own choices): so much
+# less of the mask is the object, and so much more of it may be.
+INSIDE_PX, OUTSIDE_PX = 1, 3
+
+Masks = Callable[[int], Bools | None]
+
+
+@dataclass(frozen=True)
+class OwnPixels:
+    """The frames of a recording, their depth within the masks only.
+
+    Attributes:
+        frames: where the recording's frames lie.
+        masks: index -> (height, width) bool, or None for a frame without one, of which nothing is left.
+    """
+
+    frames: FrameStore
+    masks: Masks
+
+    def depth_native(self, index: int) -> NDArray[np.uint16]:
+        """Depth of one frame within its mask less a pixel: (height, width) uint16, 0 elsewhere."""
+        import cv2
+
+        native, mask = self.frames.depth_native(index), self.masks(index)
+        if mask is None:
+            return np.zeros_like(native)
+        inside = cv2.erode(mask.astype(np.uint8), _square(INSIDE_PX))
+        return np.where(inside > 0, native, np.uint16(0))
+
+    def color_encoded(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of one frame as it was encoded, whole."""
+        return self.frames.color_encoded(index)
+
+
+def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
+    """The same recording, its depth within the masks only, so that its world is the object's.
+
+    What was measured beside the masks may move against the object. But at that moment nothing stood before
+    it, the object neither: `Sequence.beside_m` has it.
+
+    Args:
+        sequence: the recording, whole.
+        masks: index -> (height, width) bool, the object, or None for a frame without one.
+    """
+
+    def beside_m(index: int) -> Float32:
+        """Depth of a frame (height, width) in metres, 0 on the mask and beside it."""
+        import cv2
+
+        mask = masks(index)
+        if mask is None:
+            return np.zeros((sequence.camera.height, sequence.camera.width), np.float32)
+        near = cv2.dilate(mask.astype(np.uint8), _square(OUTSIDE_PX))
+        return np.where(near > 0, np.float32(0), sequence.depth_m(index))
+
+    return replace(sequence, frames=OwnPixels(sequence.frames, masks), beside_m=beside_m)
+
+
+def whole(sequence: Sequence) -> Sequence:
+    """The recording that `by_own_pixels` was given, or the same if it is whole."""
+    own = sequence.frames
+    return replace(sequence, frames=own.frames, beside_m=None) if isinstance(own, OwnPixels) else sequence
+
+
+def frames_with_masks(sequence: Sequence, masks: Masks) -> Bools:
+    """Which frames have a mask that is not empty: (n,) bool."""
+    found = (masks(index) for index in range(len(sequence)))
+    return np.array([mask is not None and bool(mask.any()) for mask in found], dtype=bool)
+
+
+def _square(reach_px: int) -> NDArray[np.uint8]:
+    return np.ones((2 * reach_px + 1,) * 2, np.uint8)

@@ -1,0 +1,171 @@
+"""Whether a camera stands still while something moves before it, by how each pixel changes over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.types import Bools, Float32
+
+# Frames that are compared, and how few say nothing.
+FRAMES, MIN_FRAMES = 24, 6
+# A pixel with depth in this share of the frames has one over time; else it says nothing.
+SEEN_SHARE = 0.6
+# Noise alone spreads four fifths of a pixel's values over 2.6 of its standard deviations.
+STILL_SIGMAS, MOVED_SIGMAS = 4.0, 6.0
+# What moves reaches this much before what is behind it, or more: quantised depth steps by less at 2 m.
+MOVED_M = 0.012
+# Of grey levels, as far as exposure does not explain it (own choices; measured on the shared recordings).
+STILL_GRAY = 8.0
+# Where nothing is around, most of the image has no depth, or hardly ever.
+EMPTY_SHARE, RARELY = 0.3, 0.15
+# The camera stands still if so much of what does not move is still in depth and, if there is colour, in
+# colour (a turntable's plate may turn its pattern), and if this much of the image is that; then something
+# moves if it fills so much of the image.
+STILL_SHARE, STILL_GRAY_SHARE, AROUND_SHARE, MOVING_SHARE = 0.9, 0.5, 0.1, 0.004
+# Edges along which depth wanders are thinner, pixels (own choice).
+OPENED_PX = 3
+# Quarters of the frames that differ by noise alone have depth equally often, but for this.
+QUARTERS, OFTEN = 4, 0.7
+# What is no farther from what moves says nothing of whether the camera stands still (own choice).
+NEAR_PX = 4
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What a camera saw over time.
+
+    Attributes:
+        still_m: (height, width) float32, the depth of what stands still, 0 where nothing does.
+        behind_m: (height, width) float32, the farthest that was seen, but for noise; infinite where there was
+            no depth for long.
+        moving: (height, width) bool, pixels in which something moves.
+        moving_share: of the image, where quarters of the recording differ, too: along edges depth wanders.
+        still_share: of the pixels away from what moves, what is still in depth.
+        still_gray_share: of these, what is still in grey, too; None without colour.
+        around_share: of the image, what is still in depth.
+        empty_share: of the image, what hardly ever has depth.
+    """
+
+    still_m: Float32
+    behind_m: Float32
+    moving: Bools
+    moving_share: float
+    still_share: float
+    still_gray_share: float | None
+    around_share: float
+    empty_share: float
+
+    @property
+    def camera_still(self) -> bool:
+        """Whether the camera stands still, and something is around that shows it."""
+        still_gray = self.still_gray_share is None or self.still_gray_share >= STILL_GRAY_SHARE
+        return self.around_share >= AROUND_SHARE and self.still_share >= STILL_SHARE and still_gray
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing is around what moves, or what the camera moves about: both look the same."""
+        return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
+
+    @property
+    def something_moves(self) -> bool:
+        """Whether something moves, if the camera does not."""
+        return self.moving_share >= MOVING_SHARE
+
+
+def some_of(count: int) -> list[int]:
+    """At most 24 of so many frames, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist() if count else []
+
+
+def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]) -> Watched | None:
+    """Compare frames pixel by pixel.
+
+    Args:
+        depths_m: k frames, (height, width) metres each, 0 = none, from all over the recording.
+        grays: of each, grey of about the same view, of any size; None: without colour.
+
+    Returns:
+        None where there are fewer than six frames.
+    """
+    if len(depths_m) < MIN_FRAMES:
+        return None
+    depth_m = np.stack(depths_m)
+    seen = depth_m > 0
+    told = seen.mean(axis=0) >= SEEN_SHARE
+    values = np.where(seen & told, depth_m, np.nan)
+    values[:, ~told] = 0.0
+    low_m, middle_m, high_m = np.nanquantile(values, [0.1, 0.5, 0.9], axis=0).astype(np.float32)
+    spread_m, sigma_m = high_m - low_m, depth_sigma_m(middle_m)
+    moved = told & (spread_m > np.maximum(MOVED_SIGMAS * sigma_m, MOVED_M))
+    moving = _opened(moved | _comes_and_goes(seen))
+    still = told & (spread_m <= np.maximum(STILL_SIGMAS * sigma_m, MOVED_M))
+    away = told & ~_near(moving)
+    return Watched(
+        still_m=np.where(still, middle_m, np.float32(0)),
+        behind_m=np.where(told, high_m, np.float32(np.inf)),
+        moving=moving,
+        moving_share=float((_opened(_differs(values, seen, sigma_m)) & moving).mean()),
+        still_share=float(still[away].mean()) if away.any() else 0.0,
+        still_gray_share=_still_in_gray(grays, still & away),
+        around_share=float((still & away).mean()),
+        empty_share=float((seen.mean(axis=0) <= RARELY).mean()),
+    )
+
+
+def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
+    """Pixels whose median depth, or whether there is depth, differs between quarters of the frames.
+
+    Args:
+        values: (k, height, width) metres, NaN without depth, 0 where too little is known.
+        seen: alike, whether there is depth.
+        sigma_m: (height, width) metres, of the depth.
+    """
+    parts = np.array_split(np.arange(len(values)), QUARTERS)
+    # A quarter without depth has that of all.
+    whole = np.nanmedian(values, axis=0)
+    medians = [np.nanmedian(np.concatenate([values[part], whole[None]]), axis=0) for part in parts]
+    often = [seen[part].mean(axis=0) for part in parts]
+    differs: Bools = np.ptp(medians, axis=0) > np.maximum(MOVED_SIGMAS * sigma_m, MOVED_M)
+    rarer: Bools = np.ptp(often, axis=0) > OFTEN
+    return differs | rarer
+
+
+def _comes_and_goes(seen: Bools) -> Bools:
+    """Pixels that have depth in some frames only, as where something passes before nothing."""
+    share = seen.mean(axis=0)
+    between: Bools = (share > RARELY) & (share < SEEN_SHARE)
+    return between
+
+
+def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> float | None:
+    """Of the pixels that are still in depth, the share whose grey changes little; None without colour."""
+    import cv2
+
+    there = [gray for gray in grays if gray is not None]
+    if len(there) < MIN_FRAMES or not still.any():
+        return None
+    size = (still.shape[1], still.shape[0])
+    small = np.stack([cv2.resize(gray, size, interpolation=cv2.INTER_AREA)[still] for gray in there])
+    values = small.astype(np.float32)
+    # Exposure that adapts changes all pixels by a factor.
+    values *= np.median(values) / np.maximum(np.median(values, axis=1, keepdims=True), 1)
+    low, high = np.quantile(values, [0.1, 0.9], axis=0)
+    return float((high - low <= 2 * STILL_GRAY).mean())
+
+
+def _opened(mask: Bools) -> Bools:
+    """Without what is thinner than three pixels: edges, along which depth wanders."""
+    import cv2
+
+    kernel = np.ones((OPENED_PX, OPENED_PX), np.uint8)
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel), dtype=bool)
+
+
+def _near(mask: Bools) -> Bools:
+    import cv2
+
+    kernel = np.ones((2 * NEAR_PX + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel), dtype=bool)

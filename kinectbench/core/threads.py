@@ -1,0 +1,78 @@
+"""The threads that one recording may use; what comes out never depends on how many.
+
+Threads, as what takes long lets them run side by side: kernels without the interpreter's lock, and the codecs
+of OpenCV and zstandard. Every item is made by a pure function, and every part of an array by one thread.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from itertools import islice, pairwise
+from typing import TypeVar
+
+import numpy as np
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# Parts for each thread, so that none waits long for another (own choice).
+PARTS_A_THREAD = 4
+
+# A thread that is started here uses one itself.
+_threads: ContextVar[int] = ContextVar("threads", default=1)
+
+
+@contextmanager
+def using_threads(count: int) -> Iterator[None]:
+    """Let `ahead` and `in_parts` use so many threads within the block."""
+    token = _threads.set(max(count, 1))
+    try:
+        yield
+    finally:
+        _threads.reset(token)
+
+
+def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """The function's result of each item, in order; threads make the next ones while one is used.
+
+    As many results as there are threads wait at a time, so that memory is bounded. An error is raised where
+    its result would come.
+
+    Args:
+        function: depends on nothing but the item.
+        items: one after another.
+    """
+    threads = _threads.get()
+    if threads == 1:
+        yield from map(function, items)
+        return
+    remaining = iter(items)
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            begun: deque[Future[Result]] = deque(
+                pool.submit(function, item) for item in islice(remaining, threads + 1)
+            )
+            while begun:
+                result = begun.popleft().result()
+                begun.extend(pool.submit(function, item) for item in islice(remaining, 1))
+                yield result
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def in_parts(function: Callable[[int, int], None], count: int) -> None:
+    """Call `function(start, stop)` for parts of `range(count)`, side by side.
+
+    Args:
+        function: writes what belongs to its part, and nothing else.
+        count: of what there is to do.
+    """
+    threads = _threads.get()
+    if threads == 1 or count < threads:
+        function(0, count)
+        return
+    bounds = np.linspace(0, count, min(threads * PARTS_A_THREAD, count) + 1).astype(int).tolist()
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(function, *zip(*pairwise(bounds), strict=True)))

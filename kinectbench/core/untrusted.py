@@ -1,0 +1,111 @@
+"""The one place where files of strangers are opened: plain files only, with a bound on what they cost.
+
+A recording, a release, a prediction or a table may come from anybody. A named pipe or a device in it would
+be waited for or read for ever, a file may be larger than memory, a name may lead out of its folder, and a
+text may steer the terminal that it is printed to. What is refused is an `OSError` with one line for a
+reason, as if the system had refused it: who reports files that cannot be read reports these, too.
+"""
+
+import errno
+import os
+import stat
+import unicodedata
+from pathlib import Path, PurePosixPath
+from typing import BinaryIO
+
+# No format that is read needs more than this to be told by its first bytes (own choice).
+HEAD_BYTES = 64 << 10
+# Lists of frames, trajectories and settings: a million rows of a hundred characters (own choice).
+TEXT_BYTES = 100 << 20
+# What a line for people quotes of a text that came from a file (own choice).
+QUOTED = 80
+
+
+def open_plain(path: Path) -> BinaryIO:
+    """Open a regular file to read, at the end of links, if any; nothing else, and without waiting.
+
+    Raises:
+        OSError: it is missing or cannot be read; EINVAL: it is a folder, a pipe, a socket or a device.
+    """
+    # Looked at before it is opened: to open a device may do something. And once more, as it may have changed.
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise _refused(path)
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise _refused(path)
+    return os.fdopen(handle, "rb")
+
+
+def read_plain(path: Path, most_bytes: int) -> bytes:
+    """The bytes of a regular file.
+
+    Args:
+        path: the file.
+        most_bytes: a larger file is refused before it is read.
+
+    Raises:
+        OSError: as `open_plain`; EFBIG: it is larger.
+    """
+    with open_plain(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(most_bytes + 1) if size <= most_bytes else b""
+    if size > most_bytes or len(content) > most_bytes:
+        raise OSError(errno.EFBIG, f"larger than the {most_bytes} bytes that such a file may have", str(path))
+    return content
+
+
+def read_head(path: Path, count: int = HEAD_BYTES) -> bytes:
+    """The first bytes of a regular file, fewer if it is shorter.
+
+    Raises:
+        OSError: as `open_plain`.
+    """
+    with open_plain(path) as file:
+        return file.read(count)
+
+
+def read_plain_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
+    """A UTF-8 text, with or without a byte order mark, whatever the locale.
+
+    Raises:
+        OSError: as `read_plain`.
+        UnicodeDecodeError: it is not UTF-8.
+    """
+    return read_plain(path, most_bytes).decode("utf-8-sig")
+
+
+def below(folder: Path, name: str) -> Path:
+    """The path of a file that an index names, relative to its folder.
+
+    Args:
+        folder: that the names are relative to.
+        name: with "/" between folders.
+
+    Raises:
+        ValueError: the name is absolute, leads upwards, or is none; the message says which.
+    """
+    way = PurePosixPath(name)
+    if not name or "\0" in name:
+        raise ValueError("is no name of a file")
+    if way.is_absolute() or ".." in way.parts:
+        raise ValueError(
+            f"'{printable(name)}' leads out of the folder; names must be relative to it, without '..'"
+        )
+    return folder / way
+
+
+def printable(text: str, most: int = QUOTED) -> str:
+    """A text from a file as a line for people may quote it: without control characters, and short.
+
+    Characters that move the cursor, change the direction of writing or cannot be printed (Unicode's
+    categories C and line separators) become `?`; what is longer than `most` characters is cut in the middle.
+    """
+    half = most // 2
+    short = text if len(text) <= most else f"{text[: half - 1]}…{text[-half:]}"
+    return "".join("?" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in short)
+
+
+def _refused(path: Path) -> OSError:
+    kind = "a folder" if path.is_dir() else "a pipe, a socket or a device"
+    return OSError(errno.EINVAL, f"not a plain file but {kind}", str(path))

@@ -1,0 +1,97 @@
+"""Files of strangers: plain ones within bounds, names that stay in their folder, texts that only print."""
+
+import errno
+import os
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from kinectbench.core.untrusted import (
+    below,
+    open_plain,
+    printable,
+    read_head,
+    read_plain,
+    read_plain_text,
+)
+
+
+@pytest.fixture
+def odd(tmp_path):
+    """A pipe, a socket, links to devices, a folder, and a link that goes round."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "linked_pipe").symlink_to("pipe")
+    (tmp_path / "folder").mkdir()
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(os.path.relpath(tmp_path / "socket"))  # such names are short
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["pipe", "zero", "linked_pipe", "folder", "socket"])
+@pytest.mark.parametrize("read", [open_plain, read_head, read_plain_text, lambda path: read_plain(path, 9)])
+def test_what_is_no_plain_file_is_refused_at_once(odd, name, read):
+    started = time.monotonic()
+    with pytest.raises(OSError, match="not a plain file but a") as refused:
+        read(odd / name)
+    assert refused.value.errno == errno.EINVAL
+    assert refused.value.filename == str(odd / name)
+    assert time.monotonic() - started < 1
+
+
+def test_a_link_to_a_plain_file_is_followed(tmp_path):
+    (tmp_path / "file").write_bytes(b"12345")
+    (tmp_path / "link").symlink_to("file")
+    assert read_plain(tmp_path / "link", 5) == b"12345"
+    assert read_head(tmp_path / "link", 2) == b"12"
+    with pytest.raises(FileNotFoundError):
+        open_plain(tmp_path / "missing")
+
+
+def test_a_file_larger_than_its_bound_is_refused_unread(tmp_path):
+    with (tmp_path / "hole").open("wb") as file:
+        file.truncate(1 << 40)  # takes no room on the disk
+    with pytest.raises(OSError, match="larger than the 5 bytes") as refused:
+        read_plain(tmp_path / "hole", 5)
+    assert refused.value.errno == errno.EFBIG
+
+
+def test_a_file_that_claims_no_size_is_bounded_too():
+    """/proc's files are plain and claim 0 bytes."""
+    with pytest.raises(OSError, match="larger than the 5 bytes"):
+        read_plain(Path("/proc/self/status"), 5)
+
+
+def test_text_is_utf_8_whatever_the_locale(tmp_path):
+    (tmp_path / "text").write_bytes("\ufeffσ".encode())
+    assert read_plain_text(tmp_path / "text") == "σ"
+    (tmp_path / "text").write_bytes(b"\xff")
+    with pytest.raises(UnicodeDecodeError):
+        read_plain_text(tmp_path / "text")
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../a", "a/../../b", "a/..", "", "a\0b"])
+def test_a_name_stays_in_its_folder(tmp_path, name):
+    with pytest.raises(ValueError, match=r"leads out of the folder|is no name"):
+        below(tmp_path, name)
+
+
+@pytest.mark.parametrize("name", ["a", "depth/1.png", "a b", "..a", "a..b/c"])
+def test_other_names_are_taken(tmp_path, name):
+    assert below(tmp_path, name) == tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a\x1b]0;x\x07\x1b[2Jb", "a?]0;x??[2Jb"),
+        ("one\ntwo\r\u2028three\u202e\u200b", "one?two??three??"),
+        ("größe σ 椅子", "größe σ 椅子"),
+        ("x" * 200, "x" * 39 + "…" + "x" * 40),
+        ("\ud800", "?"),
+    ],
+)
+def test_what_is_quoted_only_prints(text, shown):
+    assert printable(text) == shown
