@@ -60,7 +60,7 @@ def decode_depth(data: bytes) -> NDArray[np.uint16]:
     return depth
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _to_planes(depth: NDArray[np.uint16], low: NDArray[np.uint8], high: NDArray[np.uint8]) -> bool:
     """Fill both bytes of the codes; False if a difference has none."""
     height, width = depth.shape
@@ -80,14 +80,14 @@ def _to_planes(depth: NDArray[np.uint16], low: NDArray[np.uint8], high: NDArray[
     return True
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _from_planes(low: NDArray[np.uint8], high: NDArray[np.uint8], depth: NDArray[np.uint16]) -> None:
     last = np.zeros(depth.shape[1], np.uint16)
     for row in range(depth.shape[0]):
         _next_row(low[row], high[row], last, depth[row])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _next_row(
     low: NDArray[np.uint8], high: NDArray[np.uint8], last: NDArray[np.uint16], depth: NDArray[np.uint16]
 ) -> None:

@@ -20,7 +20,8 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
     """The recording as its depth is coded.
 
     Rotated depth is looked for where depth is PNG in mm and the settings give no `depth_scale`. In a layout
-    whose depth usually is rotated (`often_rotated`) it is no news; elsewhere a warning says so.
+    whose depth usually is rotated (`often_rotated`) it is no news, and multiples of eight are enough;
+    elsewhere a warning says so.
 
     Raises:
         RecordingError: the settings name a code, and its depth is not PNG images.
@@ -37,10 +38,10 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
     if camera.depth_scale is not None or recording.depth_scale != MM_SCALE:
         return recording
     pattern = find_pattern(_some_depth(recording))
+    if recording.often_rotated:
+        return replace(recording, rotated=pattern.possible)
     if not pattern.found:
         return recording
-    if recording.often_rotated:
-        return replace(recording, rotated=True)
     what = f"{recording.path}: nearly every depth value is a multiple of 8"
     if pattern.likely:
         note = f"{what}: its bits are rotated, as SUN3D's are, and are put back; if not, `depth_code: plain`"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
-from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
@@ -87,6 +87,8 @@ class Recording(ABC):
         suffixes: how names of such files end; what an id of a recording does without.
         evidence: the best kind of thing that the reader was tried on.
         verified: what that was, files of other programs too; "" if it was only files that were written here.
+        up_world: (3,) unit: up in the frame of the given trajectory, where the format's is aligned with
+            gravity; None: it says nothing of gravity.
         places: where each frame lies, damaged ones included; stamps are strictly increasing.
         camera: intrinsics of the depth images, pixels.
         depth_scale: native depth units per metre.
@@ -98,6 +100,7 @@ class Recording(ABC):
         trajectory_delay_s: taken off the stamps of given poses, as the settings say, seconds.
         warnings: what its user should know, one line each.
         recorded: stamps of depth and of colour in the order of recording, where that is known.
+        up_cameras: up in some frames' own axes, by an accelerometer.
     """
 
     format: ClassVar[str]
@@ -105,6 +108,7 @@ class Recording(ABC):
     suffixes: ClassVar[tuple[str, ...]] = ()
     evidence: ClassVar[Evidence] = "writer"
     verified: ClassVar[str] = ""
+    up_world: ClassVar[tuple[float, float, float] | None] = None
     path: Path
     places: tuple[Listed, ...]
     camera: Camera
@@ -117,6 +121,7 @@ class Recording(ABC):
     trajectory_delay_s: float = 0.0
     warnings: tuple[str, ...] = ()
     recorded: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+    up_cameras: tuple[UpSample, ...] = ()
 
     @classmethod
     @abstractmethod
@@ -229,6 +234,11 @@ def read_image_file(path: Path) -> bytes:
         raise DamagedImageError(f"{path}: the recording lists this image, but it is missing") from error
     except OSError as error:
         raise DamagedImageError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def mask_beside(depth: Path) -> Path | None:
+    """A person's mask of a depth image: of its name in a folder masks/ beside the image's; or None."""
+    return first_file([depth.parent.parent / "masks" / f"{depth.stem}.png"])
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:

@@ -123,7 +123,7 @@ def _filled(depth_m: Float32) -> Float32:
     return np.asarray(values[labels], np.float32)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _splat(
     u: Float32,
     v: Float32,
@@ -146,7 +146,7 @@ def _splat(
                     zbuffer[j, i] = min(zbuffer[j, i], z[row, column])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _find_seen(
     u: Float32,
     v: Float32,

@@ -31,10 +31,12 @@ class Pattern(NamedTuple):
     """What rotated depth would look like.
 
     Attributes:
+        possible: nearly all values are multiples of eight; where a layout has such bits, it has them here.
         found: the values are those of rotated depth; depth in steps of 8 mm has them, too.
         likely: and as they stand they would be farther than a room is deep.
     """
 
+    possible: bool
     found: bool
     likely: bool
 
@@ -59,17 +61,18 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     """
     values = _sampled(images)
     if not len(values):
-        return Pattern(False, False)
+        return Pattern(False, False, False)
     low = values & np.uint16((1 << BITS) - 1)
     near = values[low == 0]
+    possible = len(near) >= NEAR_SHARE * len(values)
     found = (
-        len(near) >= NEAR_SHARE * len(values)
+        possible
         and bool(np.isin(low, (0, FARTHER_BITS)).all())
         and bool((near & np.uint16(1 << BITS)).any())
         and int(near.max()) > BRIGHTEST
         and len(np.unique(near)) >= LEAST_LEVELS
     )
-    return Pattern(found, found and float(np.median(near)) > EVEN_MEDIAN_MM)
+    return Pattern(possible, found, found and float(np.median(near)) > EVEN_MEDIAN_MM)
 
 
 def _sampled(images: Iterable[NDArray[np.uint16]]) -> NDArray[np.uint16]:

@@ -8,19 +8,20 @@ mask/000000.png       0 or 255 = the object; only if the recording has masks
 given_trajectory.txt  TUM text, camera to world; only if the recording has one
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.sequence import AGAIN, CameraFile, FrameRow, FramesFile
 from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
-from kinectbench.core.sequence import Sequence, depth_in_metres
+from kinectbench.core.sequence import Sequence, UpSample, depth_in_metres
 from kinectbench.core.storage import storage_errors
+from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_text
 from kinectbench.core.types import Bools, Progress
 from kinectbench.stages.ingest.depth_code import decode_depth, encode_depth
@@ -90,6 +91,9 @@ def write_sequence(
     if watch:
         warnings += watch.warnings()
     calibrated = recording.color_calibration is not None
+    up: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
+    if recording.up_cameras:
+        up["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
     head = CameraFile(
         format_version=CameraFile.FORMAT_VERSION,
         **asdict(recording.camera),
@@ -100,6 +104,7 @@ def write_sequence(
         frames=len(rows),
         warnings=tuple(warnings),
         trajectory_error=problem,
+        **up,
     )
     with storage_errors(folder):
         head.write(folder)
@@ -128,6 +133,8 @@ def read_sequence(folder: Path) -> Sequence:
         color_registered=head.color_registered,
         given_trajectory=trajectory,
         trajectory_error=head.trajectory_error,
+        up_world=None if head.up_world is None else np.array(head.up_world),
+        up_cameras=tuple(UpSample(stamp_ns, (x, y, z)) for stamp_ns, x, y, z in head.up_cameras or ()),
         frames=frames,
         masks=frames.mask if any(row.mask for row in listed.rows) else None,
     )
@@ -216,35 +223,72 @@ def _write_frames(
         onto_depth = ColorRegistration(recording.camera, recording.color_calibration)
         register = partial(_registered, onto_depth, recording.depth_scale)
     rows: list[FrameRow] = []
+    # Readers are no affair of threads: a video or a database knows where it is.
+    for checked in ahead(partial(_packed, register), _checked_frames(recording, checks, progress)):
+        if checked.damage:
+            checks.leave_out(checked.damage)
+            continue
+        rows.append(_write_packed(checked, len(rows), folder))
+        if watch:
+            watch.see(checked.index, checked.frame)
+    return rows
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A frame on its way to disk.
+
+    Attributes:
+        index: its place in the recording.
+        frame: as it was recorded.
+        color_suffix: of its colour image; None: it has none.
+        written: as it is written: with its colour on its depth.
+        depth: packed.
+        damage: why it is left out after all, or "".
+    """
+
+    index: int
+    frame: RawFrame
+    color_suffix: str | None
+    written: RawFrame
+    depth: bytes = b""
+    damage: str = ""
+
+
+def _checked_frames(
+    recording: Recording, checks: FrameChecks, progress: Progress | None
+) -> Iterator[_Checked]:
+    """The frames that are whole, one after another; the others are left out."""
     for index in range(len(recording)):
         try:
             frame = recording.frame(index)
-            rows.append(_write_checked(frame, len(rows), folder, checks, register))
-            if watch:
-                watch.see(index, frame)
+            yield _Checked(index, frame, checks.check(frame), frame)
         except DamagedImageError as error:
             checks.leave_out(str(error))
         if progress:
             progress(index + 1, len(recording))
-    return rows
 
 
-def _write_checked(
-    frame: RawFrame,
-    index: int,
-    folder: Path,
-    checks: FrameChecks,
-    register: Callable[[RawFrame], RawFrame] | None,
-) -> FrameRow:
-    """Check and write one frame; its row."""
-    color_suffix = checks.check(frame)
-    if register is not None:
-        frame, color_suffix = register(frame), color_suffix and ".png"
+def _packed(register: Callable[[RawFrame], RawFrame] | None, checked: _Checked) -> _Checked:
+    """Pack a frame's depth, and bring its colour onto it."""
+    depth = encode_depth(checked.frame.depth)
+    if register is None:
+        return replace(checked, depth=depth)
+    try:
+        registered = register(checked.frame)
+    except DamagedImageError as error:
+        return replace(checked, damage=str(error))
+    return replace(checked, depth=depth, written=registered, color_suffix=checked.color_suffix and ".png")
+
+
+def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
+    """Write one frame; its row."""
+    frame = checked.written
     depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
-    color = None if frame.color is None else f"color/{index:06d}{color_suffix}"
+    color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"
     mask = None if frame.mask is None else f"mask/{index:06d}.png"
     with storage_errors(folder):
-        (folder / depth).write_bytes(encode_depth(frame.depth))
+        (folder / depth).write_bytes(checked.depth)
         if frame.color is not None:
             (folder / f"{color}").write_bytes(frame.color[1])
         if frame.mask is not None:

@@ -364,4 +364,4 @@ def test_a_delay_of_colour_and_of_poses_can_be_given(tmp_path: Path, delay_ms: i
 
 def test_suffixes_of_every_reader_are_known_once() -> None:
     bags = (".bag", ".bag.active", ".db3", ".db3.zstd", ".mcap", ".mcap.zstd")
-    assert name_suffixes() == tuple(sorted((*bags, ".klg", ".r3d", ".sens", ".zip")))
+    assert name_suffixes() == tuple(sorted((*bags, ".klg", ".mkv", ".r3d", ".sens", ".zip")))

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ingest_writers import CAMERA, every_frame, write_folder, write_seven_scenes, write_tum
 from test_ingest_phones_bop import bop, scanner_app, stray
+from test_ingest_scene_folders import scannet, sun3d
 from test_ingest_transforms import polycam, transforms
 from test_ingest_wildrgbd import wildrgbd
 
@@ -29,6 +30,8 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "wildrgbd": wildrgbd,
     "nerfstudio": transforms,
     "polycam": polycam,
+    "scannet": scannet,
+    "sun3d": sun3d,
 }
 # Text that is no number, numbers that are none or too large, and other ends of lines and of JSON.
 WORDS = (b"-inf", b"nan", b"1e999", b"9" * 40, b"null", b"[" * 50, b"{}", b"\n\n", b",", b'"', b"-1")

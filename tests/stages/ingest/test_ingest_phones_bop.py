@@ -13,6 +13,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 BIG = (256, 192)  # 4 times the depth images
 K_BIG = np.array([[240.0, 0, 127.5], [0, 244.0, 95.5], [0, 0, 1]])
@@ -60,6 +61,7 @@ def test_stray_scanner(tmp_path: Path) -> None:
     recording = open_recording(stray(tmp_path / "r"))
     camera = recording.camera
     assert (recording.format, len(recording), recording.warnings) == ("stray", 4, ())
+    assert recording.up_world == (0, 1, 0)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == SMALL
     assert recording.color_registered
     assert recording.stamps_ns.tolist() == [START_NS + i * STEP_NS for i in range(4)]
@@ -153,6 +155,15 @@ def test_a_wrong_json_of_scanner_app(tmp_path: Path) -> None:
     broken = open_recording(scanner_app(tmp_path / "s", {"cameraPoseARFrame": "x"}))
     assert broken.given_trajectory is None
     assert "must hold 16" in broken.trajectory_error
+
+
+def test_gravity_is_kept_where_the_format_has_it(tmp_path: Path) -> None:
+    write_sequence(open_recording(scanner_app(tmp_path / "phone")), tmp_path / "a")
+    up_world = read_sequence(tmp_path / "a").up_world
+    assert up_world is not None and up_world.tolist() == [0, 1, 0]
+    write_sequence(open_recording(bop(tmp_path / "bop")), tmp_path / "b")
+    assert read_sequence(tmp_path / "b").up_world is None
+    assert "up_world" not in json.loads((tmp_path / "b" / "camera.json").read_text())
 
 
 def bop(folder: Path, *, objects: tuple[int, ...] = (5,)) -> Path:

@@ -8,6 +8,7 @@ import pytest
 from ingest_writers import CAMERA, START_NS, BagWriter, color_image, depth_image
 
 from kinectbench.stages.ingest.readers import format_of, open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 DEPTH = "/device_0/sensor_0/Depth_0"
 COLOR = "/device_0/sensor_1/Color_0"
@@ -86,3 +87,50 @@ def test_another_bag_is_not_taken_for_one(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "r.bag") as bag:
         bag.image("/camera/depth/image_raw", START_NS, depth_image(0), "16UC1")
     assert format_of(tmp_path / "r.bag") == "rosbag1"
+
+
+ACCEL = "/device_0/sensor_2/Accel_0"
+
+
+def imu(acceleration: tuple[float, float, float], frame_id: str = "imu") -> bytes:
+    """A message of sensor_msgs/Imu but for its stamp, as ROS 1 serialises it."""
+    name = len(frame_id).to_bytes(4, "little") + frame_id.encode()
+    orientation, turning = [0, 0, 0, 1.0, *[0] * 9], [0.0] * (3 + 9)
+    return name + np.array([*orientation, *turning, *acceleration, *[0] * 9], "<f8").tobytes()
+
+
+def accelerometer(bag: BagWriter, topic: str, acceleration: tuple[float, float, float]) -> None:
+    for stamp_ns in range(0, 200_000_000, 5_000_000):
+        seconds, nanoseconds = divmod(stamp_ns, 10**9)
+        head = np.array([0, seconds, nanoseconds], "<u4").tobytes()
+        bag.raw(topic, "sensor_msgs/msg/Imu", stamp_ns, head + imu(acceleration))
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "reference", "up"),
+    [
+        # The sensor lies on its side: its x axis is the camera's -y, which is up.
+        ((9.75, 0, 0), "0", (0, -1, 0)),
+        # A hand that shakes it, a gyroscope without any acceleration, a place that is not known.
+        ((13.0, 0, 0), "0", None),
+        ((0, 0, 0), "0", None),
+        ((9.75, 0, 0), "1", None),
+    ],
+)
+def test_up_by_the_accelerometer(tmp_path: Path, acceleration: Any, reference: str, up: Any) -> None:
+    def both(bag: BagWriter) -> None:
+        bag.raw(*motion(f"{DEPTH}/tf/0", 0.25))
+        # T_stream_reference: a quarter turn about z, x y z w.
+        turn = np.array([0.0, 0, 0, 0, 0, np.sqrt(0.5), np.sqrt(0.5)]).tobytes()
+        bag.raw(f"{ACCEL}/tf/{reference}", "geometry_msgs/msg/Transform", 1, turn)
+        accelerometer(bag, f"{ACCEL}/imu/data", acceleration)
+
+    recording = open_recording(write(tmp_path / "r.bag", extra=both))
+    found = [sample.up_camera for sample in recording.up_cameras]
+    if up is None:
+        assert found == []
+    else:
+        assert [sample.stamp_ns for sample in recording.up_cameras] == recording.stamps_ns.tolist()
+        np.testing.assert_allclose(found, [up] * 3, atol=1e-6)
+        write_sequence(recording, tmp_path / "sequence")
+        assert read_sequence(tmp_path / "sequence").up_cameras == recording.up_cameras

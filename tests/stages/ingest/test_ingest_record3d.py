@@ -77,6 +77,7 @@ def test_a_recording_of_record3d(tmp_path: Path, least: int) -> None:
     recording = open_recording(r3d(tmp_path / "r.r3d"), CameraSettings(min_confidence=least))
     camera = recording.camera
     assert (recording.format, len(recording), recording.warnings) == ("record3d", 4, ())
+    assert recording.up_world == (0, 1, 0)
     assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (64, 48, *SMALL)
     assert (recording.depth_scale, recording.color_registered) == (5000.0, True)
     assert recording.stamps_ns.tolist() == [100_250_000_000 + i * 500_000_000 for i in range(4)]

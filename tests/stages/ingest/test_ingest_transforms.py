@@ -53,6 +53,7 @@ def test_transforms_with_depth(tmp_path: Path) -> None:
     recording = open_recording(transforms(tmp_path / "r"))
     camera = recording.camera
     assert (recording.format, len(recording), recording.warnings) == ("nerfstudio", 3, ())
+    assert recording.up_world is None
     assert (camera.width, camera.fx, camera.fy, camera.cx, camera.cy) == (64, *SMALL)
     assert (recording.depth_scale, recording.color_registered) == (1000.0, True)
     # In the order people count, not in that of the file.
@@ -224,6 +225,7 @@ def test_polycams_raw_data(tmp_path: Path, least: int) -> None:
     recording = open_recording(polycam(tmp_path / "r"), CameraSettings(min_confidence=least))
     camera = recording.camera
     assert (recording.format, len(recording), recording.warnings) == ("polycam", 3, ())
+    assert recording.up_world == (0, 1, 0)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == SMALL
     assert recording.stamps_ns.tolist() == [stamp * 1000 for stamp in STAMPS_US]
     frame = recording.frame(2)

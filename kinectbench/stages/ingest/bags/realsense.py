@@ -72,11 +72,21 @@ class RealsenseRecording(Rosbag1Recording):
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
         """`T_color_depth`, where both streams have extrinsics with one reference."""
-        of_depth = _place_of_stream(bag, depth)
-        of_color = _place_of_stream(bag, color)
+        of_depth = _place_of_stream(bag, depth.name)
+        of_color = _place_of_stream(bag, color.name)
         if of_depth is None or of_color is None or of_depth[0] != of_color[0]:
             return None
         return np.asarray(of_color[1] @ np.linalg.inv(of_depth[1]))
+
+    @classmethod
+    def imu_place(
+        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
+    ) -> Float64 | None:
+        """`T_depth_imu`, where both streams have extrinsics with one reference."""
+        of_depth, of_imu = _place_of_stream(bag, depth.name), _place_of_stream(bag, imu.name)
+        if of_depth is None or of_imu is None or of_depth[0] != of_imu[0]:
+            return None
+        return np.asarray(of_depth[1] @ np.linalg.inv(of_imu[1]))
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
@@ -104,15 +114,15 @@ def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
     return None
 
 
-def _place_of_stream(bag: RosBag, image: ImageTopic) -> tuple[str, Float64] | None:
+def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
     """The reference of a stream's extrinsics, and `T_stream_reference`."""
-    stream = image.name.removesuffix("/image/data") + "/tf/"
+    stream = name.removesuffix("/image/data").removesuffix("/imu/data") + "/tf/"
     for topic in bag.topics:
         if topic.type == TRANSFORM and topic.name.startswith(stream):
             message = bag.first(topic)
             matrix = None if message is None else matrix_of(message)
             return None if matrix is None else (topic.name.removeprefix(stream), matrix)
-    info = _old_stream_info(bag, image)
+    info = _old_stream_info(bag, name)
     if info is None:
         return None
     said = info.stream_extrinsics
@@ -123,9 +133,9 @@ def _place_of_stream(bag: RosBag, image: ImageTopic) -> tuple[str, Float64] | No
     return str(said.reference_point_id), rigid(closest_rotation(R), said.extrinsics.translation)
 
 
-def _old_stream_info(bag: RosBag, image: ImageTopic) -> Any | None:
+def _old_stream_info(bag: RosBag, name: str) -> Any | None:
     """The stream_info message of version 1 about a stream such as /camera/DEPTH/image_raw/0."""
-    found = OLD_STREAM.fullmatch(image.name)
+    found = OLD_STREAM.fullmatch(name)
     if not found:
         return None
     numbered = (t for t in bag.topics if t.type == STREAM_INFO and t.name.endswith(f"/{found[2]}"))

@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
@@ -11,13 +12,14 @@ from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.bags.ros_gravity import measured_up
 from kinectbench.stages.ingest.bags.ros_images import (
     FLOAT_DEPTH,
     INTEGER_SCALE,
     color_of,
     depth_of,
 )
-from kinectbench.stages.ingest.bags.ros_messages import MessagePlace, RosBag
+from kinectbench.stages.ingest.bags.ros_messages import BagTopic, MessagePlace, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_poses, read_transforms
 from kinectbench.stages.ingest.bags.ros_topics import (
     CAMERA_INFO,
@@ -101,6 +103,13 @@ class RosRecording(Recording):
         return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
 
     @classmethod
+    def imu_place(
+        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
+    ) -> Float64 | None:
+        """`T_depth_imu`, where the bag says it."""
+        return tree.fixed(depth.frame_id.lstrip("/"), frame_id) if frame_id else None
+
+    @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
         """Every CameraInfo with its topic's name."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
@@ -146,6 +155,9 @@ class RosRecording(Recording):
             camera=camera,
             depth_scale=FLOAT_SCALE if is_float else scale or own_scale or INTEGER_SCALE,
             color_registered=registered,
+            up_cameras=measured_up(
+                bag, [pair.stamp_ns for pair in pairs], partial(cls.imu_place, bag, tree, depth)
+            ),
             color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
             trajectory_error=pose_error,

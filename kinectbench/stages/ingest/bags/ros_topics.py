@@ -21,7 +21,8 @@ IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 CAMERA_INFO = "sensor_msgs/CameraInfo"
 POSE, ODOMETRY = "geometry_msgs/PoseStamped", "nav_msgs/Odometry"
 TF = frozenset({TF_MESSAGE, OLD_TF_MESSAGE})
-WANTED = TF | {IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POSE, ODOMETRY}
+IMU = "sensor_msgs/Imu"
+WANTED = TF | {IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POSE, ODOMETRY, IMU}
 INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)")
 # realsense's names of Brown's model, and of none, stand beside those of ROS.
 BROWN_MODELS = frozenset({"plumb_bob", "rational_polynomial", "Brown Conrady", "brown_conrady"})

@@ -12,6 +12,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_coding import with_depth_code
+from kinectbench.stages.ingest.readers.color_only import without_depth
 from kinectbench.stages.ingest.recording import Recording
 
 # name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
@@ -27,10 +28,13 @@ FORMATS = {
     "scanner_app": "kinectbench.stages.ingest.readers.scanner_app:ScannerAppRecording",
     "bop": "kinectbench.stages.ingest.readers.bop:BopRecording",
     "wildrgbd": "kinectbench.stages.ingest.readers.wildrgbd:WildRgbdRecording",
+    "azure_kinect": "kinectbench.stages.ingest.readers.azure_kinect:AzureKinectRecording",
     "tum": "kinectbench.stages.ingest.readers.tum:TumRecording",
     "7scenes": "kinectbench.stages.ingest.readers.seven_scenes:SevenScenesRecording",
     "polycam": "kinectbench.stages.ingest.readers.polycam:PolycamRecording",
     "nerfstudio": "kinectbench.stages.ingest.readers.nerfstudio:NerfstudioRecording",
+    "sun3d": "kinectbench.stages.ingest.readers.sun3d:Sun3dRecording",
+    "scannet": "kinectbench.stages.ingest.readers.scannet_folder:ScannetFolderRecording",
     "folder": "kinectbench.stages.ingest.readers.folder:FolderRecording",
 }
 
@@ -141,5 +145,8 @@ def _unknown(path: Path) -> str:
     if path.is_dir() and not any(path.iterdir()):
         return f"{path}: the folder is empty; {known}"
     inside = find_recordings(path) if path.is_dir() else []
+    said = None if inside else without_depth(path)
+    if said is not None:
+        return said
     hint = f". Did you mean {inside[0][0]}?" if inside else ""
     return f"{path}: not a recording of a known format; {known}{hint}"

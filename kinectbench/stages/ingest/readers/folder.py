@@ -9,7 +9,7 @@ import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.stamps import NS_PER_S, no_times
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory, trajectory_from_matrices
 from kinectbench.core.types import Float64
@@ -21,17 +21,20 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_matrix,
     scale_warnings,
 )
+from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
     first_color_size,
     first_depth_size,
     first_file,
+    mask_beside,
 )
 
 DEPTH_SCALE = 1000.0
 COLOR_FOLDERS = ("color", "rgb", "image")
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json")
 # Longer numbers are stamps of an unknown unit, not frame numbers.
 FRAME_NUMBER = re.compile(r"\d{1,9}")
@@ -49,7 +52,9 @@ class FolderRecording(FileRecording):
     """
 
     format: ClassVar[str] = "folder"
-    looks_for: ClassVar[str] = "a folder with depth/*.png (and color/, intrinsics.json, trajectory.log)"
+    looks_for: ClassVar[str] = (
+        "a folder with depth/*.png (and color/, masks/, intrinsics.json, trajectory.log or pose/)"
+    )
     verified: ClassVar[str] = "folders and trajectories that Open3D reads alike"
 
     @classmethod
@@ -61,20 +66,20 @@ class FolderRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the images, pair them by name or else by order, and read intrinsics and trajectory."""
-        depth = _images(path / "depth", frozenset({".png"}))
+        depth = image_files(path / "depth", frozenset({".png"}))
         color = next(
-            (_images(path / name, COLOR_SUFFIXES) for name in COLOR_FOLDERS if (path / name).is_dir()), []
+            (image_files(path / name, COLOR_SUFFIXES) for name in COLOR_FOLDERS if (path / name).is_dir()), []
         )
         stamps_ns = stamps_of_names(depth)
         partners = _partners(depth, color, path)
         order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
-        files = tuple(FrameFiles(stamps_ns[i], depth[i], partners[i]) for i in order)
+        files = tuple(FrameFiles(stamps_ns[i], depth[i], partners[i], mask_beside(depth[i])) for i in order)
         size_px = first_depth_size(files)
         camera_file = first_file(path / name for name in JSON_FILES)
         said, said_warnings = _read_intrinsics(path, camera_file, depth, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered
-        trajectory, warnings, error = read_given(lambda: _read_trajectory(path, stamps_ns))
+        trajectory, warnings, error = read_given(lambda: _read_trajectory(path, stamps_ns, files))
         return cls(
             path=path,
             places=files,
@@ -88,7 +93,7 @@ class FolderRecording(FileRecording):
         )
 
 
-def _images(folder: Path, suffixes: frozenset[str]) -> list[Path]:
+def image_files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
     """The images of a folder in the order people count: 2 before 10."""
     files = (f for f in folder.iterdir() if f.suffix.lower() in suffixes and not f.name.startswith("."))
     return sorted(files, key=lambda file: (counting_key(file.stem), file.name))
@@ -112,7 +117,7 @@ def stamps_of_names(depth: Sequence[PurePath]) -> list[int]:
     stamps = [NUMBER_AND_STAMP.fullmatch(file.stem) for file in depth]
     if all(stamps):
         stamps_ns = [int(match[2]) * 1000 for match in stamps if match]
-        if len(set(stamps_ns)) == len(stamps_ns):
+        if len(set(stamps_ns)) == len(stamps_ns) and not no_times(stamps_ns):
             return stamps_ns
     keys = [frame_key(file) for file in depth]
     numbered = all(FRAME_NUMBER.fullmatch(key) for key in keys) and len(set(keys)) == len(keys)
@@ -138,21 +143,23 @@ def _read_intrinsics(
 ) -> tuple[Intrinsics, list[str]]:
     if camera_file:
         return read_intrinsics_json(camera_file), []
-    matrix_file = path / "intrinsics.txt"
-    if matrix_file.is_file():
+    matrix_file = first_file(path / name for name in MATRIX_FILES)
+    if matrix_file:
         return read_intrinsics_matrix(matrix_file), []
     if NUMBER_AND_STAMP.fullmatch(depth[0].stem) and size_px == (PRIMESENSE.width, PRIMESENSE.height):
         return PRIMESENSE, [f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"]
     return Intrinsics(), []
 
 
-def _read_trajectory(path: Path, stamps_ns: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
+def _read_trajectory(
+    path: Path, stamps_ns: list[int], files: Sequence[FrameFiles]
+) -> tuple[GivenTrajectory | None, list[str]]:
     if (path / "trajectory.txt").is_file():
         return read_trajectory(path / "trajectory.txt")
     logs = sorted(path.glob("*.log"))
     file = path / "trajectory.log" if len(logs) != 1 else logs[0]
     if not file.is_file():
-        return None, []
+        return read_pose_folder(path, files)
     matrices = _read_log(file, len(stamps_ns))
     return trajectory_from_matrices(stamps_ns, matrices, str(file))
 

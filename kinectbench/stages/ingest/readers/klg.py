@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.stamps import first_by_stamp
+from kinectbench.core.trajectory.stamps import counted_ns, first_by_stamp, no_times
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import JPEG_MAGIC, DamagedImageError, decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics
@@ -103,6 +103,10 @@ class KlgRecording(PackedRecording):
             )
         size_px = (settings.width or SIZE_PX[0], settings.height or SIZE_PX[1])
         frames, trouble = _find_frames(path, size_px)
+        frames, why = timed(frames)
+        warnings += (
+            [f"{path}: its stamps are no times ({why}); its frames are counted instead"] if why else []
+        )
         order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
         if repeated:
             warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
@@ -130,6 +134,14 @@ class KlgRecording(PackedRecording):
             return ".jpg", data
         bgr = decode_color_bgr(data, f"colour of {name}")
         return ".png", encode_png(np.ascontiguousarray(bgr[..., ::-1]))
+
+
+def timed(frames: list[PackedFrame]) -> tuple[list[PackedFrame], str]:
+    """The frames with stamps that are times, or else counted; and why these are no times, or ""."""
+    why = no_times([frame.stamp_ns for frame in frames])
+    if not why:
+        return frames, ""
+    return [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)], why
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:

@@ -3,7 +3,8 @@
 As nerfstudio's page on data conventions says: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are of all frames
 or of each; `transform_matrix` is camera to world in OpenGL's axes; the first pixel's centre is (0.5, 0.5).
 Depth is in mm, or as `depth_unit_scale_factor` (instant-ngp's `integer_depth_scale`) says, metres a unit.
-`mask_path` is not read: it is of pixels to leave out of training, not of an object.
+`mask_path` is not read: it is of pixels to leave out of training, not of an object. That page says that z is
+up, but poses of COLMAP are not turned so, and the file does not tell: gravity is not known.
 """
 
 from dataclasses import dataclass, field

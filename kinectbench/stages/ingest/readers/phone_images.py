@@ -20,6 +20,8 @@ OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 USUAL_PX = 2.0
 # Frames that differ by more of the focal length are of several cameras (own choice).
 LARGEST_SHARE = 0.03
+# ARKit's world: y is up by gravity (`gravity`, the default of ARConfiguration.worldAlignment).
+GRAVITY_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,8 @@
 
 As Polycam's own page says (github.com/PolyCam/polyform): depth is in mm; confidence 0, 127 or 255; a JSON of
 each frame holds intrinsics, width and height of its image, and `t_00` to `t_23`, camera to world row by row
-in ARKit's axes. `corrected_cameras/`, `corrected_images/` are the optimised poses and the undistorted images.
+in ARKit's axes, aligned with gravity, y up. `corrected_cameras/`, `corrected_images/` are the optimised poses
+and the undistorted images.
 """
 
 import re
@@ -18,6 +19,7 @@ from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, read_object
 from kinectbench.stages.ingest.readers.phone_images import (
+    GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
     one_camera,
@@ -42,6 +44,7 @@ class PolycamRecording(PhoneRecording):
 
     format: ClassVar[str] = "polycam"
     looks_for: ClassVar[str] = "a folder with keyframes/depth and keyframes/cameras or corrected_cameras"
+    up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
 
     @classmethod
     def recognises(cls, path: Path) -> bool:

@@ -32,6 +32,7 @@ from kinectbench.stages.ingest.images import (
 from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, object_of
 from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.phone_images import (
+    GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     one_camera,
     scaled_to_depth,
@@ -66,6 +67,7 @@ class Record3dRecording(Recording):
 
     format: ClassVar[str] = "record3d"
     looks_for: ClassVar[str] = "a .r3d file of Record3D (needs kinectbench[record3d])"
+    up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
     suffixes: ClassVar[tuple[str, ...]] = (".r3d",)
 
     places: tuple[PackedFrame, ...]

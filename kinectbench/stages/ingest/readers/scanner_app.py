@@ -15,6 +15,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import numbers_of, read_object
 from kinectbench.stages.ingest.readers.phone_images import (
     COLOR_PX,
+    GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
     scaled,
@@ -36,6 +37,7 @@ class ScannerAppRecording(PhoneRecording):
 
     format: ClassVar[str] = "scanner_app"
     looks_for: ClassVar[str] = "a folder with depth_00000.png and frame_00000.json (conf_, frame_*.jpg)"
+    up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
     evidence: ClassVar[Evidence] = "copy"
     verified: ClassVar[str] = "92 frames of boards on a floor (Apache 2.0)"
 

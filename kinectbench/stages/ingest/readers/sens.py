@@ -23,7 +23,7 @@ from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration, scale_warnings
-from kinectbench.stages.ingest.readers.klg import NS_PER_US, PackedFrame, PackedRecording
+from kinectbench.stages.ingest.readers.klg import NS_PER_US, PackedFrame, PackedRecording, timed
 
 START = struct.Struct("<IQ")
 MATRICES = struct.Struct("<64f")
@@ -98,6 +98,10 @@ class SensRecording(PackedRecording):
         if len({frame.stamp_ns for frame in frames}) == 1 or max(f.stamp_ns for f in frames) > LATEST_NS:
             # Some files have no stamps: then the frames count seconds.
             frames = [frame._replace(stamp_ns=index * NS_PER_S) for index, frame in enumerate(frames)]
+        frames, why = timed(frames)
+        warnings += (
+            [f"{path}: its stamps are no times ({why}); its frames are counted instead"] if why else []
+        )
         order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
         if repeated:
             warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")

@@ -13,7 +13,7 @@ from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, tex
 from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
-from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, PhoneRecording, scaled
+from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
 
 DEPTH_SCALE = 1000.0
@@ -54,6 +54,7 @@ class StrayScannerRecording(PhoneRecording):
 
     format: ClassVar[str] = "stray"
     looks_for: ClassVar[str] = "a folder with odometry.csv, camera_matrix.csv, depth/000000.png (rgb.mp4)"
+    up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
 
     numbers: tuple[int, ...] = ()
     video: _Video | None = field(default=None, compare=False)

@@ -5,7 +5,14 @@ from typing import ClassVar, Self
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.association import associate
-from kinectbench.core.trajectory.stamps import NS_PER_S, check_unit, first_by_stamp, parse_stamp_ns
+from kinectbench.core.trajectory.stamps import (
+    NS_PER_S,
+    check_unit,
+    counted_ns,
+    first_by_stamp,
+    no_times,
+    parse_stamp_ns,
+)
 from kinectbench.core.trajectory.text_rows import text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory
 from kinectbench.settings.models import CameraSettings
@@ -15,7 +22,13 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     scale_warnings,
 )
-from kinectbench.stages.ingest.recording import Evidence, FileRecording, FrameFiles, first_depth_size
+from kinectbench.stages.ingest.recording import (
+    Evidence,
+    FileRecording,
+    FrameFiles,
+    first_depth_size,
+    mask_beside,
+)
 
 DEPTH_SCALE = 5000.0
 
@@ -39,19 +52,27 @@ class TumRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the lists, pair colour with depth, and read the trajectory."""
-        depth, depth_ns, warnings = _read_list(path / "depth.txt")
-        if not depth:
+        depth_rows = _read_rows(path / "depth.txt")
+        if not depth_rows:
             raise RecordingError(f"{path / 'depth.txt'}: lists no images")
-        color, color_ns, color_warnings = (
-            _read_list(path / "rgb.txt") if (path / "rgb.txt").is_file() else ([], [], [])
-        )
+        color_rows = _read_rows(path / "rgb.txt") if (path / "rgb.txt").is_file() else []
+        why = no_times([stamp_ns for stamp_ns, _ in depth_rows])
+        warnings = []
+        if why:
+            depth_rows, color_rows = _counted(depth_rows), _counted(color_rows)
+            warnings = [
+                f"{path / 'depth.txt'}: its stamps are no times ({why}); its rows are counted instead"
+            ]
+        depth, depth_ns, depth_warnings = _in_order(depth_rows, path / "depth.txt")
+        color, color_ns, color_warnings = _in_order(color_rows, path / "rgb.txt")
+        warnings += [*depth_warnings, *color_warnings]
         delay_ns = round(settings.color_delay_s * NS_PER_S)
         partners = associate([stamp for stamp, _ in depth], [stamp - delay_ns for stamp, _ in color])
         alone = sum(partner is None for partner in partners)
         if color and alone:
             warnings.append(f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms")
         files = tuple(
-            FrameFiles(stamp_ns, file, None if partner is None else color[partner][1])
+            FrameFiles(stamp_ns, file, None if partner is None else color[partner][1], mask_beside(file))
             for (stamp_ns, file), partner in zip(depth, partners, strict=True)
         )
         camera_json = path / "camera.json"
@@ -59,7 +80,7 @@ class TumRecording(FileRecording):
         intrinsics = said.overridden_by(settings)
         truth = path / "groundtruth.txt"
         trajectory, trajectory_warnings, error = read_given(
-            lambda: read_trajectory(truth) if truth.is_file() else (None, [])
+            lambda: read_trajectory(truth, len(depth) if why else None) if truth.is_file() else (None, [])
         )
         return cls(
             path=path,
@@ -73,21 +94,32 @@ class TumRecording(FileRecording):
             trajectory_error=error,
             warnings=(
                 *warnings,
-                *color_warnings,
                 *scale_warnings(path, said.depth_scale, settings),
                 *trajectory_warnings,
             ),
         )
 
 
-def _read_list(path: Path) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
-    """Rows `stamp file` as (ns, path), ordered by stamp, each stamp once; stamps as listed; and warnings."""
+def _read_rows(path: Path) -> list[tuple[int, Path]]:
+    """Rows `stamp file` as (ns, path), in their order."""
     rows = []
     for where, row in text_rows(path):
         words = row.split(maxsplit=1)
         if len(words) != 2:
             raise RecordingError(f"{where}: '{row}' is not 'stamp file'")
         rows.append((parse_stamp_ns(words[0], where), path.parent / words[1]))
+    return rows
+
+
+def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
+    """The same rows, one a second."""
+    return [(stamp_ns, file) for stamp_ns, (_, file) in zip(counted_ns(len(rows)), rows, strict=True)]
+
+
+def _in_order(
+    rows: list[tuple[int, Path]], path: Path
+) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
+    """Rows ordered by stamp, each stamp once; stamps as listed; and warnings."""
     stamps_ns = [stamp for stamp, _ in rows]
     order, repeated = first_by_stamp(stamps_ns)
     warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []

@@ -1,0 +1,293 @@
+"""Recordings of Azure Kinect and Orbbec's Femto: Matroska files of k4arecorder, tracks DEPTH and COLOR.
+
+As the sensor's SDK writes and reads them (its record and transformation folders, MIT): depth is 16-bit
+big-endian mm, colour MJPG, NV12, YUY2 or BGRA; `calibration.json` is attached. In it intrinsics are shares of
+the whole sensor with (0, 0) at its corner; a depth mode bins the sensor's pixels and crops them, colour is
+cropped to the height of its mode. Distortion is Brown's with six radial terms, undefined beyond MetricRadius.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.association import associate
+from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError, encode_png
+from kinectbench.stages.ingest.intrinsics import object_of
+from kinectbench.stages.ingest.readers.azure_calibration import CALIBRATION_FILE, AzureCalibration
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.registration import Undistortion
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
+
+DEPTH_SCALE = 1000.0
+EBML_MAGIC = b"\x1a\x45\xdf\xa3"
+SUFFIX = ".mkv"
+# The head of a Matroska file names its tracks; k4arecorder's own head is far shorter (own choice).
+HEAD_BYTES = 1 << 20
+MARKS = (b"K4A_", b"b16g")
+TRACKS = ("DEPTH", "COLOR", "IR")
+# Matroska's segment, whose size is known once the file was closed; a size of ones is not.
+SEGMENT = b"\x18\x53\x80\x67"
+UNKNOWN_SIZE = (1 << 56) - 1
+# An image's bytes begin this far behind where its block begins, at most (Matroska: id, size, track, time).
+BLOCK_HEAD_BYTES = 64
+# What OpenCV calls the formats that are not JPEG.
+RAW_COLOR = {"NV12": "COLOR_YUV2BGR_NV12", "YUY2": "COLOR_YUV2BGR_YUY2", "BGRA": "COLOR_BGRA2BGR"}
+RAW_BYTES_A_PIXEL = {"NV12": 1.5, "YUY2": 2.0, "BGRA": 4.0}
+
+
+class Place(NamedTuple):
+    """Where the bytes of an image lie in the file."""
+
+    stamp_ns: int
+    start: int
+    length: int
+
+
+class AzureFrame(NamedTuple):
+    """A depth image, and the colour image that was taken with it."""
+
+    stamp_ns: int
+    depth: Place
+    color: Place | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AzureKinectRecording(Recording):
+    """A .mkv of k4arecorder; needs kinectbench[azure].
+
+    Attributes:
+        calibration: of its cameras.
+        color_mode: how colour is stored, such as MJPG; "" where there is none.
+        undistortion: how depth becomes a pinhole image, or None.
+    """
+
+    format: ClassVar[str] = "azure_kinect"
+    looks_for: ClassVar[str] = "a .mkv of Azure Kinect or Femto with a depth track (needs kinectbench[azure])"
+    suffixes: ClassVar[tuple[str, ...]] = (SUFFIX,)
+
+    places: tuple[AzureFrame, ...]
+    calibration: AzureCalibration = field(compare=False)
+    color_mode: str
+    undistortion: Undistortion | None = field(default=None, compare=False)
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether it is a Matroska file that is named .mkv, or has Azure Kinect's tags or code of depth."""
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+        named = path.suffix.lower() in cls.suffixes or any(mark in head for mark in MARKS)
+        return named and head.startswith(EBML_MAGIC)
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Read tags and calibration, and find every image; nothing is decoded."""
+        with _opened(path) as container:
+            tracks = _tracks(container)
+            depth_track, color_track = tracks.get("DEPTH"), tracks.get("COLOR")
+            if depth_track is None:
+                raise RecordingError(
+                    f"{path}: has no depth track (DEPTH of k4arecorder), so there is colour only: record it "
+                    "with a depth mode other than OFF and PASSIVE_IR"
+                )
+            calibration = AzureCalibration.of(_attached(container, path), path)
+            depth_px = _size_px(depth_track)
+            color_px = None if color_track is None else _size_px(color_track)
+            mode = "" if color_track is None else _color_mode(color_track)
+            indices = {track.index: name for name, track in tracks.items()}
+            found, trouble = _find_images(container, indices, path)
+        trouble = trouble or _cut(path, len(found["DEPTH"]))
+        depth, warnings = _in_order(found["DEPTH"], path)
+        color, _ = _in_order(found["COLOR"], path)
+        if not depth:
+            raise RecordingError(f"{path}: its depth track holds no whole image; copy the file again")
+        delay_ns = round(settings.color_delay_s * NS_PER_S)
+        partners = associate([p.stamp_ns for p in depth], [p.stamp_ns - delay_ns for p in color])
+        frames = tuple(
+            AzureFrame(place.stamp_ns, place, None if partner is None else color[partner])
+            for place, partner in zip(depth, partners, strict=True)
+        )
+        said, distortion = calibration.depth(depth_px, path)
+        intrinsics = said.overridden_by(settings)
+        camera = intrinsics.camera(depth_px, path)
+        rig = None if color_px is None else calibration.color(color_px, path)
+        registered = rig is not None and rig.lies_on(camera)
+        return cls(
+            path=path,
+            places=frames,
+            calibration=calibration,
+            color_mode=mode,
+            camera=camera,
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=registered,
+            color_calibration=None if registered else rig,
+            recorded=(tuple(p.stamp_ns for p in found["DEPTH"]), tuple(p.stamp_ns for p in found["COLOR"])),
+            warnings=(*trouble, *warnings),
+            undistortion=Undistortion(camera, distortion) if any(distortion) else None,
+        )
+
+    def frame(self, index: int) -> RawFrame:
+        """Read any frame."""
+        place = self.places[index]
+        name = f"{self.path}: the frame at byte {place.depth.start}"
+        shape = self.camera.height, self.camera.width
+        if place.depth.length != 2 * shape[0] * shape[1]:
+            raise DamagedImageError(
+                f"{name}: its depth has {place.depth.length} bytes, not 2 a pixel: it is damaged"
+            )
+        stored = np.frombuffer(self._bytes(place.depth), ">u2").reshape(shape).astype(np.uint16)
+        if self.undistortion is not None:
+            stored = self.undistortion.depth(stored)
+            stored[self.calibration.beyond_radius(self.camera)] = 0
+        return RawFrame(name, place.stamp_ns, stored, self._color(place.color))
+
+    def _bytes(self, place: Place) -> bytes:
+        with self.path.open("rb") as file:
+            file.seek(place.start)
+            return file.read(place.length)
+
+    def _color(self, place: Place | None) -> tuple[str, bytes] | None:
+        """Colour as it was encoded, or as PNG where it is raw; None where it is of another length."""
+        if place is None or not (self.color_calibration or self.color_registered):
+            return None
+        data = self._bytes(place)
+        if self.color_mode not in RAW_COLOR:
+            return ".jpg", data
+        camera = self.camera if self.color_calibration is None else self.color_calibration.camera
+        bgr = _raw_bgr(data, self.color_mode, (camera.width, camera.height))
+        return None if bgr is None else (".png", encode_png(bgr))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator["InputContainer"]:
+    """The container, closed afterwards; what PyAV raises becomes one line."""
+    try:
+        import av
+    except ModuleNotFoundError as error:
+        raise RecordingError(
+            f"{path}: reading a .mkv of Azure Kinect needs PyAV: pip install 'kinectbench[azure]'"
+        ) from error
+    try:
+        with av.open(str(path)) as container:
+            yield container
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise RecordingError(
+            f"{path}: is no Matroska file that can be read ({error}); copy it again"
+        ) from error
+
+
+def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
+    """The video tracks by the names that k4arecorder gives them, DEPTH, COLOR and IR."""
+    named = {str(track.metadata.get("title", "")).upper(): track for track in container.streams.video}
+    numbered = {str(track.id): track for track in container.streams.video}
+    told = {name: numbered.get(container.metadata.get(f"K4A_{name}_TRACK", "")) for name in TRACKS}
+    found = {name: named.get(name) or told[name] for name in TRACKS}
+    return {name: track for name, track in found.items() if track is not None}
+
+
+def _size_px(track: "VideoStream") -> tuple[int, int]:
+    return track.width, track.height
+
+
+def _color_mode(track: "VideoStream") -> str:
+    """How colour is stored, such as MJPG."""
+    said = str(track.metadata.get("K4A_COLOR_MODE", "")).partition("_")[0]
+    return said or {"nv12": "NV12", "yuyv422": "YUY2", "bgra": "BGRA"}.get(str(track.pix_fmt), "MJPG")
+
+
+def _attached(container: "InputContainer", path: Path) -> dict[str, Any]:
+    """The calibration that is attached to the file."""
+    for attachment in container.streams.attachments:
+        if attachment.name == CALIBRATION_FILE and attachment.data:
+            return object_of(
+                attachment.data.rstrip(b"\0"), f"{path}: {CALIBRATION_FILE}", "CalibrationInformation"
+            )
+    raise RecordingError(
+        f"{path}: has no {CALIBRATION_FILE} attached; record it with k4arecorder, or convert it"
+    )
+
+
+def _find_images(
+    container: "InputContainer", names: dict[int, str], path: Path
+) -> tuple[dict[str, list[Place]], list[str]]:
+    """Where every depth and colour image lies, in the order of the file; and what is wrong with it."""
+    import av
+
+    found: dict[str, list[Place]] = {"DEPTH": [], "COLOR": [], "IR": []}
+    trouble = []
+    with path.open("rb") as file:
+        try:
+            for packet in container.demux(video=tuple(range(len(container.streams.video)))):
+                name = names.get(packet.stream.index, "IR")
+                if name == "IR" or packet.pts is None or not packet.size or packet.pos is None:
+                    continue
+                stamp_ns = round(packet.pts * packet.time_base * NS_PER_S)
+                found[name].append(
+                    Place(stamp_ns, _start(file, packet.pos, bytes(packet), path), packet.size)
+                )
+        except (av.FFmpegError, OSError) as error:
+            trouble.append(f"{path}: is cut off or damaged ({error}): {len(found['DEPTH'])} frames are read")
+    return found, trouble
+
+
+def _cut(path: Path, frames: int) -> list[str]:
+    """A warning where the file is shorter than it says."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    start = head.find(SEGMENT) + len(SEGMENT)
+    size = head[start : start + 8]
+    # Recorders write the size with eight bytes, as they fill it in at the end.
+    if len(size) < 8 or size[0] != 1:
+        return []
+    length = int.from_bytes(size[1:], "big")
+    if length == UNKNOWN_SIZE or start + 8 + length <= path.stat().st_size:
+        return []
+    return [f"{path}: is cut off: {frames} frames are whole and are read; copy it again"]
+
+
+def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
+    """Where the bytes of an image begin, whose block begins at `position`.
+
+    Raises:
+        RecordingError: they do not lie in the file as they are.
+    """
+    file.seek(position)
+    region = file.read(len(data) + BLOCK_HEAD_BYTES)
+    for skipped in range(BLOCK_HEAD_BYTES + 1):
+        if region.startswith(data, skipped):
+            return position + skipped
+    raise RecordingError(
+        f"{path}: its images are packed by Matroska's own compression; copy it with `mkvmerge --compression "
+        "-1:none`"
+    )
+
+
+def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
+    """The images by their stamps, each stamp once; and a warning."""
+    order, repeated = first_by_stamp([place.stamp_ns for place in places])
+    warnings = [f"{path}: {repeated} images repeat a stamp and were left out"] if repeated else []
+    return [places[i] for i in order], warnings
+
+
+def _raw_bgr(data: bytes, mode: str, size_px: tuple[int, int]) -> NDArray[np.uint8] | None:
+    """Raw colour as (height, width, 3); None where it has another length than such an image."""
+    import cv2
+
+    width, height = size_px
+    if len(data) != width * height * RAW_BYTES_A_PIXEL[mode]:
+        return None
+    pixels = np.frombuffer(data, np.uint8)
+    shape = {"NV12": (height * 3 // 2, width), "YUY2": (height, width, 2), "BGRA": (height, width, 4)}[mode]
+    return np.asarray(cv2.cvtColor(pixels.reshape(shape), getattr(cv2, RAW_COLOR[mode])), np.uint8)

@@ -1,0 +1,119 @@
+"""Folders that ScanNet's reader exports: depth/N.png, color/N.jpg, pose/N.txt and intrinsic/.
+
+As its SensReader writes them: depth in mm; a pose is camera to world, of minus infinity where the frame was
+lost; `intrinsic_depth.txt` and `intrinsic_color.txt` are 4x4 pinhole matrices, `extrinsic_*.txt` each
+camera's place in the rig. The smaller release (frames_25k) has `intrinsics_depth.txt` beside the folders.
+"""
+
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.text_rows import read_matrix
+from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import (
+    Intrinsics,
+    check_focal_lengths,
+    read_intrinsics_matrix,
+    rig_calibration,
+)
+from kinectbench.stages.ingest.readers.folder import (
+    COLOR_FOLDERS,
+    COLOR_SUFFIXES,
+    image_files,
+    stamps_of_names,
+)
+from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
+from kinectbench.stages.ingest.recording import (
+    ColorCalibration,
+    FileRecording,
+    FrameFiles,
+    first_color_size,
+    first_depth_size,
+    first_file,
+)
+
+DEPTH_SCALE = 1000.0
+
+
+class ScannetFolderRecording(FileRecording):
+    """One exported scene of ScanNet; a frame's number counts seconds."""
+
+    format: ClassVar[str] = "scannet"
+    looks_for: ClassVar[str] = "a folder with depth/0.png and intrinsic/intrinsic_depth.txt (color/, pose/)"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has depth/, and its intrinsics by one of ScanNet's names."""
+        return (path / "depth").is_dir() and _matrix_file(path, "depth") is not None
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """List the depth images, with colour and pose of the same name."""
+        depth = image_files(path / "depth", frozenset({".png"}))
+        if not depth:
+            raise RecordingError(f"{path / 'depth'}: holds no PNG image; export the scene again with depth")
+        stamps_ns = stamps_of_names(depth)
+        order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
+        files = tuple(
+            FrameFiles(stamps_ns[i], depth[i], first_file(_color_files(path, depth[i].stem))) for i in order
+        )
+        size_px = first_depth_size(files)
+        said = _read_intrinsics(path, size_px, settings)
+        camera = said.overridden_by(settings).camera(size_px, path)
+        color_px = first_color_size(files) or (0, 0)
+        depth_to_rig = _read_extrinsic(path, "depth")
+        calibration = _calibration(path, color_px, depth_to_rig)
+        registered = color_px == size_px if calibration is None else calibration.lies_on(camera)
+        place = rigid_or_none(depth_to_rig)
+        trajectory, warnings, error = read_given(lambda: read_pose_folder(path, files, place))
+        return cls(
+            path=path,
+            places=files,
+            camera=camera,
+            depth_scale=settings.depth_scale or DEPTH_SCALE,
+            color_registered=registered,
+            color_calibration=None if registered else calibration,
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=tuple(warnings),
+        )
+
+
+def _matrix_file(path: Path, camera: str) -> Path | None:
+    """The file with the intrinsics of "depth" or "color"."""
+    return first_file([path / "intrinsic" / f"intrinsic_{camera}.txt", path / f"intrinsics_{camera}.txt"])
+
+
+def _color_files(path: Path, stem: str) -> list[Path]:
+    return [path / name / f"{stem}{end}" for name in COLOR_FOLDERS for end in sorted(COLOR_SUFFIXES)]
+
+
+def _read_intrinsics(path: Path, size_px: tuple[int, int], settings: CameraSettings) -> Intrinsics:
+    file = _matrix_file(path, "depth")
+    assert file is not None
+    said = read_intrinsics_matrix(file)
+    if settings.fx is None:
+        check_focal_lengths(said, size_px, file)
+    return said
+
+
+def _read_extrinsic(path: Path, camera: str) -> Float64:
+    """The place (4, 4) of "depth" or "color" in the rig, metres; the identity where none is said."""
+    file = path / "intrinsic" / f"extrinsic_{camera}.txt"
+    return read_matrix(file, 4) if file.is_file() else np.eye(4)
+
+
+def _calibration(path: Path, color_px: tuple[int, int], depth_to_rig: Float64) -> ColorCalibration | None:
+    """How colour lies to depth, if that is said for images of its size."""
+    file = _matrix_file(path, "color")
+    if file is None or not all(color_px):
+        return None
+    said = read_intrinsics_matrix(file)
+    assert None not in (said.fx, said.fy, said.cx, said.cy)
+    K = np.array([[said.fx, 0, said.cx], [0, said.fy, said.cy], [0, 0, 1]], np.float64)
+    return rig_calibration(K, color_px, _read_extrinsic(path, "color"), depth_to_rig, path)

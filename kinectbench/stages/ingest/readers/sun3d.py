@@ -1,0 +1,115 @@
+"""Sequences of SUN3D: image/ and depth/NUMBER-MICROSECONDS, intrinsics.txt, extrinsics/DATE.txt.
+
+As its own reader has it: depth in mm with rotated bits, on colour's pixels; the newest file in extrinsics/
+holds three rows of four numbers for each colour image, camera to world.
+"""
+
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.association import associate
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.text_rows import read_numbers
+from kinectbench.core.trajectory.trajectory_file import read_given
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
+from kinectbench.stages.ingest.readers.folder import (
+    COLOR_SUFFIXES,
+    NUMBER_AND_STAMP,
+    image_files,
+    stamps_of_names,
+)
+from kinectbench.stages.ingest.readers.pose_folder import finite_trajectory
+from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size
+
+DEPTH_SCALE = 1000.0
+# Of a pose in extrinsics/: three rows of a 4x4 matrix.
+NUMBERS_A_POSE = 12
+
+
+class Sun3dRecording(FileRecording):
+    """One sequence of SUN3D; stamps are in the names of its images."""
+
+    format: ClassVar[str] = "sun3d"
+    looks_for: ClassVar[str] = "a folder with image/, depth/0000001-000000000000.png and extrinsics/*.txt"
+    often_rotated: ClassVar[bool] = True
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether the folder has image/, SUN3D's intrinsics.txt, and stamps in the names of depth."""
+        whole = (
+            (path / "image").is_dir() and (path / "depth").is_dir() and (path / "intrinsics.txt").is_file()
+        )
+        return whole and any(NUMBER_AND_STAMP.fullmatch(file.stem) for file in (path / "depth").iterdir())
+
+    @classmethod
+    def open(cls, path: Path, settings: CameraSettings) -> Self:
+        """Pair depth with colour by their stamps, and read the newest poses."""
+        depth, depth_ns = _by_stamp(path / "depth", frozenset({".png"}))
+        color, color_ns = _by_stamp(path / "image", COLOR_SUFFIXES)
+        if not depth:
+            raise RecordingError(f"{path / 'depth'}: holds no PNG image; copy the sequence again")
+        delay_ns = round(settings.color_delay_s * NS_PER_S)
+        partners = associate(depth_ns, [stamp - delay_ns for stamp in color_ns])
+        files = tuple(
+            FrameFiles(stamp_ns, file, None if partner is None else color[partner])
+            for stamp_ns, file, partner in zip(depth_ns, depth, partners, strict=True)
+        )
+        size_px = first_depth_size(files)
+        said = read_intrinsics_matrix(path / "intrinsics.txt")
+        if settings.fx is None:
+            check_focal_lengths(said, size_px, path / "intrinsics.txt")
+        intrinsics = said.overridden_by(settings)
+        trajectory, warnings, error = read_given(lambda: _read_poses(path, color_ns, depth_ns))
+        alone = sum(partner is None for partner in partners)
+        if color and alone:
+            warnings = [
+                *warnings,
+                f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms",
+            ]
+        return cls(
+            path=path,
+            places=files,
+            camera=intrinsics.camera(size_px, path),
+            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            color_registered=any(file.color for file in files),
+            recorded=(tuple(depth_ns), tuple(color_ns)),
+            given_trajectory=trajectory,
+            trajectory_error=error,
+            warnings=tuple(warnings),
+        )
+
+
+def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[int]]:
+    """The images of a folder in the order of their stamps, and these, nanoseconds."""
+    files = image_files(folder, suffixes)
+    rows = sorted(zip(stamps_of_names(files), files, strict=True), key=lambda row: row[0])
+    return [file for _, file in rows], [stamp_ns for stamp_ns, _ in rows]
+
+
+def _read_poses(
+    path: Path, color_ns: list[int], depth_ns: list[int]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """The poses of the newest file: of the colour images, or of the depth images where there are as many.
+
+    Raises:
+        RecordingError: there are as many poses as neither.
+    """
+    found = sorted((path / "extrinsics").glob("*.txt"))
+    if not found:
+        return None, []
+    numbers = np.array(read_numbers(found[-1]))
+    poses, rest = divmod(len(numbers), NUMBERS_A_POSE)
+    stamps_ns = color_ns if poses == len(color_ns) else depth_ns
+    if rest or poses != len(stamps_ns):
+        raise RecordingError(
+            f"{found[-1]}: holds {len(numbers)} numbers, not 12 for each of the {len(color_ns)} colour "
+            f"(or {len(depth_ns)} depth) images"
+        )
+    rows = numbers.reshape(poses, 3, 4)
+    matrices = [np.vstack([row, [0, 0, 0, 1]]) for row in rows]
+    return finite_trajectory(stamps_ns, matrices, str(found[-1]))

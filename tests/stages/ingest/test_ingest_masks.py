@@ -1,0 +1,76 @@
+"""Masks that come with a recording, in each layout that has a place for them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.lab.simulate.truth import truth_folder
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording
+
+FRAMES = 3
+
+
+def recorded(folder: Path, layout: str, **path: object) -> Path:
+    spec = {
+        "object": "mug:seed=0",
+        "format": layout,
+        "path": {"frames": FRAMES, "rate_hz": 1.0, "arc_rad": 1.0, **path},
+        "sensor": {"model": "ideal", "width": 64, "height": 48},
+        "given": {"masks": True},
+    }
+    simulate(SimulationSpec.model_validate(spec), folder)
+    return folder
+
+
+def true_mask(recording: Path, index: int) -> np.ndarray:
+    image = cv2.imread(str(truth_folder(recording) / "masks" / f"{index:06d}.png"), cv2.IMREAD_GRAYSCALE)
+    return np.asarray(image) > 0
+
+
+@pytest.mark.parametrize("layout", ["folder", "bop", "wildrgbd"])
+def test_masks_are_those_of_their_frames(layout: str, tmp_path: Path) -> None:
+    recording = recorded(tmp_path / "mug", layout)
+    opened = open_recording(recording, CameraSettings())
+    for index in range(FRAMES):
+        mask = opened.frame(index).mask
+        assert mask is not None
+        assert mask.any()
+        assert (mask == true_mask(recording, index)).all()
+
+
+def test_masks_by_hand_beside_a_tum_folder(tmp_path: Path) -> None:
+    recording = recorded(tmp_path / "mug", "tum")
+    opened = open_recording(recording, CameraSettings())
+    assert [opened.frame(index).mask for index in range(FRAMES)] == [None] * FRAMES
+    (recording / "masks").mkdir()
+    depth = sorted((recording / "depth").iterdir())
+    cv2.imwrite(str(recording / "masks" / depth[1].name), true_mask(recording, 1).astype(np.uint8))
+    masks = [open_recording(recording, CameraSettings()).frame(index).mask for index in range(FRAMES)]
+    assert masks[0] is None
+    assert masks[2] is None
+    assert masks[1] is not None
+    assert (masks[1] == true_mask(recording, 1)).all()
+
+
+@pytest.mark.parametrize("moves", ["turntable", "hand"])
+def test_around_what_moves_nothing_does(moves: str, tmp_path: Path) -> None:
+    recording = recorded(tmp_path / "mug", "folder", moves=moves)
+    opened = open_recording(recording, CameraSettings())
+    frames = [opened.frame(index) for index in range(FRAMES)]
+    # Beside the silhouettes there is the arm; above them only what stands around.
+    top = min(int(np.argmax(true_mask(recording, index).any(axis=1))) for index in range(FRAMES))
+    assert top > 2
+    for frame in frames[1:]:
+        assert (frame.depth[: top - 1] == frames[0].depth[: top - 1]).all()
+        assert (frame.depth != frames[0].depth).any()
+    given = opened.given_trajectory
+    assert given is not None
+    assert (given.T_world_camera == given.T_world_camera[0]).all()
+    # The truth is the camera's way about the object.
+    T_true = np.load(truth_folder(recording) / "frames.npz")["T_world_camera"]
+    assert np.linalg.norm(T_true[-1, :3, 3] - T_true[0, :3, 3]) > 0.2
