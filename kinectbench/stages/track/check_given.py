@@ -38,7 +38,7 @@ class GivenCheck:
     Attributes:
         T_given: (n, 4, 4), NaN where there is none.
         frames: each frame against those around it.
-        distant: frames that are far apart in time, registered from the given poses.
+        distant: distant frames, registered from the given poses.
         figures: as health.json has them. Where no refined poses are made, the residual "with refined poses"
             between distant frames is that of frames as registered in pairs.
         sharpness: of the colour, by frame, where it was read.

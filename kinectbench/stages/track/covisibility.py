@@ -83,7 +83,7 @@ def covisible(glimpses: Sequence[Glimpse], T_world: Float64) -> list[tuple[float
     return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _shared(depth, intrinsics, points, T):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

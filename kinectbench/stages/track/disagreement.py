@@ -1,6 +1,6 @@
 """By how much two or more frames disagree with the poses they are said to have.
 
-A given trajectory that drifts shows it between frames that are far apart in time and see the same place.
+A given trajectory that drifts shows it between distant frames that see the same place.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,18 @@ from kinectbench.core.geometry.rigid import twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, glimpse
 from kinectbench.stages.track.frame_maps import FrameMaps, Level, MapCache
-from kinectbench.stages.track.odometry import is_believable
-from kinectbench.stages.track.registration import PLACED, Registration, register
+from kinectbench.stages.track.odometry import ENOUGH_INLIERS, is_believable
+from kinectbench.stages.track.registration import PLACED, Registration, measure, register
 from kinectbench.stages.track.tracked import Tie
 
 # Of a shift, so many of its standard deviations are put down to the registration.
 SIGMAS = 3.0
 # Frames of which no more than this falls on measurements of others are not compared.
 MIN_OVERLAP = 0.05
+# A pose under which as many points agree, as closely and with colours as alike, is as good as the place that
+# a registration found: along a flat face it slides by a metre and fits as well. Own choices, held by right
+# poses of box-like things in no order of time, and by poses that are wrong by known amounts.
+AS_MANY, AS_CLOSE, WELL_BELOW_NOISE, AS_ALIKE = 0.03, 1.1, 0.5, 0.1
 # Points that tell how far a motion moves what is seen.
 MOVED_POINTS = 1000
 # Residuals: how far along the ray a measurement may lie from the point it is taken for, and the least cosine
@@ -35,6 +39,8 @@ MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
 # Of the recording's length, what lies between two distant frames at least.
 MIN_APART = 1 / 6
 MIN_SHARED_VIEW = 0.3
+# Drift that is worth a doubt: far more than what registrations of right poses leave (own choice).
+DOUBTED_M = 0.05
 # Of fewer pairs no share is told.
 MIN_TRIED = 8
 # Fewer residuals than this say nothing.
@@ -64,8 +70,11 @@ def ask(
     T_targets_source: Sequence[Float64],
     coarsest: int,
     every: int,
+    doubted_m: float = 0.0,
 ) -> Disagreement | None:
     """Register a frame to others from where the poses put it; None if they have too little in common.
+
+    Where it moves far, but fitted as well before, it has slid: then it does not disagree.
 
     Args:
         source: the frame.
@@ -73,11 +82,35 @@ def ask(
         T_targets_source: (4, 4) each, as the poses say.
         coarsest: level to start at; 0 finds less than half of a shift of 100 mm, 2 all of it.
         every: only every n-th point is used.
+        doubted_m: a shift of more than this is doubted.
     """
     found = register(source, targets, T_targets_source, coarsest, PLACED, every)
     if found.overlap < MIN_OVERLAP or found.over_noise == 0:
         return None
-    return disagreement(source, T_targets_source[0], found)
+    moved = disagreement(source, T_targets_source[0], found)
+    if moved.shift_m > doubted_m:
+        as_given = measure(source, targets, T_targets_source, every)
+        if agrees_as_well(as_given, found):
+            return Disagreement(as_given, 0.0, 0.0, 0.0)
+    return moved
+
+
+def agrees_as_well(as_given: Registration, found: Registration) -> bool:
+    """Whether a frame fits others where its pose puts it as well as where a registration does (own rule).
+
+    How much of them overlaps does not count: frames of two sides of a thing share little, and fit.
+
+    Args:
+        as_given: the figures where the pose puts it.
+        found: of the registration.
+    """
+    close_m = max(AS_CLOSE * found.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
+    return (
+        as_given.overlap >= MIN_OVERLAP
+        and as_given.inlier_share >= max(ENOUGH_INLIERS, found.inlier_share - AS_MANY)
+        and as_given.residual_m <= close_m
+        and not as_given.intensity_correlation < found.intensity_correlation - AS_ALIKE
+    )
 
 
 def disagreement(source: FrameMaps, T_target_source: Float64, found: Registration) -> Disagreement:
@@ -122,7 +155,7 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -156,7 +189,7 @@ def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untype
 def tie_distant(
     maps: MapCache, T_given: Float64, frames: NDArray[np.int64], every: int
 ) -> tuple[tuple[Tie, ...], Float64, float]:
-    """Register frames that are far apart in time and see the same place by the given poses.
+    """Register distant frames that see the same place by the given poses.
 
     Args:
         maps: of the recording, n frames.
@@ -172,17 +205,28 @@ def tie_distant(
     seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_given[frames])
     pairs = [(int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW]
     pairs = sorted(((a, b) for a, b in pairs if b - a >= apart), key=lambda pair: (pair[0] - pair[1], pair))
-    ties, shifts_m = [], []
+    ties, shifts_m, unfit = [], [], 0
     tried = pairs[: min(MAX_PAIRS, int(PAIRS_PER_FRAME * len(T_given)))]
     for a, b in tried:
         T_a_b = invert_rigid(T_given[a]) @ T_given[b]
-        asked = (ask(maps[b], [maps[a]], [T_a_b], coarsest, every) for coarsest in (1, 2))
+        asked = (ask(maps[b], [maps[a]], [T_a_b], coarsest, every, DOUBTED_M) for coarsest in (1, 2))
         found = next((each for each in asked if each and is_believable(each.registration)), None)
         if found is not None:
             ties.append(Tie(a, b, found.registration, "loop"))
             shifts_m.append(found.shift_m)
-    unmatched = 1 - len(ties) / len(tried) if len(tried) >= MIN_TRIED else np.nan
+        elif not _fits(measure(maps[b], [maps[a]], [T_a_b], every)):
+            unfit += 1
+    unmatched = unfit / len(tried) if len(tried) >= MIN_TRIED else np.nan
     return tuple(ties), np.array(shifts_m), unmatched
+
+
+def _fits(as_given: Registration) -> bool:
+    """Whether depth agrees where the poses put it, though no registration there convinces."""
+    return (
+        as_given.overlap >= MIN_OVERLAP
+        and as_given.inlier_share >= ENOUGH_INLIERS
+        and as_given.residual_m <= as_given.noise_m
+    )
 
 
 def distant_residual_m(

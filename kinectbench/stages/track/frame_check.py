@@ -11,12 +11,19 @@ import numpy as np
 
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.trajectory.compare import has_pose
+from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.core.types import Bools, Float64, Int64, Progress
 from kinectbench.settings.models import TrackingSettings
-from kinectbench.stages.track.disagreement import Disagreement, ask, disagreement, residuals_m
+from kinectbench.stages.track.disagreement import (
+    Disagreement,
+    agrees_as_well,
+    ask,
+    disagreement,
+    residuals_m,
+)
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import is_believable
-from kinectbench.stages.track.registration import Registration, register, score, search
+from kinectbench.stages.track.registration import Registration, measure, register, score, search
 
 # Frames that others are compared with, evenly spread.
 COMPARED_FRAMES = 60
@@ -70,7 +77,8 @@ def check_frames(
     """Compare every frame that has a pose with frames that look at the same place from nearby.
 
     A frame that disagrees is asked again among the agreeing frames before it and after it in time: next to a
-    jump it agrees with one side, and one wrong frame does not drag its right neighbours along.
+    jump it agrees with one side, and one wrong frame does not drag its right neighbours along. Of views in no
+    order of time those that look from nearby are asked instead, and there are no jumps.
 
     Args:
         maps: of the recording, n frames.
@@ -83,7 +91,7 @@ def check_frames(
     checker = _Checker(maps, T_given, settings, compared)
     for done, frame in enumerate(posed.tolist(), start=1):
         checker.compare(frame)
-        if done > 1:
+        if done > 1 and checker.ordered:
             checker.step(int(posed[done - 2]), frame)
         if progress:
             progress(done, len(posed))
@@ -102,6 +110,7 @@ class _Checker:
     def __init__(self, maps: MapCache, T_given: Float64, settings: TrackingSettings, compared: Int64) -> None:
         n = len(T_given)
         self.maps, self.T, self.compared = maps, T_given, compared
+        self.ordered = in_order_of_time(T_given)
         self.every, self.neighbours = settings.check_stride_px, settings.check_neighbours
         self.max_shift_m = settings.max_disagreement_m
         self.found: dict[int, Disagreement] = {}
@@ -158,17 +167,25 @@ class _Checker:
                 self.found[frame] = best
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """What the agreeing frames next before it say, and those next after it."""
-        sides = sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]
+        """What the agreeing frames next before it say, and those next after it; or those that look alike."""
+        sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
+        if not self.ordered:
+            sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
         asked = [self._ask(frame, side.tolist(), coarsest=2) for side in sides if len(side)]
         return [each for each in asked if each is not None]
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
         """Search around the given pose, and around that of the next frame; one that fits clearly better."""
         others = sound[sound != frame]
-        near = int(others[np.argmin(np.abs(others - frame))])
+        if self.ordered:
+            near = int(others[np.argmin(np.abs(others - frame))])
+        else:
+            near = int(nearest_views(self.T, frame, sound)[0])
         source, T_given = self.maps[frame], self._starts(frame, [near])[0]
-        found = max((search(source, self.maps[near], T) for T in (T_given, np.eye(4))), key=score)
+        starts = (T_given, np.eye(4)) if self.ordered else (T_given,)
+        found = max((search(source, self.maps[near], T) for T in starts), key=score)
+        if agrees_as_well(measure(source, [self.maps[near]], [T_given], self.every), found):
+            return best
         as_given = self._ask(frame, [near], coarsest=1)
         known = 0.0 if as_given is None else score(as_given.registration)
         return disagreement(source, T_given, found) if score(found) > known + CLEARLY_BETTER else best
@@ -186,7 +203,8 @@ class _Checker:
         targets = [self.maps[k] for k in others]
         # Several together say enough with half of the points.
         every = self.every if len(others) == 1 else 2 * self.every
-        return ask(self.maps[frame], targets, self._starts(frame, others), coarsest, every)
+        starts = self._starts(frame, others)
+        return ask(self.maps[frame], targets, starts, coarsest, every, self.max_shift_m)
 
     def _starts(self, frame: int, others: list[int]) -> list[Float64]:
         return [invert_rigid(self.T[k]) @ self.T[frame] for k in others]

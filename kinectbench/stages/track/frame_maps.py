@@ -34,6 +34,7 @@ from kinectbench.stages.track.map_kernels import (
     reduced_depth,
     smoothed,
 )
+from kinectbench.stages.track.rolling_shutter import RollingShutter, upright_depth, upright_gray
 
 WORKING_WIDTH_PX = 320
 # At most so many points are registered, per level, finest first.
@@ -105,7 +106,14 @@ class FrameMaps:
     @property
     def has_intensity(self) -> bool:
         """Whether the photometric term can be used."""
-        return self[0].intensity.size > 0
+        return self._inputs[0][2].size > 0
+
+    def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
+        """The same frame, with half as many pixels each way if it is then still wide enough."""
+        camera, depth_m, intensity = self._inputs[0]
+        if camera.width >= 2 * enough_px:
+            camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)
+        return FrameMaps(camera, depth_m, intensity if with_intensity else np.zeros((0, 0), np.float32))
 
 
 @dataclass
@@ -118,35 +126,52 @@ class MapCache:
         sequence: the recording.
         averaged: better depth of some frames, by index: see `improve`.
         correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `calibrate`.
+        shutter: what is undone of each frame that is read: see `undo_shutter`.
         sharpness: of the frames read, by index; none where colour is not registered to depth.
     """
 
     sequence: Sequence
     averaged: dict[int, NDArray[np.uint16]] = field(default_factory=dict)
     correction_per_m: Float32 | None = None
+    shutter: RollingShutter | None = None
     sharpness: dict[int, float] = field(default_factory=dict)
     _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
     def __getitem__(self, index: int) -> FrameMaps:
-        import cv2
-
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
-        frame = self._read.get(index) or self._reduced(index)
-        depth_m = depth_in_metres(self.averaged.get(index, frame.depth), STORED_PER_M)
-        if self.correction_per_m is not None:
-            depth_m = corrected_depth_m(depth_m, self.correction_per_m)
-        intensity = np.zeros((0, 0), np.float32)
-        if frame.gray.size:
-            intensity = np.asarray(cv2.GaussianBlur(frame.gray.astype(np.float32), (0, 0), 0.7), np.float32)
-        camera = self.sequence.camera
-        maps = FrameMaps(reduced_camera(camera, _reduction(camera)), depth_m, intensity)
+        maps = self._made(index, self.shutter, self.averaged.get(index))
         self._kept[index] = maps
         if len(self._kept) > CACHED_FRAMES:
             self._kept.popitem(last=False)
         return maps
+
+    def upright(self, index: int, shutter: RollingShutter) -> FrameMaps:
+        """The maps of one frame as read, not averaged, with this shutter undone; they are not kept."""
+        return self._made(index, shutter, None)
+
+    def _made(
+        self, index: int, shutter: RollingShutter | None, averaged: NDArray[np.uint16] | None
+    ) -> FrameMaps:
+        import cv2
+
+        frame = self._read.get(index) or self._reduced(index)
+        camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
+        depth, gray = frame.depth, frame.gray
+        if shutter is not None and averaged is None:
+            depth = upright_depth(depth, STORED_PER_M, camera, shutter.motion[index], shutter.readout_s)
+        depth_m = depth_in_metres(depth if averaged is None else averaged, STORED_PER_M)
+        if shutter is not None and gray.size:
+            motion, delay_s = shutter.motion[index], shutter.color_delay_s
+            gray = upright_gray(gray, depth_m, camera, motion, shutter.readout_s, delay_s)
+        if self.correction_per_m is not None:
+            depth_m = corrected_depth_m(depth_m, self.correction_per_m)
+        intensity = np.zeros((0, 0), np.float32)
+        if gray.size:
+            intensity = np.asarray(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7), np.float32)
+        return FrameMaps(camera, depth_m, intensity)
 
     def _reduced(self, index: int) -> ReducedFrame:
         """Read one frame of the recording; gray only where colour is registered to depth."""
@@ -165,6 +190,12 @@ class MapCache:
         """From now on use this depth for a frame: (height, width) uint16, 0.1 mm, working resolution."""
         self.averaged[index] = depth
         self._kept.pop(index, None)
+
+    def undo_shutter(self, shutter: RollingShutter) -> None:
+        """From now on undo a rolling shutter in all frames; what was averaged without is forgotten."""
+        self.shutter = shutter
+        self.averaged.clear()
+        self._kept.clear()
 
     def calibrate(self, calibration: DepthCalibration) -> None:
         """From now on correct the depth of all frames."""
@@ -267,7 +298,7 @@ class DepthAverage:
         return np.asarray(np.rint(np.minimum(mean_m * STORED_PER_M, 65535)), np.uint16)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyped-def]
     height, width = keyframe.shape
     fx, fy, cx, cy = intrinsics

@@ -139,7 +139,7 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
     return beyond <= 0 or beyond * beyond <= 9 * variance
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, nogil=True)
 def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
     """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
 
@@ -153,13 +153,13 @@ def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
             sums[i, j] += total
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def mirrored(lower):  # type: ignore[no-untyped-def]
     """The symmetric matrix of a lower triangle."""
     return lower + np.tril(lower, -1).T
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True)
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_shares):  # type: ignore[no-untyped-def]
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
 

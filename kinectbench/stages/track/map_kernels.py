@@ -18,7 +18,7 @@ MIN_COSINE = 0.3
 POINT_COLUMNS = 8
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
     """Mean of each block's measurements that lie on its nearest surface: edges stay sharp."""
     height, width = native.shape[0] // factor, native.shape[1] // factor
@@ -45,7 +45,7 @@ def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def halved(depth_m):  # type: ignore[no-untyped-def]
     """Depth at half the resolution: the mean of each 2 x 2 block's nearest surface."""
     height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
@@ -70,7 +70,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
     """Mean over 5 x 5 pixels of the same surface: for normals only."""
     height, width = depth_m.shape
@@ -94,7 +94,7 @@ def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
     """Normals by central differences over two pixels either way, where these lie on one surface."""
     height, width = depth_m.shape
@@ -140,7 +140,7 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
     """Points chosen so that rare normals count (normal-space sampling: Rusinkiewicz & Levoy 2001).
 
@@ -182,7 +182,7 @@ def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: i
     return out[:n].copy()
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped-def]
     """Squared differences of normals nine pixels apart, over the noise of depth and the slant: (m,).
 
@@ -208,7 +208,7 @@ def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped
     return out[:m].copy()
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cell(nx, ny):  # type: ignore[no-untyped-def]
     """Which cell of the half sphere a normal falls in: its x and y, evenly divided."""
     i = min(NORMAL_CELLS - 1, int((nx + 1) * 0.5 * NORMAL_CELLS))
@@ -216,7 +216,7 @@ def _cell(nx, ny):  # type: ignore[no-untyped-def]
     return i * NORMAL_CELLS + j
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cap(counts, total):  # type: ignore[no-untyped-def]
     """The cap c for which the sum of min(count, c) is `total`, or infinity if there are no more than that."""
     if counts.sum() <= total:

@@ -33,6 +33,7 @@ from kinectbench.stages.track.odometry import (
     usual_of,
 )
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
+from kinectbench.stages.track.shutter_search import find_shutter
 from kinectbench.stages.track.smoothing import smoothed
 from kinectbench.stages.track.tracked import State, Tracked
 
@@ -62,6 +63,11 @@ def track_frames(
     features = FeatureCache(maps)
     report = progress or (lambda done, total: None)
     odometry = follow(maps, features, T_given, lambda done: report(done, 2 * n))
+    shutter = find_shutter(maps, odometry)
+    if shutter is not None:
+        maps.undo_shutter(shutter)
+        features = FeatureCache(maps)
+        odometry = follow(maps, features, T_given)
     graph = build_graph(maps, features, odometry, T_given)
     return _place(maps, odometry, graph, lambda done: report(n + done, 2 * n))
 

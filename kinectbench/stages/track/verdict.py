@@ -1,7 +1,7 @@
 """One sentence about a trajectory: what ground truth it is good for, and why. All limits are own rules.
 
-A surface of 5 mm needs poses within about 3 mm, one of 10 mm poses within about 6 mm. No figure here is the
-error of the poses, which nobody knows without a truth: each is a sign of it.
+No figure here is the error of the poses, which nobody knows without a truth: each is a sign of it. So a grade
+promises no millimetres: recordings whose frames agree within 5 mm were 10 mm off along their path, and more.
 """
 
 import math
@@ -9,15 +9,15 @@ from collections.abc import Iterator
 
 from kinectbench.core.artefacts.trajectory import GivenFigures, Grade, Recommendation, TrajectoryHealth
 
-GRADES: tuple[Grade, ...] = ("5 mm", "10 mm", "not good")
+GRADES: tuple[Grade, ...] = ("good", "fair", "not good")
 MIN_POSES = 3
-# What is good enough for 5 mm, and for 10 mm. Shares are of the frames.
+# What is good, and what is fair. Shares are of the frames.
 TRACKED_SHARE = (0.9, 0.7)
 UNCHECKED_SHARE = (0.5, 1.0)
 REJECTED_SHARE = (0.1, 0.5)
 DEGENERATE_SHARE = (0.05, 0.3)
 SHIFT_M = (0.005, 0.010)
-# Between frames far apart in time: each of the two may be off by half of it.
+# Between distant frames: each of the two may be off by half of it.
 DISTANT_SHIFT_M = (0.010, 0.020)
 # A correction holds the errors of two poses and of the measurement between them.
 LOOP_CORRECTION_M = (0.005, 0.010)
@@ -27,7 +27,7 @@ OPEN_PATH_M = (1.5, 4.0)
 # Real sensors are warped as well: right poses leave 0.55 times the noise of a simulated Kinect, 0.9 to 1.2
 # times that of real ones.
 TIMES_NOISE = (2.0, 3.0)
-# Of the frames far apart in time that ought to see the same place some are too plain, or hardly see it.
+# Of the distant frames that ought to see the same place some are too plain, or hardly see it.
 UNMATCHED_SHARE = (0.4, 0.5)
 # Refining moves motion capture by its own noise, and drift by more.
 REFINED_APART_M = 0.025
@@ -49,15 +49,14 @@ def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
     level = max(level for level, _ in reasons)
     why = ", ".join(text for each, text in reasons if each == level)
     grade = GRADES[level]
-    words = "not good for ground truth" if level == 2 else f"good for ground truth at {grade}"
-    return grade, f"{words}: {why}"
+    return grade, f"{grade} for ground truth: {why}"
 
 
 def recommend(given: GivenFigures, checked_share: float, rejected_share: float) -> Recommendation:
     """What to do with a given trajectory.
 
     Ignore it if most frames disagree, or most cannot be compared. Refine it if a tenth disagrees, if it
-    jumps, if it drifts (frames far apart in time disagree by more than twice what near ones do, and 5 mm;
+    jumps, if it drifts (distant frames disagree by more than twice what near ones do, and 5 mm;
     where that is not known: near ones by more than 5 mm), if many of these fit nowhere, or if refining moves
     it far.
 
@@ -113,11 +112,14 @@ def _given(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
 def _distant(given: GivenFigures) -> Iterator[tuple[int, str]]:
     if given.distant_shift_m is not None:
         level = _at_most(given.distant_shift_m, DISTANT_SHIFT_M)
-        yield level, f"frames far apart in time agree within {_mm(given.distant_shift_m)} (median)"
+        yield level, f"distant frames agree within {_mm(given.distant_shift_m)} (median)"
     if given.distant_unmatched is not None and given.distant_unmatched > UNMATCHED_SHARE[0]:
         level = _at_most(given.distant_unmatched, UNMATCHED_SHARE)
         share = f"{100 * given.distant_unmatched:.0f} %"
-        yield level, f"{share} of the pairs far apart in time that ought to see the same place do not fit"
+        yield (
+            level,
+            f"{share} of the pairs of distant frames that ought to see the same place do not fit",
+        )
     if given.largest_jump_m:
         yield 2, f"the given trajectory jumps by {1000 * given.largest_jump_m:.0f} mm"
 

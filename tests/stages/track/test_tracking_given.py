@@ -275,7 +275,7 @@ def test_drift_so_large_that_distant_frames_do_not_fit_is_told() -> None:
 def test_exact_poses_of_a_circle_are_trusted() -> None:
     trajectory = track(circle(truth_of_circle()), "trust", SETTINGS)
     health = trajectory.health
-    assert health.recommended == "trust" and health.grade == "5 mm" and health.warnings == ()
+    assert health.recommended == "trust" and health.grade == "good" and health.warnings == ()
     assert health.given.distant_shift_m < 0.003 and health.ties.loop == len(health.loops) > 5
     assert health.loop_correction_m < 0.005
     np.testing.assert_array_equal(trajectory.T_world_camera, truth_of_circle())

@@ -55,7 +55,7 @@ def trajectory_of(poses: np.ndarray, **changes: object) -> Trajectory:
             }
             for i in range(n)
         ],
-        **{"source": "tracked", "verdict": "", "grade": "5 mm", "frames": n, "tracked": int(posed.sum())},
+        **{"source": "tracked", "verdict": "", "grade": "good", "frames": n, "tracked": int(posed.sum())},
         **changes,
     }
     stamps_ns = np.arange(n, dtype=np.int64) * 10**8

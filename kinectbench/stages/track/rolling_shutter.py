@@ -1,0 +1,152 @@
+"""Undo a rolling shutter: move pixels to where all of them would be, taken at the frame's middle.
+
+The rows of a frame are read one after the other, while the camera moves. A Kinect v1 takes about 30 ms from
+the first row to the last (Ringaby & Forssen: Scan rectification for structured light range sensors with
+rolling shutters, ICCV 2011): at 150 degrees a second these see 4.5 degrees apart.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.types import Float64
+
+# Where a pixel was taken depends on its row, and its row on where it was taken: each pass divides the error
+# by the rows of a frame over those it moves past, at least 10.
+PASSES = 3
+# Neighbouring pixels are of one surface if their depths differ by less than this share (own choice).
+SAME_SURFACE = 0.03
+
+
+@dataclass(frozen=True)
+class RollingShutter:
+    """When the pixels of each frame are taken, and how the camera moves meanwhile.
+
+    Attributes:
+        readout_s: from the first row to the last; negative: the last row comes first.
+        color_delay_s: by how much colour is taken later than depth.
+        motion: (n, 12) of each frame, camera axes: the rate of its twist (rad/s, m/s), and how that grows
+            (rad/s^2, m/s^2).
+    """
+
+    readout_s: float
+    color_delay_s: float
+    motion: Float64
+
+
+def upright_depth(
+    depth: NDArray[np.uint16], units_per_m: float, camera: Camera, motion: Float64, readout_s: float
+) -> NDArray[np.uint16]:
+    """Depth (height, width) as it would be, taken at once.
+
+    Args:
+        depth: (height, width) uint16, 0 = none.
+        units_per_m: of this depth.
+        camera: of its size.
+        motion: (12,) of the camera, as `RollingShutter.motion`.
+        readout_s: from the first row to the last.
+    """
+    return np.asarray(_depth_at_once(depth, float(units_per_m), camera.intrinsics, motion, readout_s))
+
+
+def upright_gray(
+    gray: NDArray[np.uint8],
+    depth_m: NDArray[np.float32],
+    camera: Camera,
+    motion: Float64,
+    readout_s: float,
+    delay_s: float,
+) -> NDArray[np.uint8]:
+    """Gray (height, width) as it would be, taken at once and together with the middle of the depth.
+
+    Args:
+        gray: (height, width) uint8.
+        depth_m: (height, width), upright; where it is 0 only the turn is undone.
+        camera: of this size.
+        motion: (12,) of the camera, as `RollingShutter.motion`.
+        readout_s: from the first row to the last.
+        delay_s: by how much colour is taken later than depth.
+    """
+    import cv2
+
+    u, v = _taken_at(depth_m, camera.intrinsics, motion, readout_s, delay_s)
+    moved = cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, np.uint8)
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
+    """A point (x, y, 1) / over_z of the middle as seen `since_s` later, times over_z."""
+    half_s = 0.5 * since_s
+    ax = since_s * (motion[0] + half_s * motion[6])
+    ay = since_s * (motion[1] + half_s * motion[7])
+    az = since_s * (motion[2] + half_s * motion[8])
+    x -= since_s * (motion[3] + half_s * motion[9]) * over_z
+    y -= since_s * (motion[4] + half_s * motion[10]) * over_z
+    z = 1 - since_s * (motion[5] + half_s * motion[11]) * over_z
+    # Turned back, to second order.
+    bx, by, bz = ay * z - az * y, az * x - ax * z, ax * y - ay * x
+    return (
+        x - bx + 0.5 * (ay * bz - az * by),
+        y - by + 0.5 * (az * bx - ax * bz),
+        z - bz + 0.5 * (ax * by - ay * bx),
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
+    """Where the pixels of the middle were taken, u and v: (height, width) each."""
+    height, width = depth_m.shape
+    fx, fy, cx, cy = intrinsics
+    at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    for v in range(height):
+        for u in range(width):
+            x, y = (u - cx) / fx, (v - cy) / fy
+            row, column = float(v), float(u)
+            over_z = 1 / float(depth_m[v, u]) if depth_m[v, u] > 0 else 0.0
+            for _ in range(PASSES):
+                since_s = delay_s + readout_s * (row / (height - 1) - 0.5)
+                rx, ry, rz = _seen_from(x, y, over_z, motion, since_s)
+                column, row = fx * rx / rz + cx, fy * ry / rz + cy
+            at_u[v, u], at_v[v, u] = column, row
+    return at_u, at_v
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
+    """Depth between pixels, moved to the middle; of the nearest pixel where the four are of two surfaces."""
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    moved = np.zeros((height, width), np.uint16)
+    for v in range(height):
+        for u in range(width):
+            x, y = (u - cx) / fx, (v - cy) / fy
+            row, column, rz = float(v), float(u), 1.0
+            over_z = units_per_m / float(depth[v, u]) if depth[v, u] > 0 else 0.0
+            for _ in range(PASSES):
+                since_s = readout_s * (row / (height - 1) - 0.5)
+                rx, ry, rz = _seen_from(x, y, over_z, motion, since_s)
+                column, row = fx * rx / rz + cx, fy * ry / rz + cy
+                if column < 0 or row < 0 or column >= width - 1 or row >= height - 1:
+                    break
+                near = float(depth[np.uint32(row + 0.5), np.uint32(column + 0.5)])
+                if near > 0:
+                    over_z = units_per_m * rz / near
+            if column < 0 or row < 0 or column >= width - 1 or row >= height - 1:
+                continue
+            near = float(depth[np.uint32(row + 0.5), np.uint32(column + 0.5)])
+            if near == 0:
+                continue
+            i, j = np.uint32(row), np.uint32(column)
+            down, right = row - i, column - j
+            d00, d01 = float(depth[i, j]), float(depth[i, j + 1])
+            d10, d11 = float(depth[i + 1, j]), float(depth[i + 1, j + 1])
+            seen = near
+            if max(abs(d00 - near), abs(d01 - near), abs(d10 - near), abs(d11 - near)) < SAME_SURFACE * near:
+                seen = (d00 * (1 - right) + d01 * right) * (1 - down)
+                seen += (d10 * (1 - right) + d11 * right) * down
+            moved[v, u] = np.uint16(min(seen / rz + 0.5, 65535.0))
+    return moved
