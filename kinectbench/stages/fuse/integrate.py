@@ -9,6 +9,7 @@ import numpy as np
 
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.threads import ahead, in_parts
 from kinectbench.core.types import Float32, Float64
 from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HIDDEN_SHARE
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
@@ -86,10 +87,20 @@ def integrate(
     pixels = np.zeros((BATCH_FRAMES, *padded, 2), np.float32)
     slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
     while batch := list(islice(remaining, BATCH_FRAMES)):
-        for values, frame in zip(pixels, batch, strict=False):
-            noise_m = _noise_m(volume.voxel_size_m, frame)
-            _set_pixels(values, frame.depth_m, slope, noise_m, np.float32(farthest_m))
+        _fill_pixels(pixels, batch, slope, volume.voxel_size_m, farthest_m)
         _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
+
+
+def _fill_pixels(
+    pixels: Float32, batch: list[DepthFrame], slope: Float32, voxel_size_m: float, farthest_m: float
+) -> None:
+    noise_m = [_noise_m(voxel_size_m, frame) for frame in batch]
+
+    def fill(start: int, stop: int) -> None:
+        for n in range(start, stop):
+            _set_pixels(pixels[n], batch[n].depth_m, slope, noise_m[n], np.float32(farthest_m))
+
+    in_parts(fill, len(batch))
 
 
 def _integrate_batch(
@@ -101,7 +112,8 @@ def _integrate_batch(
 ) -> None:
     T_camera_grid = [invert_rigid(frame.T_world_camera) @ volume.T_world_grid for frame in batch]
     posed = list(zip(batch, T_camera_grid, strict=True))
-    seen = np.stack([visible_blocks(volume, frame.depth_m, camera, T, truncation_m) for frame, T in posed])
+    visible = ahead(lambda at: visible_blocks(volume, at[0].depth_m, camera, at[1], truncation_m), posed)
+    seen = np.stack(list(visible))
     # Pixel coordinates times z, but for the principal point; its half a pixel more, and cutting off the
     # fraction, round to the nearest pixel.
     to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
@@ -111,10 +123,14 @@ def _integrate_batch(
         values.reshape(-1, BLOCK_CELLS)
         for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
     )
-    _integrate(
-        seen, volume.blocks, tsdf, weight, votes, pixels.view(np.uint64)[..., 0], to_pixels, middle_px,
-        volume.voxel_size_m, np.float32(truncation_m), noise_m,
-    )  # fmt: skip
+
+    def part(start: int, stop: int) -> None:
+        _integrate(
+            start, stop, seen, volume.blocks, tsdf, weight, votes, pixels.view(np.uint64)[..., 0], to_pixels,
+            middle_px, volume.voxel_size_m, np.float32(truncation_m), noise_m,
+        )  # fmt: skip
+
+    in_parts(part, len(volume.blocks))
 
 
 def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
@@ -125,11 +141,11 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
     return np.array([*depth, *poses, HALF_DIAGONAL * voxel_size_m, fading_per_m], np.float32)
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _integrate(  # type: ignore[no-untyped-def]
-    seen, blocks, tsdf, weight, votes, pixels, to_pixels, middle, voxel, truncation, noise
+    start, stop, seen, blocks, tsdf, weight, votes, pixels, to_pixels, middle, voxel, truncation, noise
 ):
-    """Block by block: for each frame project, fetch and add up, then merge into the block, once for all.
+    """Each block from start to stop: for each frame project, fetch and add up, then merge once for all.
 
     Apart, the compiler can vectorise all but the second. Blocks pass through memory once for all frames.
     """
@@ -144,7 +160,7 @@ def _integrate(  # type: ignore[no-untyped-def]
     inside = np.empty((frames, 3, BLOCK_CELLS), np.float32)
     for f in range(frames):
         _inside_block(inside[f], to_pixels[f], voxel)
-    for b in range(len(blocks)):
+    for b in range(start, stop):
         gx, gy, gz = blocks[b]
         any_new = False
         for f in range(frames):
@@ -161,7 +177,7 @@ def _integrate(  # type: ignore[no-untyped-def]
             _merge(tsdf[b], weight[b], votes[b], new_total, new_weight, new_votes)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
     """Set (3, 512): what lies between a block's corner and the centre of each voxel, projected."""
     for axis in range(3):
@@ -171,7 +187,7 @@ def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
             inside[axis, n] = voxel * (row[0] * (i + 0.5) + row[1] * (j + 0.5) + row[2] * (k + 0.5))
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _project(index, z, corner, inside, middle, width, height):  # type: ignore[no-untyped-def]
     """Depth and pixel of each voxel of a block; beside the image, a pixel of its border, which is empty."""
     f32 = np.float32
@@ -188,7 +204,7 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
         z[n] = ahead if ahead > NEAREST_M else BEHIND_CAMERA_M
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
     """Add a frame's weighted distances, weights and votes; whether there were any."""
     f32 = np.float32
@@ -217,7 +233,7 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
     return any_added > 0
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _merge(tsdf, weight, votes, new_total, new_weight, new_votes):  # type: ignore[no-untyped-def]
     """Average what was added up into a block; leaves zeros for the next one."""
     for n in range(BLOCK_CELLS):
@@ -228,7 +244,7 @@ def _merge(tsdf, weight, votes, new_total, new_weight, new_votes):  # type: igno
         new_total[n], new_weight[n], new_votes[n] = np.float32(0), np.float32(0), np.int32(0)
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"}, nogil=True)
 def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-untyped-def]
     """Set depth and weight of every pixel but the border's.
 

@@ -91,7 +91,7 @@ def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajector
     return TriangleMesh(mesh.vertices, mesh.faces, np.rint(colors).astype(np.uint8))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _add_colors(  # type: ignore[no-untyped-def]
     total, count, vertices, depth_m, color, T, intrinsics
 ):

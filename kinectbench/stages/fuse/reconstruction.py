@@ -12,8 +12,9 @@ from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry import Grid, TriangleMesh
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Float32, Progress
+from kinectbench.core.types import Float32, Int32, Progress
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.observation import (
     Observation,
@@ -84,13 +85,13 @@ def fuse(
     width_m = ray_width_m(sequence.camera, trajectory.usual_pose_sigma_m, distance_m)
     voxel_size_m = settings.scene_voxel_size_m or scene_voxel_size_m(width_m)
     truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
-    found = []
-    for index in frames:
+
+    def near_surface(index: np.int64) -> Int32:
         depth_m = usable_depth_m(sequence, int(index), settings)
         T_world_camera = trajectory.T_world_camera[index]
-        near = blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
-        found.append(near)
-    blocks = unique_blocks(np.concatenate(found).astype(np.int64))
+        return blocks_near_surface(depth_m, sequence.camera, T_world_camera, truncation_m, voxel_size_m)
+
+    blocks = unique_blocks(np.concatenate(list(ahead(near_surface, frames))).astype(np.int64))
     volume = empty_volume(blocks, voxel_size_m, np.eye(4))
     _integrate_frames(volume, sequence, trajectory, frames, settings, progress)
     crossed = (volume.weight > 0) & (np.abs(volume.tsdf) < voxel_size_m)
@@ -225,11 +226,22 @@ def _integrate_frames(
     truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
     chosen = [int(index) for index in frames]
 
+    def posed(index: int) -> DepthFrame:
+        depth_m = usable_depth_m(sequence, index, settings, far)
+        return DepthFrame(depth_m, trajectory.T_world_camera[index], *_pose_sigmas_m(trajectory, index))
+
     def read() -> Iterator[DepthFrame]:
-        for done, index in enumerate(chosen, start=1):
-            depth_m = usable_depth_m(sequence, index, settings, far)
-            yield DepthFrame(depth_m, trajectory.T_world_camera[index], *_pose_sigmas_m(trajectory, index))
+        for done, frame in enumerate(ahead(posed, chosen), start=1):
+            yield frame
             if progress:
                 progress(done, len(chosen))
 
     integrate(volume, read(), sequence.camera, truncation_m, _max_depth_m(settings))
+    beside_m = sequence.beside_m
+    if far and beside_m is not None:
+        # Nearer than what was measured beside the object there was nothing; it makes no surface itself.
+        beside = (
+            DepthFrame(beside_m(index), trajectory.T_world_camera[index], *_pose_sigmas_m(trajectory, index))
+            for index in chosen
+        )
+        integrate(volume, beside, sequence.camera, truncation_m, farthest_m=0.0)

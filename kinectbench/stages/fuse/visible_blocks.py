@@ -48,7 +48,7 @@ def blocks_near_surface(
     return unique_blocks(found)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
     """The blocks that sampled pixels lie in, without those that repeat the one before: (n, 3) int64."""
     fx, fy, cx, cy = intrinsics
@@ -98,7 +98,7 @@ def visible_blocks(
     return seen
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _farthest(depth):  # type: ignore[no-untyped-def]
     """The greatest depth in each tile of pixels; 0 where nothing was measured."""
     height, width = depth.shape
@@ -110,7 +110,7 @@ def _farthest(depth):  # type: ignore[no-untyped-def]
     return tiles
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _visible(  # type: ignore[no-untyped-def]
     blocks, block_m, farthest, T, intrinsics, width, height, truncation_m
 ):
