@@ -11,6 +11,7 @@ from kinectbench.core.artefacts.stored import known
 from kinectbench.core.artefacts.views import PairRow, PairsFile, Refused
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
@@ -147,12 +148,16 @@ def write_pairs(
         progress: called with (done, total).
     """
     made, refused = [], []
-    for done, view in enumerate(views, start=1):
+
+    def pack_pair(view: View) -> tuple[View, MadePair, bytes]:
         result = make_pair(view, sequence, shape, settings)
+        return view, result, b"" if result.pair is None else pair_bytes(result.pair)
+
+    for done, (view, result, data) in enumerate(ahead(pack_pair, views), start=1):
         if result.reason is not None:
             refused.append(Refused(view=view.name, frame=view.frame, reason=result.reason))
         if result.pair is not None:
-            (folder / f"{view.name}.npz").write_bytes(pair_bytes(result.pair))
+            (folder / f"{view.name}.npz").write_bytes(data)
             made.append(pair_row(view, result))
         progress(done, len(views))
     PairsFile(pairs=tuple(made), refused=tuple(refused)).write(folder)

@@ -90,7 +90,7 @@ def normal_equations(
     return A, b, residuals
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _accumulate(points, normals, sigma, depth, T, intrinsics):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

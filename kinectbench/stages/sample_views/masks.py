@@ -42,7 +42,7 @@ def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float,
     return agrees
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _agrees(measured_m, rendered_m, allowed_m, beside_px):  # type: ignore[no-untyped-def]
     height, width = measured_m.shape
     agrees = np.zeros((height, width), np.bool_)

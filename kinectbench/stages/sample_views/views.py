@@ -4,6 +4,7 @@ On disk they are views.json with depth, colour and mask images.
 """
 
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
@@ -107,10 +109,8 @@ def sample_views(
     health = {row.frame: row for row in trajectory.health.per_frame} if trajectory.health else {}
     views: list[View] = []
     refused: list[tuple[int, str]] = []
-    for frame, why in order:
-        if len(views) == settings.count:
-            break
-        alignment, mask, fit = _look(frame, sequence, trajectory, model, renderer, settings, segmentation)
+    look = partial(_look, sequence, trajectory, model, renderer, settings, segmentation)
+    for frame, why, alignment, mask, fit in ahead(look, order):
         reason = refusal(fit, settings, pairs)
         if reason:
             refused.append((frame, reason))
@@ -124,6 +124,8 @@ def sample_views(
         views.append(View(name, frame, stamp_ns, why, alignment, mask, fit, *figures))
         if progress:
             progress(len(views), settings.count)
+        if len(views) == settings.count:
+            break
     if not views:
         first = refused[0][1] if refused else "no frame has a pose"
         raise SegmentationError(f"no view fits the object: {len(refused)} frames refused ({first})")
@@ -134,15 +136,16 @@ def sample_views(
 
 
 def _look(
-    frame: int,
     sequence: Sequence,
     trajectory: Trajectory,
     model: ObjectModel,
     renderer: DepthRenderer,
     settings: ViewSettings,
     segmentation: SegmentationSettings,
-) -> tuple[Alignment, Bools, ViewFit]:
-    """A frame's corrected pose, the object's mask in it, and how well its depth fits the object."""
+    chosen: tuple[int, str],
+) -> tuple[int, str, Alignment, Bools, ViewFit]:
+    """A chosen frame, why, its corrected pose, the object's mask in it, and how its depth fits the object."""
+    frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
@@ -161,7 +164,7 @@ def _look(
         points_floor = transform_points(floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
         mask = recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
     fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
-    return alignment, mask, fit
+    return frame, why, alignment, mask, fit
 
 
 def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> list[str]:
@@ -178,13 +181,17 @@ def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> li
 
 def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
     """Write views.json and, for each view, depth (uint16 mm), mask (255 = object) and colour (JPEG)."""
-    for view in views.views:
+
+    def images(view: View) -> dict[str, bytes]:
         depth_mm = np.rint(sequence.depth_m(view.frame) * 1000).astype(np.uint16)
-        (folder / f"{view.name}.depth.png").write_bytes(_encode(".png", depth_mm))
-        (folder / f"{view.name}.mask.png").write_bytes(_encode(".png", view.mask.astype(np.uint8) * 255))
         encoded = sequence.frames.color_encoded(view.frame)
-        if encoded is not None:
-            (folder / f"{view.name}.color.jpg").write_bytes(_jpeg(*encoded))
+        color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
+        mask = view.mask.astype(np.uint8) * 255
+        return {"depth.png": _encode(".png", depth_mm), "mask.png": _encode(".png", mask), **color}
+
+    for view, files in zip(views.views, ahead(images, views.views), strict=True):
+        for name, data in files.items():
+            (folder / f"{view.name}.{name}").write_bytes(data)
     ViewsFile(
         color_registered=sequence.color_registered,
         views=tuple(_row(view) for view in views.views),

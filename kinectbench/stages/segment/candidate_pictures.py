@@ -51,7 +51,10 @@ def write_candidates(found: Candidates, sequence: Sequence, trajectory: Trajecto
             )
         )
     (folder / PLAN).write_bytes(plan_picture(found, trajectory))
-    CandidatesFile(floor_found=found.scene.floor.found, plan=PLAN, candidates=tuple(rows)).write(folder)
+    floor = found.scene.floor
+    CandidatesFile(
+        floor_found=floor.found, T_floor_world=floor.T_floor_world, plan=PLAN, candidates=tuple(rows)
+    ).write(folder)
 
 
 def plan_picture(found: Candidates, trajectory: Trajectory) -> bytes:

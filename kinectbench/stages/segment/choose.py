@@ -11,13 +11,15 @@ from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import SegmentationSettings
 from kinectbench.stages.segment.doubts import FINE_CELL_M, Selection, doubts
 from kinectbench.stages.segment.find_object import find_object, find_scene
-from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.floor import Floor, floor_cut_m
+from kinectbench.stages.segment.near import enlarged_box
 from kinectbench.stages.segment.select import (
     CELL_M,
     NOTHING_STANDS,
     select_in_box,
     spacing_m,
 )
+from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 
 MIN_BOX_POINTS = 20
 NO_FLOOR = "no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
@@ -30,10 +32,11 @@ class Segmentation:
     Attributes:
         floor: the floor.
         box: upright box around the object (or the given one), floor frame.
-        object_cells: (n, 3) int64, cells of 30 mm in the floor frame that hold its surface.
+        object_cells: (n, 3) int64, cells of `cell_m` in the floor frame that hold its surface.
         other_cells: (m, 3) int64, the same for everything else that stands on the floor.
-        how: "automatic" or "box".
+        how: "automatic", "box", or "masks": all that was fused is the object.
         doubts: why the choice may be wrong, one line for people each.
+        cell_m: edge of the cells: 30 mm, less where cameras were near.
     """
 
     floor: Floor
@@ -42,6 +45,12 @@ class Segmentation:
     other_cells: Int64
     how: str
     doubts: tuple[str, ...] = ()
+    cell_m: float = CELL_M
+
+    @property
+    def hangs(self) -> bool:
+        """Whether it is on nothing that is known, so that what lies below is not known either."""
+        return self.how == "masks" and not self.floor.found
 
     def excluded(self, grid: Grid) -> Bools:
         """Voxels of an upright grid that cannot be the object: bool of the grid's shape.
@@ -56,8 +65,8 @@ class Segmentation:
         )
         ground_floor = transform_points(T_floor_grid, ground * grid.voxel_size_m)[:, :, 0]
         heights_m = T_floor_grid[2, 3] + (np.arange(nz) + 0.5) * grid.voxel_size_m
-        cells = np.floor(ground_floor[..., :2] / CELL_M).astype(np.int64)
-        levels = np.floor(heights_m / CELL_M).astype(np.int64)
+        cells = np.floor(ground_floor[..., :2] / self.cell_m).astype(np.int64)
+        levels = np.floor(heights_m / self.cell_m).astype(np.int64)
         first = np.append(cells.reshape(-1, 2).min(axis=0), levels.min())
         shape = np.append(cells.reshape(-1, 2).max(axis=0), levels.max()) + 1 - first
         foreign = _dilated(self.other_cells, first, shape) & ~_dilated(self.object_cells, first, shape)
@@ -75,6 +84,7 @@ def segment(
     trajectory: Trajectory,
     given_box: OrientedBox | None,
     settings: SegmentationSettings,
+    hint: FloorHint = NOTHING_KNOWN,
 ) -> Segmentation:
     """Find the floor, and on it the object: the piece the cameras look at, or what a given box holds.
 
@@ -83,15 +93,17 @@ def segment(
         trajectory: poses of the frames.
         given_box: floor frame, or None.
         settings: seed, floor cut and low cut.
+        hint: what is known of the floor.
 
     Raises:
         SegmentationError: no floor (without a box), no object where the cameras look, or nothing in the box.
     """
-    scene = find_scene(mesh, trajectory, settings, given_box is not None)
-    points_floor, above = scene.points_floor, scene.points_floor[:, 2] > settings.floor_cut_m
+    scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
+    cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale
+    points_floor, above = scene.points_floor, scene.points_floor[:, 2] > cut_m
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
-    left = vertices_floor[:, 2] > settings.floor_cut_m
-    cell_m = max(FINE_CELL_M, spacing_m(mesh))
+    left = vertices_floor[:, 2] > cut_m
+    cell_m = max(FINE_CELL_M * scale, spacing_m(mesh))
     feet = np.zeros(len(vertices_floor), dtype=bool)
     if given_box is None:
         found = find_object(scene, vertices_floor, settings, cell_m)
@@ -99,23 +111,24 @@ def segment(
     else:
         box = given_box
         chosen = np.zeros(len(points_floor), dtype=bool)
-        chosen[above] = _held(points_floor[above], given_box)
+        chosen[above] = _held(points_floor[above], given_box, scale)
     own = chosen[scene.owner]
-    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    cells = np.floor(points_floor / (CELL_M * scale)).astype(np.int64)
     chose = Selection(
-        vertices_floor[(left & own) | feet],
-        vertices_floor[left & ~own & ~feet],
-        box,
+        vertices_floor[(left & own) | feet] / scale,
+        vertices_floor[left & ~own & ~feet] / scale,
+        enlarged_box(box, 1 / scale),
         given_box is not None,
-        scene.focus_floor,
-        cell_m,
+        scene.focus_floor / scale,
+        cell_m / scale,
+        scale,
     )
     lines = doubts(chose) if scene.floor.found else (NO_FLOOR, *doubts(chose))
     how = "automatic" if given_box is None else "box"
-    return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines)
+    return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines, CELL_M * scale)
 
 
-def _held(points_floor: Float64, box: OrientedBox) -> Bools:
+def _held(points_floor: Float64, box: OrientedBox, scale: float) -> Bools:
     """Which of the points (n, 3) above the floor are the object that a person's box holds."""
     in_box = box.contains(points_floor)
     if not len(in_box):
@@ -127,7 +140,7 @@ def _held(points_floor: Float64, box: OrientedBox) -> Bools:
             f"{_text(high)} m in the floor frame; correct center_m and size_m, or choose one of those "
             "that `kinectbench segment --suggest` lists"
         )
-    return select_in_box(points_floor, in_box)
+    return select_in_box(points_floor / scale, in_box)
 
 
 def _dilated(cells: Int64, first: Int64, shape: Int64) -> Bools:

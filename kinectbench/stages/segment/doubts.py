@@ -1,6 +1,6 @@
 """Whether what was chosen can be one object that stands alone; each doubt is a warning in quality.json."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,9 @@ MIN_PART_CELLS = 60
 BESIDE_M = 0.1
 # A box cuts its object if this share of the object's cells goes on right beyond it.
 CUT_SHARE, CUT_CELLS = 0.02, 1.5
+# A board goes on beyond what it carries; so much of it is seen so far around (own choice: a thing hides some
+# of it, and stands near its edge).
+BOARD_M, BOARD_SHARE = 0.06, 0.4
 LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
 
 
@@ -31,6 +34,7 @@ class Selection:
         given: whether a person gave the box.
         focus: (3,) where the cameras look.
         cell_m: what these cells leave apart are parts: 20 mm, or more if the surface is coarser.
+        scale: of the scene; all the lengths above are metres over it.
     """
 
     object_points: Float64
@@ -39,6 +43,7 @@ class Selection:
     given: bool
     focus: Float64
     cell_m: float = FINE_CELL_M
+    scale: float = 1.0
 
 
 def doubts(selection: Selection) -> tuple[str, ...]:
@@ -56,7 +61,7 @@ def doubts(selection: Selection) -> tuple[str, ...]:
         cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
         return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
     lines = []
-    extent_m = max(selection.box.size_m)
+    extent_m = max(selection.box.size_m) * selection.scale
     if extent_m > MAX_EXTENT_M:
         lines.append(f"the object is {extent_m:.1f} m long: hardly one piece of furniture; {LOOK}")
     if parts > 1:
@@ -64,7 +69,9 @@ def doubts(selection: Selection) -> tuple[str, ...]:
     neighbours = large_neighbours(selection)
     gap_m = _nearest_m(neighbours, selection.object_points)
     if gap_m < BESIDE_M:
-        lines.append(f"another large thing stands {100 * gap_m:.0f} cm beside the object; {LOOK}")
+        lines.append(
+            f"another large thing stands {100 * selection.scale * gap_m:.0f} cm beside the object; {LOOK}"
+        )
     elif (
         _nearest_m(neighbours, selection.focus)
         < _nearest_m(selection.object_points, selection.focus) + BESIDE_M
@@ -99,16 +106,36 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def cut_share(selection: Selection) -> float:
-    """What share of the object's cells has surface right beside it that lies beyond the box."""
+    """What share of the object's cells has surface right beside it that lies beyond the box.
+
+    A board that carries what is in the box is not cut by it.
+    """
     from scipy.spatial import cKDTree
 
     inside, outside = selection.object_points, selection.other_points
     outside = outside[~selection.box.contains(outside)]
+    if stands_on_a_board(selection):
+        bottom_m = selection.box.center_m[2] - selection.box.size_m[2] / 2
+        outside = outside[outside[:, 2] > bottom_m + CUT_CELLS * selection.cell_m]
     if not len(inside) or not len(outside):
         return 0.0
     reach_m = CUT_CELLS * selection.cell_m
     beside = np.isfinite(cKDTree(outside).query(inside, distance_upper_bound=reach_m)[0])
     return float(_cells(inside[beside], None).max(initial=0) / _cells(inside, None).max())
+
+
+def stands_on_a_board(selection: Selection) -> bool:
+    """Whether level surface spreads around the box's lower end, as a shelf's board does (own rule)."""
+    box, cell_m = selection.box, selection.cell_m
+    bottom_m = box.center_m[2] - box.size_m[2] / 2
+    around = replace(box, size_m=(box.size_m[0] + 2 * BOARD_M, box.size_m[1] + 2 * BOARD_M, box.size_m[2]))
+    points = np.concatenate([selection.object_points, selection.other_points])
+    points = points[np.abs(points[:, 2] - bottom_m) < CUT_CELLS * cell_m]
+    at_middle = np.column_stack([points[:, :2], np.full(len(points), box.center_m[2])])
+    ring = points[around.contains(at_middle) & ~box.contains(at_middle)]
+    covered_m2 = len(np.unique(np.floor(ring[:, :2] / cell_m), axis=0)) * cell_m**2
+    whole_m2 = around.size_m[0] * around.size_m[1] - box.size_m[0] * box.size_m[1]
+    return covered_m2 >= BOARD_SHARE * whole_m2
 
 
 def large_neighbours(selection: Selection) -> Float64:

@@ -11,15 +11,18 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import SegmentationSettings
 from kinectbench.stages.segment.doubts import LOOK
-from kinectbench.stages.segment.floor import Floor, find_floor, level_floor, low_cut_m
+from kinectbench.stages.segment.floor import Floor, find_floor, floor_cut_m, level_floor, low_cut_m
+from kinectbench.stages.segment.near import cell_scale, enlarged_box, near_scale
 from kinectbench.stages.segment.select import (
     CELL_M,
     connected,
     fit_box,
     label_pieces,
     select_object,
+    spacing_m,
     surface_points,
 )
+from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 
 # Where the cameras look may lie beside a thing, but not farther.
 MAX_BESIDE_FOCUS_M = 0.3
@@ -38,16 +41,22 @@ class Scene:
         points_floor: (n, 3) points spread evenly over the surface, floor frame, metres.
         owner: (v,) int64, the point that each vertex of the mesh belongs to.
         focus_floor: (3,) where the cameras look.
+        scale: by what cells and gaps are multiplied, as cameras were near (`cell_scale`).
     """
 
     floor: Floor
     points_floor: Float64
     owner: Int64
     focus_floor: Float64
+    scale: float = 1.0
 
 
 def find_scene(
-    mesh: TriangleMesh, trajectory: Trajectory, settings: SegmentationSettings, floor_may_lack: bool
+    mesh: TriangleMesh,
+    trajectory: Trajectory,
+    settings: SegmentationSettings,
+    floor_may_lack: bool,
+    hint: FloorHint = NOTHING_KNOWN,
 ) -> Scene:
     """Find the floor, and put the surface on it.
 
@@ -55,28 +64,37 @@ def find_scene(
         mesh: the fused scene, world frame.
         trajectory: poses of the frames.
         settings: seed.
-        floor_may_lack: without a floor, take the lowest surface, level as the cameras were held.
+        floor_may_lack: without a floor, take its lowest surface, level by gravity or as cameras were held.
+        hint: what is known of the floor.
 
     Raises:
         SegmentationError: the scene is empty, or has no floor and must have one.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
-    surface = surface_points(mesh)
+    focus_world = convergence_point(T_world_camera)
+    near = near_scale(T_world_camera, focus_world)
+    scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
+    surface = surface_points(mesh, CELL_M * scale)
     if len(surface.points) == 0:
         raise SegmentationError("no object found: the fused scene is empty; is the depth within max_depth_m?")
-    focus_world = convergence_point(T_world_camera)
     try:
-        floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, settings.seed)
+        floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, settings.seed, hint)
     except SegmentationError:
-        if not floor_may_lack:
+        if not floor_may_lack or hint.plane_world is not None:
             raise
-        floor = level_floor(surface.points, T_world_camera)
+        floor = level_floor(surface.points, T_world_camera, hint.up_world, near)
     points_floor = transform_points(floor.T_floor_world, surface.points)
-    return Scene(floor, points_floor, surface.owner, transform_points(floor.T_floor_world, focus_world))
+    focus_floor = transform_points(floor.T_floor_world, focus_world)
+    return Scene(floor, points_floor, surface.owner, focus_floor, scale)
 
 
-def check_focus(box: OrientedBox, focus_floor: Float64) -> None:
+def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
     """Refuse an object chosen automatically that stands well beside where the cameras look.
+
+    Args:
+        box: around it, floor frame, metres over `scale`.
+        focus_floor: (3,) alike.
+        scale: of the scene.
 
     Raises:
         SegmentationError: seen from above, the focus (3,) lies more than 0.3 m outside the box.
@@ -85,8 +103,8 @@ def check_focus(box: OrientedBox, focus_floor: Float64) -> None:
     beside_m = float(np.linalg.norm(np.maximum(np.abs(local) - np.array(box.size_m[:2]) / 2, 0)))
     if beside_m > MAX_BESIDE_FOCUS_M:
         raise SegmentationError(
-            f"no object found where the cameras look: what stands nearest is {beside_m:.1f} m beside it (a "
-            f"black, glass or mirror-like object gives no depth); if it is meant, give a box: {LOOK}"
+            f"no object found where the cameras look: what stands nearest is {scale * beside_m:.1f} m beside "
+            f"it (a black, glass or mirror-like object gives no depth); if it is meant, give a box: {LOOK}"
         )
 
 
@@ -156,20 +174,22 @@ def find_object(
     Raises:
         SegmentationError: nothing stands on the floor, or not where the cameras look.
     """
-    points_floor, heights_m = scene.points_floor, vertices_floor[:, 2]
-    chosen = select_object(points_floor, settings.floor_cut_m, scene.focus_floor)
+    scale = scene.scale
+    points_floor, vertices_floor = scene.points_floor / scale, vertices_floor / scale
+    heights_m, focus_floor = vertices_floor[:, 2], scene.focus_floor / scale
+    cut_m, low_m = (cut(scene.floor, settings) / scale for cut in (floor_cut_m, low_cut_m))
+    chosen = select_object(points_floor, cut_m, focus_floor)
     box = fit_box(points_floor[chosen])
-    check_focus(box, scene.focus_floor)
-    others = (points_floor[:, 2] > settings.floor_cut_m) & ~chosen
+    check_focus(box, focus_floor, scale)
+    others = (points_floor[:, 2] > cut_m) & ~chosen
     specks = np.zeros(len(others), dtype=bool)
     specks[others] = low_pieces(points_floor[others], CELL_M)
-    own = chosen[scene.owner] & (heights_m > settings.floor_cut_m)
-    low = heights_m > low_cut_m(scene.floor, settings)
-    feet = low & ~own & ((heights_m <= settings.floor_cut_m) | specks[scene.owner])
-    feet[feet] = low_parts(vertices_floor[feet], vertices_floor[own], box, cell_m)
+    own = chosen[scene.owner] & (heights_m > cut_m)
+    feet = (heights_m > low_m) & ~own & ((heights_m <= cut_m) | specks[scene.owner])
+    feet[feet] = low_parts(vertices_floor[feet], vertices_floor[own], box, cell_m / scale)
     if feet.any():
         box = fit_box(np.concatenate([points_floor[chosen], vertices_floor[feet]]))
         reached = np.zeros(len(chosen), dtype=bool)
         reached[scene.owner[feet]] = True
         chosen = chosen | (specks & reached)
-    return FoundObject(chosen, feet, box)
+    return FoundObject(chosen, feet, enlarged_box(box, scale))

@@ -1,6 +1,7 @@
 """The floor plane: not the largest plane, but the one the cameras stand above."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,17 @@ from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import SegmentationSettings
+from kinectbench.stages.segment.near import enlarged, near_scale
+from kinectbench.stages.segment.support import Surface, carries_what_is_looked_at
+from kinectbench.stages.segment.up import NOTHING_KNOWN, Facing, FloorHint, facings
 
 CANDIDATES = 6
 HYPOTHESES = 400
 INLIER_M = 0.02
-MIN_UP_COSINE = 0.6
 MIN_CAMERA_HEIGHT_M = 0.1
 MAX_BELOW_SHARE = 0.05
+# What lies farther below a plane than so many times the distance of its inliers (50 mm) is below it.
+BELOW_INLIERS = 2.5
 BELOW_M = 0.05
 MIN_INLIER_SHARE = 0.01
 FOCUS_M = 1.2
@@ -27,6 +32,10 @@ NO_FLOOR = (
     "no floor found: no plane below all cameras that faces up; record with more of the floor in view, "
     "or give a box: `kinectbench segment --suggest` lists some"
 )
+ABOVE_CAMERAS = (
+    "most cameras are below the plane that benchmark.yaml gives as `floor`; its normal must point up, in the "
+    "frame of the trajectory"
+)
 # A plane this parallel to the one with most points, and this much lower, is the floor below a table top.
 PARALLEL_COSINE = 0.97
 LOWER_M = 0.2
@@ -34,6 +43,14 @@ LOWER_M = 0.2
 LOWEST_SHARE = 0.001
 # The fused floor's surface strays this many of its standard deviations from the plane at most.
 FLOOR_SIGMAS = 4.0
+
+
+class Plane(NamedTuple):
+    """A plane of the scene: (4,) with its unit normal up, its points, and whether hardly any lies below."""
+
+    plane: Float64
+    points: int
+    is_lowest: bool
 
 
 @dataclass(frozen=True)
@@ -46,9 +63,10 @@ class Floor:
             along the world's x axis projected onto the floor (or its z axis where that is degenerate).
         noise_m: robust standard deviation of the surface around the plane, metres.
         inlier_share: share of the scene's surface that lies on the plane.
-        tilt_rad: angle between its normal and up as the cameras were held, radians; coarse, as hands are;
-            NaN if it is not known.
+        tilt_rad: angle between its normal and up by gravity, or else as the cameras were held, radians; the
+            latter is coarse, as hands are; NaN if it is not known.
         found: False if it is not a measured plane but `level_floor`.
+        scale: by what the cuts of the settings are multiplied for it, as cameras were near (`near_scale`).
     """
 
     plane_world: Float64
@@ -57,6 +75,7 @@ class Floor:
     inlier_share: float
     tilt_rad: float = 0.0
     found: bool = True
+    scale: float = 1.0
 
     @property
     def T_world_floor(self) -> Float64:
@@ -82,15 +101,17 @@ def find_floor(
     T_world_camera: Float64,
     focus_world: Float64,
     seed: int,
+    hint: FloorHint = NOTHING_KNOWN,
 ) -> Floor:
-    """Find the floor among up to six planes of the scene.
+    """Find the floor among up to six planes of the scene; a plane that a person gives is taken as it is.
 
-    A plane qualifies if its normal agrees with the cameras' mean up direction (cosine > 0.6), every
+    A plane qualifies if its normal may be up (`facings`: by gravity, else as the cameras are held), every
     camera is more than 0.1 m above it, and under 5 % of the points are below it. Of those that
     qualify, the one with most points is the floor, unless another one lies parallel to it and at least
     0.2 m lower: a table top may fill more of the frames than the floor does. The floor is then refined by
     least squares where it matters, within 1.2 m of the focus: farther floor is measured with several times
-    the noise, and a Kinect's depth bias grows with distance.
+    the noise, and a Kinect's depth bias grows with distance. Where cameras are nearer than 1 m, all these
+    lengths are less in proportion (`near_scale`).
 
     Args:
         points_world: (n, 3) points spread evenly over the scene's surface, metres.
@@ -98,41 +119,101 @@ def find_floor(
         T_world_camera: (m, 4, 4) poses of the good frames.
         focus_world: (3,) where the cameras look.
         seed: seed of RANSAC.
+        hint: gravity, and a person's plane.
 
     Raises:
-        SegmentationError: no plane qualifies.
+        SegmentationError: no plane qualifies, or the cameras are below a person's.
     """
-    up = -T_world_camera[:, :3, 1].mean(axis=0)
-    up /= max(float(np.linalg.norm(up)), 1e-9)
-    planes = _qualifying_planes(points_world, normals_world, T_world_camera[:, :3, 3], up, seed)
-    if not planes:
-        raise SegmentationError(NO_FLOOR)
-    count, plane = _lowest(planes, points_world, focus_world)
+    scale = near_scale(T_world_camera, focus_world)
+    if hint.plane_world is not None:
+        given = _given_floor(hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2)
+        return replace(given, scale=scale)
+    larger = points_world / scale, normals_world, enlarged(T_world_camera, scale), focus_world / scale
+    floor = _find_floor(*larger, seed, hint.up_world, INLIER_M * scale)
+    plane = floor.plane_world * [1, 1, 1, scale]
+    return replace(
+        floor,
+        plane_world=plane,
+        T_floor_world=floor_frame(plane),
+        noise_m=floor.noise_m * scale,
+        scale=scale,
+    )
+
+
+def _find_floor(
+    points_world: Float64,
+    normals_world: Float64,
+    T_world_camera: Float64,
+    focus_world: Float64,
+    seed: int,
+    up_world: Float64 | None,
+    inlier_m: float,
+) -> Floor:
+    """`find_floor` by the planes, in a world in which the cameras are 1 m and more from what they look at.
+
+    There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
+    lies on it must not pass for floor.
+    """
+    surface = Surface(points_world, normals_world, focus_world, inlier_m)
+    for facing in facings(T_world_camera, up_world):
+        planes = _qualifying_planes(
+            points_world, normals_world, T_world_camera[:, :3, 3], facing, seed, inlier_m
+        )
+        lowest = [plane for plane in planes if plane.is_lowest]
+        chosen = _lowest(lowest, points_world, focus_world, inlier_m) if lowest else None
+        chosen = _support(planes, chosen, surface) or chosen
+        if chosen is None:
+            continue
+        count, plane = chosen.points, chosen.plane
+        plane, noise_m = _refined_near(plane, points_world, normals_world, focus_world, inlier_m)
+        if noise_m <= MAX_NOISE_M:
+            tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
+            return Floor(plane, floor_frame(plane), noise_m, count / len(points_world), tilt_rad)
+    raise SegmentationError(NO_FLOOR)
+
+
+def _given_floor(
+    plane_world: Float64, points_world: Float64, T_world_camera: Float64, inlier_m: float
+) -> Floor:
+    """The floor by a person's plane (4,)."""
+    above_m = T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]
+    if np.median(above_m) <= 0:
+        raise SegmentationError(ABOVE_CAMERAS)
+    near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
+    noise_m = _noise_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
+    tilt_rad = _tilt_rad(plane_world, T_world_camera, None)
+    return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
+
+
+def _refined_near(
+    plane: Float64, points_world: Float64, normals_world: Float64, focus_world: Float64, inlier_m: float
+) -> tuple[Float64, float]:
+    """A plane refined near the focus, and the surface's noise about it, metres."""
     flat = (np.linalg.norm(points_world - focus_world, axis=1) < FOCUS_M) & (normals_world @ plane[:3] > 0.9)
     near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * BELOW_M)]
-    if len(near) >= MIN_NEAR_POINTS:
-        plane = _refine(near, plane, 2 * BELOW_M)
-    judged = near if len(near) >= MIN_NEAR_POINTS else points_world
-    noise_m = _noise_m(plane, judged)
-    if noise_m > MAX_NOISE_M:
-        raise SegmentationError(NO_FLOOR)
-    tilt_rad = _tilt_rad(plane, T_world_camera)
-    return Floor(plane, floor_frame(plane), noise_m, count / len(points_world), tilt_rad)
+    if len(near) < MIN_NEAR_POINTS:
+        return plane, _noise_m(plane, points_world, inlier_m)
+    plane = _refine(near, plane, 2 * BELOW_M if inlier_m == INLIER_M else inlier_m, inlier_m)
+    return plane, _noise_m(plane, near, inlier_m)
 
 
-def level_floor(points_world: Float64, T_world_camera: Float64) -> Floor:
-    """A floor for a scene without one: level as the cameras were held, at its lowest surface (own rule).
+def level_floor(
+    points_world: Float64, T_world_camera: Float64, up_world: Float64 | None = None, scale: float = 1.0
+) -> Floor:
+    """A floor for a scene without one: level, at its lowest surface (own rule).
 
     Only a box that a person gives makes sense of it: its frame is where the box is given.
 
     Args:
         points_world: (n, 3) points spread evenly over the scene's surface, metres.
         T_world_camera: (m, 4, 4) poses of the good frames.
+        up_world: (3,) unit, by gravity; None: level as the cameras were held.
+        scale: of the floor (`Floor`).
     """
-    up = from_above(T_world_camera)[2]
+    up = from_above(T_world_camera)[2] if up_world is None else up_world
     lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
     plane = np.append(up, -lowest_m)
-    return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False)
+    return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False, scale=scale)
 
 
 def floor_frame(plane_world: Float64) -> Float64:
@@ -149,6 +230,11 @@ def floor_frame(plane_world: Float64) -> Float64:
     return invert_rigid(T_world_floor)
 
 
+def floor_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
+    """What rises no higher above the floor is floor, metres: that of the settings, less for near cameras."""
+    return settings.floor_cut_m * floor.scale
+
+
 def low_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
     """From which height on a surface may be the object's where it goes on above the floor cut, metres.
 
@@ -159,51 +245,79 @@ def low_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
         floor: of the recording.
         settings: both cuts.
     """
+    cut_m = floor_cut_m(floor, settings)
     if not floor.found:
-        return settings.floor_cut_m
-    return min(max(settings.low_cut_m, FLOOR_SIGMAS * floor.noise_m), settings.floor_cut_m)
+        return cut_m
+    return min(max(settings.low_cut_m * floor.scale, FLOOR_SIGMAS * floor.noise_m), cut_m)
 
 
 def _qualifying_planes(
-    points_world: Float64, normals_world: Float64, cameras_world: Float64, up: Float64, seed: int
-) -> list[tuple[int, Float64]]:
-    """Of up to six planes of the scene those that may be the floor: (points on it, plane)."""
+    points_world: Float64,
+    normals_world: Float64,
+    cameras_world: Float64,
+    facing: Facing,
+    seed: int,
+    inlier_m: float,
+) -> list[Plane]:
+    """Of up to six planes of the scene those that cameras look down on, and that may be horizontal."""
     rng = np.random.default_rng(seed)
-    left = normals_world @ up > MIN_UP_COSINE
-    planes: list[tuple[int, Float64]] = []
+    left = facing(normals_world)
+    planes: list[Plane] = []
     for _ in range(CANDIDATES):
         indices = np.flatnonzero(left)
         if len(indices) < max(50, MIN_INLIER_SHARE * len(points_world)):
             break
-        plane = _ransac_plane(points_world[indices], normals_world[indices], rng)
-        plane = _refine(points_world[indices], plane, 2 * INLIER_M)
+        plane = _ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
+        plane = _refine(points_world[indices], plane, 2 * inlier_m, inlier_m)
         distance_m = points_world @ plane[:3] + plane[3]
-        inliers = left & (np.abs(distance_m) < 2 * INLIER_M)
+        inliers = left & (np.abs(distance_m) < 2 * inlier_m)
         left &= ~inliers
         qualifies = (
-            plane[:3] @ up > MIN_UP_COSINE
-            and (cameras_world @ plane[:3] + plane[3]).min() > MIN_CAMERA_HEIGHT_M
-            and np.mean(distance_m < -BELOW_M) < MAX_BELOW_SHARE
+            facing(plane[None, :3])[0] and (cameras_world @ plane[:3] + plane[3]).min() > MIN_CAMERA_HEIGHT_M
         )
         if qualifies and inliers.sum() >= MIN_INLIER_SHARE * len(points_world):
-            planes.append((int(inliers.sum()), plane))
+            below = np.mean(distance_m < -BELOW_INLIERS * inlier_m)
+            planes.append(Plane(plane, int(inliers.sum()), bool(below < MAX_BELOW_SHARE)))
     return planes
 
 
-def _ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator) -> Float64:
+def _support(planes: list[Plane], floor: Plane | None, surface: Surface) -> Plane | None:
+    """The nearest plane above the floor that carries what is looked at; None: the floor does."""
+
+    def height_m(plane: Plane) -> float:
+        """Of the focus above the plane."""
+        return float(surface.focus_world @ plane.plane[:3] + plane.plane[3])
+
+    higher = [
+        plane
+        for plane in planes
+        if floor is None
+        or (
+            plane.plane[:3] @ floor.plane[:3] > PARALLEL_COSINE
+            and height_m(plane) < height_m(floor) - LOWER_M
+        )
+    ]
+    for plane in sorted(higher, key=height_m):
+        flat = _noise_m(plane.plane, surface.points_world, surface.inlier_m) < MAX_NOISE_M
+        if flat and carries_what_is_looked_at(plane.plane, surface):
+            return plane
+    return None
+
+
+def _ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
     """The plane through one point with its own normal that has most inliers (one-point RANSAC)."""
     judged = points[rng.permutation(len(points))[:20_000]]
     chosen = rng.integers(len(points), size=HYPOTHESES)
     offsets = -(points[chosen] * normals[chosen]).sum(axis=1)
     counts = [
-        int((np.abs(judged @ normal + offset) < INLIER_M).sum())
+        int((np.abs(judged @ normal + offset) < inlier_m).sum())
         for normal, offset in zip(normals[chosen], offsets, strict=True)
     ]
     best = int(np.argmax(counts))
     return np.append(normals[chosen[best]], offsets[best])
 
 
-def _refine(points: Float64, plane: Float64, reach_m: float) -> Float64:
+def _refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> Float64:
     """Least squares on the inliers, which are chosen anew eight times, within 3 robust deviations."""
     for _ in range(8):
         distance_m = points @ plane[:3] + plane[3]
@@ -215,37 +329,39 @@ def _refine(points: Float64, plane: Float64, reach_m: float) -> Float64:
         normal = axes[2] * np.sign(axes[2] @ plane[:3])
         plane = np.append(normal, -normal @ centre)
         deviation_m = 1.4826 * np.median(np.abs(inliers @ plane[:3] + plane[3]))
-        reach_m = float(np.clip(3 * deviation_m, 0.5 * INLIER_M, 2 * INLIER_M))
+        reach_m = float(np.clip(3 * deviation_m, 0.5 * inlier_m, 2 * inlier_m))
     return plane
 
 
 def _lowest(
-    planes: list[tuple[int, Float64]],
+    planes: list[Plane],
     points_world: Float64,
     focus_world: Float64,
-) -> tuple[int, Float64]:
-    """Of (points, plane): the one with most points, or the lowest parallel one well below it."""
-    most = max(planes, key=lambda each: each[0])
+    inlier_m: float,
+) -> Plane:
+    """The plane with most points, or the lowest parallel one well below it."""
+    most = max(planes, key=lambda each: each.points)
 
-    def height_m(plane: Float64) -> float:
+    def height_m(each: Plane) -> float:
         """Of the focus above the plane."""
-        return float(focus_world @ plane[:3] + plane[3])
+        return float(focus_world @ each.plane[:3] + each.plane[3])
 
     lower = [
         each
         for each in planes
-        if each[1][:3] @ most[1][:3] > PARALLEL_COSINE
-        and height_m(each[1]) > height_m(most[1]) + LOWER_M
-        and _noise_m(each[1], points_world) < MAX_NOISE_M
+        if each.plane[:3] @ most.plane[:3] > PARALLEL_COSINE
+        and height_m(each) > height_m(most) + LOWER_M
+        and _noise_m(each.plane, points_world, inlier_m) < MAX_NOISE_M
     ]
-    return max([most, *lower], key=lambda each: height_m(each[1]))
+    return max([most, *lower], key=height_m)
 
 
-def _noise_m(plane: Float64, points_world: Float64) -> float:
+def _noise_m(plane: Float64, points_world: Float64, inlier_m: float = INLIER_M) -> float:
     """Robust standard deviation of the points about a plane that passes through them, metres."""
     distance_m = np.abs(points_world @ plane[:3] + plane[3])
-    return float(1.4826 * np.median(distance_m[distance_m < 2 * INLIER_M]))
+    return float(1.4826 * np.median(distance_m[distance_m < 2 * inlier_m]))
 
 
-def _tilt_rad(plane: Float64, T_world_camera: Float64) -> float:
-    return float(np.arccos(np.clip(plane[:3] @ from_above(T_world_camera)[2], -1, 1)))
+def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None) -> float:
+    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    return float(np.arccos(np.clip(plane[:3] @ up, -1, 1)))

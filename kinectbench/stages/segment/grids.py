@@ -8,13 +8,14 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, Grid, OrientedBox, rigid, transform_points
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Int64
+from kinectbench.core.types import Float64, Int64
 from kinectbench.core.voxels.observation import Observation, ray_width_m
 from kinectbench.settings.models import SegmentationSettings
 from kinectbench.stages.segment.evidence import FloorLayers
-from kinectbench.stages.segment.floor import Floor, low_cut_m
+from kinectbench.stages.segment.floor import Floor, floor_cut_m, low_cut_m
 
-MARGIN_M = 0.05
+# Around the object, or as many voxels as this has of the usual ones if that is less.
+MARGIN_M, MARGIN_VOXELS = 0.05, 10
 FLOOR_LAYERS = 4
 SURROUND_FACTOR = 4
 # Free space far from the object is seen by nearly every frame: some of them are enough.
@@ -31,8 +32,9 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: b
     Raises:
         SegmentationError: it would take more than 2^26 voxels: over a minute, and more than 5 GB.
     """
-    size_m = np.array(box.size_m) + 2 * MARGIN_M
-    size_m[2] = box.center_m[2] + box.size_m[2] / 2 + MARGIN_M + FLOOR_LAYERS * voxel_size_m
+    margin_m = min(MARGIN_M, MARGIN_VOXELS * voxel_size_m)
+    size_m = np.array(box.size_m) + 2 * margin_m
+    size_m[2] = box.center_m[2] + box.size_m[2] / 2 + margin_m + FLOOR_LAYERS * voxel_size_m
     blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS)).astype(int)
     if blocks.prod() > MAX_VOXELS // CUBE_VOXELS**3:
         what, advice = "the object", "give a box around the object"
@@ -57,16 +59,15 @@ def floor_layers(floor: Floor, segmentation: SegmentationSettings, voxel_size_m:
         segmentation: both cuts.
         voxel_size_m: of the grid.
     """
-    cut = max(1, round(segmentation.floor_cut_m / voxel_size_m))
+    cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
     # Rounded up: what lies below the low cut may be the floor.
     low_m = low_cut_m(floor, segmentation)
     contact = min(max(1, int(np.ceil(low_m / voxel_size_m - 1e-6))), cut)
     return FloorLayers(FLOOR_LAYERS, contact, cut - contact)
 
 
-def usual_ray_width_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> float:
-    """How wide the frames' rays are in the middle of a grid, at their median distance from it, metres."""
-    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
+def usual_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Float64) -> float:
+    """How wide the frames' rays are at a point (3,), at their median distance from it, metres."""
     cameras_world = trajectory.T_world_camera[trajectory.good_frames, :3, 3]
     distance_m = float(np.median(np.linalg.norm(cameras_world - middle_world, axis=1)))
     return ray_width_m(camera, trajectory.usual_pose_sigma_m, distance_m)
@@ -94,11 +95,13 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
     return Grid((side, side, side), voxel_m, rigid(rotation, corner))
 
 
-def surround_labels(around: Observation, floor: Floor) -> NDArray[np.uint8]:
-    """FREE where frames saw through, OTHER at measured surfaces and below the floor, else UNKNOWN."""
+def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint8]:
+    """FREE where frames saw through, OTHER at measured surfaces and below the floor, if any, else UNKNOWN."""
     labels = np.full(around.grid.shape, Label.UNKNOWN, np.uint8)
     labels[(around.weight > 0) & (around.tsdf <= 0)] = Label.OTHER
     labels[((around.weight > 0) & (around.tsdf > 0)) | (around.free >= 2)] = Label.FREE
+    if floor is None:
+        return labels
     # The grid is upright: heights depend on the last axis only.
     origin_floor = transform_points(floor.T_floor_world, around.grid.T_world_grid[:3, 3])
     heights_m = origin_floor[2] + (np.arange(around.grid.shape[2]) + 0.5) * around.grid.voxel_size_m

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import (
+from kinectbench.core.artefacts.solid_method import (
     CarriedLegs,
     Curve,
     EstimateMethod,
@@ -102,6 +102,7 @@ from kinectbench.stages.segment.probability import (
     SIGNED_VOXELS,
     UNDER_INSIDE_SHARE,
 )
+from kinectbench.stages.segment.resolution import LEAST_VOXEL_M, STEP_M, USUAL_VOXEL_M, VOXELS_LONG
 from kinectbench.stages.segment.solid import SMOOTHING_VOXELS, SPECK_SHARE
 
 
@@ -172,6 +173,8 @@ METHOD = SolidMethod(
         under_empty=round(float(EMPTY_UNDER_SHARE), 4),
         beside_empty=round(float(EMPTY_BESIDE_SHARE), 4),
     ),
+    lengths_at_voxel_m=USUAL_VOXEL_M,
+    voxel_size_by_recording=(LEAST_VOXEL_M, STEP_M, VOXELS_LONG),
     frontiers=FrontierMethod(
         least_share=LEAST_SHARE,
         least_area_m2=LEAST_AREA_M2,

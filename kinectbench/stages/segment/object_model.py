@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,8 @@ def object_model(
     floor, whole = chosen.floor, shapes[0]
     box = solid_box(whole, floor)
     quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error, frontiers)
-    return ObjectModel(floor, box, whole, around.grid, surround_labels(around, floor), sigma_m, quality)
+    labels = surround_labels(around, None if chosen.hangs else floor)
+    return ObjectModel(floor, box, whole, around.grid, labels, sigma_m, quality)
 
 
 def usual_pose_error(trajectory: Trajectory) -> PoseError:
@@ -86,6 +88,7 @@ def usual_pose_error(trajectory: Trajectory) -> PoseError:
 def write_object(model: ObjectModel, folder: Path) -> None:
     """Write floor.json, mesh.ply, volume.npz, surround.npz and quality.json."""
     floor, shape = model.floor, model.shape
+    near: dict[str, Any] = {} if floor.scale == 1 else {"scale": round(floor.scale, 4)}
     FloorFile(
         plane_world=floor.plane_world,
         T_floor_world=floor.T_floor_world,
@@ -93,6 +96,7 @@ def write_object(model: ObjectModel, folder: Path) -> None:
         inlier_share=round(floor.inlier_share, 4),
         tilt_rad=known(floor.tilt_rad, 4),
         found=floor.found,
+        **near,
     ).write(folder)
     write_ply(shape.mesh, folder / MESH)
     probability = shape.probability.astype(np.float16)
@@ -120,6 +124,7 @@ def read_object(folder: Path) -> ObjectModel:
         stored.inlier_share,
         number(stored.tilt_rad),
         stored.found is not False,
+        1.0 if stored.scale is None else stored.scale,
     )
     shape = SolidShape(
         volume.grid,

@@ -16,6 +16,10 @@ MIN_HANGING_CELLS = 10
 JUDGED_FACES = 20_000
 CELL_M = 0.03
 MIN_CELLS = 30
+# A smaller piece is a speck, unless it has so many cells, stands on the floor, and the cameras look at it:
+# their focus is so near to its surface, and several times nearer than to any larger piece (own choice; of
+# furniture the focus lies higher above the floor than such a piece reaches).
+SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
 # A piece that ends inside a box is what a person meant if it has this share of the largest one's cells.
 ENDING_SHARE = 0.3
 NOTHING_STANDS = (
@@ -133,8 +137,9 @@ def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
 def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float64) -> Bools:
     """Choose the piece above the floor that lies nearest to a target point.
 
-    Pieces are connected surface. One that hangs in the air, such as a table top whose underside nobody
-    saw, belongs to the nearest one that stands on the floor.
+    Specks do not count; but what is small is none if it stands right where the cameras look. Pieces are
+    connected surface. One that hangs in the air, such as a table top whose underside nobody saw, belongs to
+    the nearest one that stands on the floor.
 
     Args:
         points_floor: (n, 3) evenly spread surface points, floor frame, metres.
@@ -148,12 +153,17 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
         SegmentationError: nothing stands on the floor.
     """
     above = np.flatnonzero(points_floor[:, 2] > floor_cut_m)
-    if len(above) < MIN_CELLS:
+    if len(above) < SMALL_CELLS:
         raise SegmentationError(NOTHING_STANDS)
     label = label_pieces(points_floor[above], CELL_M)
     sizes = np.bincount(label)
     distance_m = np.full(len(sizes), np.inf)
     np.minimum.at(distance_m, label, np.linalg.norm(points_floor[above] - target_floor, axis=1))
+    small = _small_one(label, points_floor[above], sizes, distance_m)
+    if small is not None:
+        chosen = np.zeros(len(points_floor), dtype=bool)
+        chosen[above[label == small]] = True
+        return chosen
     distance_m[sizes < MIN_CELLS] = np.inf
     if not np.isfinite(distance_m).any():
         raise SegmentationError(
@@ -163,6 +173,24 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
     chosen = np.zeros(len(points_floor), dtype=bool)
     chosen[above[label == np.argmin(distance_m)]] = True
     return chosen
+
+
+def _small_one(label: Int32, points_floor: Float64, sizes: Int64, distance_m: Float64) -> int | None:
+    """The label of a small piece that is no speck, as `SMALL_CELLS` says; None if there is none.
+
+    Args:
+        label: (n,) piece of each point.
+        points_floor: (n, 3) above the floor, metres.
+        sizes: points of each label.
+        distance_m: of each label from where the cameras look; inf where there are no points.
+    """
+    is_small = (sizes >= SMALL_CELLS) & (sizes < MIN_CELLS) & (distance_m <= SMALL_FOCUS_M)
+    is_small &= standing(label, points_floor)
+    if not is_small.any():
+        return None
+    nearest = int(np.argmin(np.where(is_small, distance_m, np.inf)))
+    larger_m = float(np.min(distance_m[sizes >= MIN_CELLS], initial=np.inf))
+    return nearest if larger_m >= SMALL_NEARER * distance_m[nearest] else None
 
 
 def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:

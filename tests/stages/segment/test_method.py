@@ -22,8 +22,13 @@ ASIDE = {
     "find_object": "what is chosen, as above",
     "floor": "the floor, which floor.json has with how well it was measured",
     "grids": "extents of grids, which every volume has",
+    "near": "how near the cameras were: floor.json has it as `scale`",
     "quality": "warnings and the verdict, which say what they found",
     "select": "what is chosen, as above",
+    "support": "whether the floor is a table, as above",
+    "up": "which planes may be the floor: floor.json has the one that is",
+    "turntable": "masks of what turns: what is chosen, as above",
+    "whole": "what is chosen, as above",
     "witness": "warnings and what they rest on, which quality.json has",
 }
 # Constants that shape nothing but words.

@@ -113,6 +113,11 @@ def test_folder(folder: Path, tmp_path: Path):
     listed = CandidatesFile.read(folder)
     assert [row.number for row in listed.candidates] == list(range(1, len(found().candidates) + 1))
     assert listed.floor_found
+    # What is known in the world can be given as a box: the candidate's points lie in its box.
+    assert listed.T_floor_world is not None
+    world = transform_points(found().scene.floor.T_world_floor, found().candidates[0].points_floor)
+    box = listed.candidates[0].box.box()
+    assert box.grown(0.001).contains(transform_points(listed.T_floor_world, world)).mean() > 0.99
     for row, candidate in zip(listed.candidates, found().candidates, strict=True):
         pasted = yaml.safe_load(box_line(row.box))["box"]
         given = BoxSettings.model_validate(pasted).box()

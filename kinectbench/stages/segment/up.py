@@ -1,0 +1,115 @@
+"""Where up may be: by gravity where a recording has it, else as people hold cameras."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from kinectbench.core.sequence import Sequence as Recorded
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.coverage import from_above
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Bools, Float64
+
+# Given poses that stand farther apart are not bridged for gravity; directions change little meanwhile.
+MAX_GAP_S = 1.0
+# Frames' ups agree if their mean is no shorter: of unit vectors that are 26 degrees off on the mean (own
+# choice). They disagree where poses are of an object that is turned about.
+MIN_AGREEMENT = 0.9
+# A plane's normal is up by gravity within 26 degrees: ramps, drift and a sloping yard (own choice).
+MIN_GRAVITY_COSINE = 0.9
+# And within 53 degrees of where the cameras' upper edges point, or an edge beside of a phone held upright.
+MIN_UP_COSINE = 0.6
+# The rest of the quarter turn: cameras that look down on it more steeply, at most 37 degrees off its normal.
+MIN_DOWN_COSINE = 0.8
+# A wall that is looked at straight on has its normal square to all four edges, or tipped to the lower one by
+# cameras that look down a little; a floor that is looked at from 84 degrees down differs by this much.
+MIN_HELD_COSINE = 0.1
+
+# Which of the unit normals (n, 3), world frame, may be those of a floor: (n,) bool.
+Facing = Callable[[Float64], Bools]
+
+
+@dataclass(frozen=True)
+class FloorHint:
+    """What is known of a floor before it is looked for.
+
+    Attributes:
+        up_world: (3,) unit, up by gravity, or None.
+        plane_world: (4,) a person's plane: a, b, c, d with unit (a, b, c) up and a x + b y + c z + d = 0,
+            metres; or None.
+    """
+
+    up_world: Float64 | None = None
+    plane_world: Float64 | None = None
+
+
+NOTHING_KNOWN = FloorHint()
+
+
+def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float] | None = None) -> FloorHint:
+    """What a recording and a person say of the floor, in the world of the poses that are used.
+
+    Gravity is taken over frame by frame, so that it holds where given poses were refined or left aside. An
+    accelerometer that says that the cameras were held upside down is taken for one of the other sign, which
+    some drivers have, and left aside (own rule).
+
+    Args:
+        sequence: the recording, with its given trajectory, if any.
+        trajectory: the poses that are used.
+        plane: a person's plane (a, b, c, d) in that world, its normal of any length but 0.
+    """
+    plane_world = None if plane is None else np.array(plane) / np.linalg.norm(plane[:3])
+    given, good = sequence.given_trajectory, trajectory.good_frames
+    if sequence.up_world is not None and given is not None:
+        T_given = poses_at(given, sequence.stamps_ns[good], MAX_GAP_S)
+        known = np.isfinite(T_given[:, 0, 0])
+        up_cameras = np.swapaxes(T_given[known, :3, :3], 1, 2) @ sequence.up_world
+        return FloorHint(_up_world(trajectory.T_world_camera[good][known], up_cameras), plane_world)
+    up_at = {sample.stamp_ns: sample.up_camera for sample in sequence.up_cameras}
+    stamps_ns = sequence.stamps_ns[good].tolist()
+    measured = [k for k, stamp_ns in enumerate(stamps_ns) if stamp_ns in up_at]
+    if not measured:
+        return FloorHint(None, plane_world)
+    T_world_camera = trajectory.T_world_camera[good][measured]
+    up_world = _up_world(T_world_camera, np.array([up_at[stamps_ns[k]] for k in measured]))
+    if up_world is not None and up_world @ from_above(T_world_camera)[2] < -MIN_UP_COSINE:
+        up_world = None
+    return FloorHint(up_world, plane_world)
+
+
+def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
+    """The mean (3,), of length 1, of directions (n, 3) in the axes of cameras (n, 4, 4); or None."""
+    up = (T_world_camera[:, :3, :3] @ up_cameras[:, :, None])[:, :, 0].sum(axis=0)
+    length = float(np.linalg.norm(up))
+    return up / length if length > MIN_AGREEMENT * len(up_cameras) else None
+
+
+def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
+    """In which order planes are tried: a floor by the first of them is believed before one by the next.
+
+    Args:
+        T_world_camera: (n, 4, 4), n > 0.
+        up_world: (3,) unit, by gravity; None: as the cameras are held (own rules): their upper edges up; an
+            edge beside up, as of a phone held upright; looking down more steeply than that.
+    """
+    if up_world is not None:
+        return [partial(_along, up_world, MIN_GRAVITY_COSINE)]
+    right, down = (T_world_camera[:, :3, axis].mean(axis=0) for axis in (0, 1))
+    edges = [edge / max(float(np.linalg.norm(edge)), 1e-9) for edge in (-down, right, -right)]
+    steep = partial(_looked_down_on, T_world_camera[:, :3, 2], edges)
+    return [*(partial(_along, edge, MIN_UP_COSINE) for edge in edges), steep]
+
+
+def _along(up: Float64, least: float, normals: Float64) -> Bools:
+    """Which normals are within some angle of a direction."""
+    along: Bools = normals @ up > least
+    return along
+
+
+def _looked_down_on(axes: Float64, edges: Sequence[Float64], normals: Float64) -> Bools:
+    """Which normals most of the cameras look against, and an edge of theirs leans to."""
+    against = np.median(-normals @ axes.T, axis=1) > MIN_DOWN_COSINE
+    held: Bools = np.max([normals @ edge for edge in edges], axis=0) > MIN_HELD_COSINE
+    return against & held

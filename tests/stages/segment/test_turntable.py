@@ -1,0 +1,67 @@
+"""What turns before a still camera is told from its plate and from what stands around."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.sequence import Sequence
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.segment.turntable import find_turntable, turntable_masks
+
+LEAST_IOU = 0.93
+
+
+def recorded(root: Path, **path: object) -> tuple[Sequence, Truth]:
+    spec = {
+        "object": "toy_car:seed=1",
+        "seed": 1,
+        "format": "folder",
+        "path": {"frames": 16, "rate_hz": 4.0, "moves": "turntable", **path},
+        "sensor": {"width": 240, "height": 180},
+        "given": {"trajectory": "none"},
+    }
+    simulate(SimulationSpec.model_validate(spec), root / "toy")
+    write_sequence(open_recording(root / "toy", CameraSettings()), root / "sequence")
+    return read_sequence(root / "sequence"), read_truth(truth_folder(root / "toy"))
+
+
+@pytest.mark.parametrize("plate_m", [0.0, 0.012, 0.05])
+def test_the_object_without_its_plate(plate_m: float, tmp_path: Path) -> None:
+    sequence, truth = recorded(tmp_path, plate_m=plate_m)
+    masks = turntable_masks(sequence)
+    for index in (0, 7, 15):
+        drawn = cv2.imread(str(tmp_path / "toy.truth" / "masks" / f"{index:06d}.png"), cv2.IMREAD_GRAYSCALE)
+        true, found = (np.asarray(drawn) > 0) & (sequence.depth_m(index) > 0), masks(index)
+        assert found is not None
+        assert (true & found).sum() / (true | found).sum() > LEAST_IOU
+    floor = find_turntable(sequence).floor
+    assert floor is not None
+    # What the object stands on, be it the floor or the plate's top.
+    T_camera_object = invert_rigid(truth.T_world_camera[0]) @ truth.T_world_object
+    stands = transform_points(floor.T_floor_world @ T_camera_object, np.zeros(3))
+    assert abs(stands[2]) < 0.005
+
+
+def test_what_is_held_hangs_in_the_air(tmp_path: Path) -> None:
+    sequence, _ = recorded(tmp_path, moves="hand", swing_rad=0.3)
+    with pytest.raises(SegmentationError, match="hangs in the air; give masks of the object"):
+        turntable_masks(sequence)
+
+
+@pytest.mark.parametrize(
+    ("path", "complaint"),
+    [({"moves": "camera"}, "the camera moves"), ({"arc_rad": 0.0}, "nothing moves before it")],
+)
+def test_what_is_no_turntable_is_refused(path: dict[str, object], complaint: str, tmp_path: Path) -> None:
+    sequence, _ = recorded(tmp_path, **path)
+    with pytest.raises(SegmentationError, match=complaint):
+        turntable_masks(sequence)
