@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.images import image_sharpness, relative_blur
+from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.look import Look, SmallFrame
 
@@ -197,6 +198,9 @@ def _blur(look: Look) -> Iterator[Finding]:
 
 def _odd_frames(look: Look) -> Iterator[Finding]:
     thumbs = {frame.index: _thumb(frame) for frame in look.frames}
+    given = look.recording.given_trajectory
+    if given is not None and not in_order_of_time(given.T_world_camera):
+        return  # views in no order of time are not like those beside them
     odd = []
     for index, here in thumbs.items():
         before, after = thumbs.get(index - 1), thumbs.get(index + 1)

@@ -1,4 +1,4 @@
-"""Checks of depth (unit, byte order, codes for none, what is measured), of intrinsics, and of the floor."""
+"""Checks of depth (unit, byte order, codes for none, what is measured), and of intrinsics."""
 
 import math
 from collections.abc import Iterator
@@ -7,11 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.reconstruction import DepthRangePart
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import Camera
 from kinectbench.doctor.finding import Finding, Severity
-from kinectbench.doctor.fit import image_normals
-from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.doctor.look import Look
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
 from kinectbench.stages.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
@@ -34,14 +31,10 @@ CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 # Levels of 8 bits, evenly spaced: a Kinect has as few in a small room, but they lie wider with distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
+# What poses that fit settle: by another scale or other intrinsics they would not.
+SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect"})
 VALID_SHARE = 0.35
 HARMLESS_DAMAGE = 0.05
-FRAMES, STEP_PX = 6, 4
-FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
-# Of a person's camera above the floor, metres.
-LOWEST_M, HIGHEST_M = 0.25, 2.5
-SEEN_SHARE = 0.3
-MIN_POINTS = 200
 
 
 def check_intrinsics(look: Look) -> Iterator[Finding]:
@@ -223,55 +216,3 @@ def check_range(look: Look, chosen: DepthRangePart) -> Iterator[Finding]:
     for line in range_warnings(chosen):
         what, _, advice = line.rpartition("; ")
         yield Finding("far_depth", "warning", what, look.where, advice)
-
-
-def camera_heights_m(look: Look) -> NDArray[np.float64]:
-    """(k,) height above the floor in each of some frames, metres; NaN where no floor is found.
-
-    A frame's floor is a plane that faces up and has nothing below it, if the camera is held upright.
-    """
-    count = len(look.frames)
-    indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
-    camera = look.small_camera
-    return np.array([_height_m(look.frames[i], camera) for i in indices])
-
-
-def check_floor(look: Look, heights_m: NDArray[np.float64]) -> Iterator[Finding]:
-    """Judge whether there is a floor, and whether it is where floors are."""
-    seen = np.isfinite(heights_m)
-    if seen.mean() < SEEN_SHARE:
-        what = f"a floor is in view in {seen.sum()} of {len(seen)} frames"
-        advice = "hold the camera upright and let it see the floor around the object; or give a `box`"
-        yield Finding("no_floor", "note", what, look.where, advice)
-        return
-    height_m = float(np.nanmedian(heights_m))
-    if not LOWEST_M <= height_m <= HIGHEST_M:
-        what = f"the camera is {height_m:.2f} m above the floor, if depth has the right unit"
-        yield Finding("camera_height", "warning", what, look.where, "check `depth_scale`")
-
-
-def _height_m(frame: SmallFrame, camera: Camera) -> float:
-    from kinectbench.stages.segment.floor import find_floor
-
-    if frame.depth_m.shape != (camera.height, camera.width):
-        return float("nan")
-    points, normals = _surface(frame.depth_m, camera)
-    if len(points) < MIN_POINTS:
-        return float("nan")
-    # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
-    unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
-    try:
-        floor = find_floor(points * unit, normals, np.eye(4)[None], FOCUS_CAMERA, 0)
-    except SegmentationError:
-        return float("nan")
-    return float(floor.plane_world[3]) / unit
-
-
-def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel."""
-    surface = camera.backproject(depth_m)
-    normals = -image_normals(surface, depth_m, reach_px=2)
-    chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
-    keep = np.zeros_like(chosen)
-    keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
-    return surface[keep], normals[keep]

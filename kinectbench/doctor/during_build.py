@@ -39,10 +39,11 @@ def doubted_scale(recording: Recording) -> str:
     by_depth = [found for found in check_depth(look) if found.name == "depth_scale"]
     if not by_depth:
         return ""
-    by_poses = [
-        found for found in check_trajectory(look, fit_trajectory(look)) if found.name == "depth_scale"
-    ]
     # Poses tell the scale, the depth alone only that it is unlikely.
+    fit = fit_trajectory(look)
+    if fit is not None and fit.proven:
+        return ""
+    by_poses = [found for found in check_trajectory(look, fit) if found.name == "depth_scale"]
     found = (by_poses or by_depth)[0]
     return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}"
 

@@ -15,16 +15,17 @@ from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
 from kinectbench.doctor.delays import check_color_delay
 from kinectbench.doctor.depth import (
-    camera_heights_m,
+    SETTLED_BY_POSES,
     check_depth,
-    check_floor,
     check_intrinsics,
     check_range,
     depth_quantiles_m,
     range_by_look,
 )
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
+from kinectbench.doctor.floor import camera_heights_m, check_floor
 from kinectbench.doctor.look import Look, take_look
+from kinectbench.doctor.still import check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
 from kinectbench.settings.models import CameraSettings, FusionSettings
 from kinectbench.stages.ingest.readers import open_recording
@@ -72,6 +73,7 @@ def inspect(
     *,
     without_trajectory: bool = False,
     fusion: FusionSettings | None = None,
+    own_pixels: bool = False,
 ) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
@@ -80,6 +82,7 @@ def inspect(
         settings: of its camera, as under `camera:` in benchmark.yaml.
         without_trajectory: take no notice of a given trajectory.
         fusion: how far depth is to make surface; None: by the recording.
+        own_pixels: benchmark.yaml says `segment_by`: no floor is needed, and the camera may stand still.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
@@ -97,12 +100,24 @@ def inspect(
     found += early
     facts = _facts(look)
     if look.frames and not HOPELESS & {finding.name for finding in early}:
-        edges, poses, heights_m = fit_edges(look), fit_trajectory(look), camera_heights_m(look)
+        edges, poses = fit_edges(look), fit_trajectory(look)
+        if poses is not None and poses.proven:
+            found = [finding for finding in found if finding.name not in SETTLED_BY_POSES]
         depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
-        late = [*_late(look, edges, poses, heights_m), *check_range(look, depth_range)]
-        # Poses do not fit depth that is wrong: only the cause is said.
+        heights_m = camera_heights_m(look, poses, depth_range.max_depth_m)
+        late = [
+            *_late(look, edges, poses, None if own_pixels else heights_m),
+            *check_range(look, depth_range),
+        ]
+        # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
         explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
-        found += [finding for finding in late if not (explained and finding.name == "trajectory_wrong")]
+        turns = any(finding.name == "turntable" for finding in late)
+        found += [
+            finding
+            for finding in late
+            if not (explained and finding.name == "trajectory_wrong")
+            and not (turns and (finding.name == "arc" or finding.name.startswith("trajectory")))
+        ]
         facts |= _late_facts(edges, poses, heights_m)
         if poses is not None:
             known = ("max_depth_m", "beyond_share")
@@ -111,16 +126,18 @@ def inspect(
 
 
 def _late(
-    look: Look, edges: EdgeFit | None, poses: PoseFit | None, heights_m: NDArray[np.float64]
+    look: Look, edges: EdgeFit | None, poses: PoseFit | None, heights_m: NDArray[np.float64] | None
 ) -> Iterator[Finding]:
-    """What only depth that is depth can tell."""
+    """What only depth that is depth can tell; `heights_m` None: what the object stands on does not matter."""
     of_color = list(check_edges(look, edges))
     yield from of_color
     # Edges that lie elsewhere say nothing of when they were seen.
     if not any(finding.severity == "warning" for finding in of_color):
         yield from check_color_delay(look)
     yield from check_trajectory(look, poses)
-    yield from check_floor(look, heights_m)
+    if heights_m is not None:
+        yield from check_floor(look, heights_m)
+        yield from check_still(look)
     yield from check_light(look)
 
 

@@ -14,6 +14,8 @@ from kinectbench.core.geometry import (
     rotation_from_quaternion_xyzw,
     transform_points,
 )
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.core.types import Float64
 from kinectbench.doctor.look import Look
 
@@ -33,10 +35,16 @@ OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
 # A frame is held against the frames so many places after it, if they are among those looked at.
 AHEAD = (1, 4, 12, 40)
+# Of views in no order of time, the so many nearest by the angle between them.
+NEAREST = (1, 2, 4, 8)
 POINT_STEP = 7
 # Farther off than this share of the distance is as wrong as can be.
 WRONG_SHARE = 0.1
 NEAREST_M = 1e-3
+# Poses fit if they leave no more than so many times what the noise of a Kinect's depth makes of two frames at
+# that distance (own choice: right poses leave .6 to 1.2 times of it), and never more than 50 mm: at 3 m the
+# noise alone says little.
+FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -128,15 +136,22 @@ class Pair:
     camera: Camera
 
 
-def choose_pairs(look: Look, has_pose: NDArray[np.bool_]) -> tuple[Pair, ...]:
-    """Pairs of frames that have poses, evenly over the recording, near and farther apart."""
+def choose_pairs(look: Look, poses: Float64) -> tuple[Pair, ...]:
+    """Pairs of frames that have poses, evenly over the recording, near and farther apart.
+
+    In time; or by the angle between the views where the poses (n, 4, 4) have no order in time: it is the same
+    whichever way the poses are meant.
+    """
     camera, count = look.small_camera, len(look.frames)
+    has_pose = np.isfinite(poses[:, 0, 0])
+    ordered = in_order_of_time(poses)
     rays = camera.rays()[::POINT_STEP, ::POINT_STEP]
     pairs = []
     for first in np.unique(np.linspace(0, count - 1, min(ANCHORS, count)).astype(int)).tolist():
-        for ahead in AHEAD:
-            second = first + ahead if first + ahead < count else first - ahead
-            if second < 0 or not (has_pose[first] and has_pose[second]):
+        if not has_pose[first]:
+            continue
+        for second in _later(first, count) if ordered else _beside(first, poses):
+            if second < 0 or not has_pose[second]:
                 continue
             if any(look.frames[i].depth_m.shape != (camera.height, camera.width) for i in (first, second)):
                 continue
@@ -145,6 +160,30 @@ def choose_pairs(look: Look, has_pose: NDArray[np.bool_]) -> tuple[Pair, ...]:
             if len(points):
                 pairs.append(Pair(first, second, points, look.frames[second].depth_m, camera))
     return tuple(pairs)
+
+
+def _later(first: int, count: int) -> list[int]:
+    """Frames some places after one, or before it at the end of so many; negative where there is none."""
+    return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
+
+
+def _beside(first: int, poses: Float64) -> list[int]:
+    """The frames whose views are least turned against one's."""
+    cosine = np.einsum("ij,nij->n", poses[first, :3, :3], poses[:, :3, :3])
+    order = [k for k in np.argsort(-cosine, kind="stable").tolist() if k != first and np.isfinite(cosine[k])]
+    return [order[rank - 1] for rank in NEAREST if rank <= len(order)]
+
+
+def fits(residual_m: float, pairs: Sequence[Pair]) -> bool:
+    """Whether so large a residual, metres, is a fit: no more than the noise of depth makes of it, some times.
+
+    Args:
+        residual_m: as `residual_m` has it.
+        pairs: that it is of.
+    """
+    distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
+    noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
+    return bool(residual_m <= min(FITTING_NOISES * noise_m, MOST_FITTING_M))
 
 
 def frames_of(pairs: Sequence[Pair]) -> NDArray[np.int64]:

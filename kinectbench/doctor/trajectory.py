@@ -17,6 +17,7 @@ from kinectbench.doctor.fit import (
     Pair,
     Reading,
     choose_pairs,
+    fits,
     frames_of,
     further_readings,
     likely_readings,
@@ -35,6 +36,8 @@ HOPELESS, LEAST_PAIRS = 0.6, 3
 CLEARLY_BETTER = 0.8
 # Poses that fit no better than if the camera had stood still fit badly, if it did not.
 MOVED, NO_BETTER = 0.15, 0.9
+# Poses prove the scale of the depth if they fit by no other so well (own choice).
+OTHER_SCALE = 0.97
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
            1e-3: "milliseconds read as seconds", 1e-6: "microseconds read as seconds",
            1e-9: "nanoseconds read as seconds"}  # fmt: skip
@@ -50,6 +53,8 @@ class PoseFit:
         reading: the simplest one that fits well.
         given, best, still: disagreement of the poses as given, by that reading, and if nothing had moved.
         residual_m: point to plane by that reading, metres.
+        fits: whether that is no more than the noise of depth makes of it.
+        proven: the poses fit as they are, and with depth of no other scale: they settle scale and intrinsics.
         pairs: of frames, compared.
         T_world_camera: (m, 4, 4) of the frames looked at that have a pose, by that reading.
     """
@@ -59,6 +64,8 @@ class PoseFit:
     best: float
     still: float
     residual_m: float
+    fits: bool
+    proven: bool
     pairs: tuple[Pair, ...]
     T_world_camera: NDArray[np.float64]
 
@@ -71,7 +78,7 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     moved = on_clock(look, given)
     poses = poses_at(moved, clock_ns(look, look.frames), longest_gap_s(moved))
     known = np.isfinite(poses[:, 0, 0])
-    pairs = choose_pairs(look, known)
+    pairs = choose_pairs(look, poses)
     if len(pairs) < LEAST_PAIRS:
         return None
     standing = np.tile(np.eye(4), (len(poses), 1, 1))
@@ -90,12 +97,18 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     chosen = _simplest(readings, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
     read = readings[chosen].apply(poses)
+    left_m = residual_m(usable, read)
+    still = float(unmoved[fitting].mean())
+    scaled = min(cost for reading, cost in zip(readings, costs, strict=True) if reading.unit_m != 1)
+    fit = fits(left_m, usable)
     return PoseFit(
         reading=readings[chosen],
         given=float(costs[0]),
         best=float(costs[chosen]),
-        still=float(unmoved[fitting].mean()),
-        residual_m=residual_m(usable, read),
+        still=still,
+        residual_m=left_m,
+        fits=fit,
+        proven=fit and chosen == 0 and bool(costs[0] < min(OTHER_SCALE * scaled, NO_BETTER * still)),
         pairs=usable,
         T_world_camera=read[known],
     )
@@ -134,7 +147,8 @@ def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
         yield Finding("trajectory_unchecked", "note", what, look.where)
         return
     yield from _reading(look, fit)
-    yield from check_trajectory_delay(look, given, fit.reading, fit.pairs)
+    if not fit.reading.changes or fit.fits:
+        yield from check_trajectory_delay(look, given, fit.reading, fit.pairs)
     yield from _arc(look, fit)
 
 
@@ -163,7 +177,19 @@ def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]
 
 
 def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
-    if fit.reading.changes:
+    if fit.reading.changes and not fit.fits:
+        left = f"and are still {1000 * fit.residual_m:.0f} mm off"
+        if not math.isfinite(fit.residual_m):
+            left = "and no surface falls on another even so"
+        what = (
+            "the given poses fit the depth by no reading that was tried: they fit best if read as "
+            f"{fit.reading.text()}, {left}"
+        )
+        advice = (
+            "look at the poses' convention, the depth's scale and the intrinsics; or `trajectory: ignore`"
+        )
+        yield Finding("trajectory_wrong", "stops", what, look.where, advice)
+    elif fit.reading.changes:
         what = (
             f"the given poses do not fit the depth as they are, but do if read as: {fit.reading.text()} "
             f"(residual {1000 * fit.residual_m:.1f} mm)"

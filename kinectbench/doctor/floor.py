@@ -1,0 +1,156 @@
+"""Whether there is a floor, by the same function as the build's, and how high the camera is above it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import Camera, transform_points
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.doctor.delays import clock_ns, longest_gap_s, on_clock
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.fit import image_normals
+from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.doctor.trajectory import PoseFit
+
+# Frames that are looked at alone, or together by their poses, and every how many pixels: for the sake of time
+# (own choices).
+FRAMES, POSED_FRAMES, STEP_PX = 6, 40, 4
+# The build's points are as far apart (`stages.segment.select`).
+CELL_M = 0.03
+# Poses with a larger share of the depth against them make no scene to find a floor in.
+FITTING = 0.5
+# What a frame without a pose looks at, camera frame: as far as furniture is recorded, metres (own choice).
+FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
+# Of a person's camera above the floor, or above the table that the object stands on, metres.
+LOWEST_M, HIGHEST_M = 0.25, 2.5
+# A floor in fewer of the frames is told; of fewer points no plane is looked for (own choices).
+SEEN_SHARE = 0.3
+MIN_POINTS = 200
+# A frame sees the scene's floor if this share of its points lies within so many metres of it.
+MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
+
+Points = NDArray[np.float64]
+
+
+def camera_heights_m(look: Look, poses: PoseFit | None = None, max_depth_m: float = np.inf) -> Points:
+    """(k,) height above the floor in each of some frames, metres; NaN where no floor is found.
+
+    With given poses that fit, the floor is looked for once, in all the frames together and with all that the
+    build knows; else in each frame alone, as if it were a recording.
+
+    Args:
+        look: at the recording.
+        poses: how the given poses fit; None: there are none.
+        max_depth_m: depth beyond makes no surface.
+    """
+    posed = None if poses is None or poses.best > FITTING else _posed(look, poses)
+    if posed is not None and len(posed[0]) > 1:
+        return _heights_together(
+            look, *posed, max_depth_m, gravity=poses is not None and poses.given == poses.best
+        )
+    count = len(look.frames)
+    indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
+    camera = look.small_camera
+    return np.array([_height_m(look.frames[i], camera) for i in indices])
+
+
+def check_floor(look: Look, heights_m: Points) -> Iterator[Finding]:
+    """Judge whether there is a floor, and whether it is where floors are."""
+    seen = np.isfinite(heights_m)
+    if seen.mean() < SEEN_SHARE:
+        what = f"a floor is in view in {seen.sum()} of {len(seen)} frames"
+        advice = (
+            "let the camera see what the object stands on around it; or give a `box`, or its plane: "
+            "`floor: {plane_world: [a, b, c, d]}`"
+        )
+        yield Finding("no_floor", "warning" if not seen.any() else "note", what, look.where, advice)
+        return
+    height_m = float(np.nanmedian(heights_m))
+    if not LOWEST_M <= height_m <= HIGHEST_M:
+        what = f"the camera is {height_m:.2f} m above the floor, if depth has the right unit"
+        yield Finding("camera_height", "warning", what, look.where, "check `depth_scale`")
+
+
+def _posed(look: Look, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None:
+    """Some of the frames that have a pose, and their poses (n, 4, 4) by the reading that fits."""
+    given = look.recording.given_trajectory
+    if given is None:
+        return None
+    moved = on_clock(look, given)
+    T_world_camera = poses.reading.apply(poses_at(moved, clock_ns(look, look.frames), longest_gap_s(moved)))
+    known = np.flatnonzero(np.isfinite(T_world_camera[:, 0, 0]))
+    shape = look.small_camera.height, look.small_camera.width
+    known = np.array([i for i in known if look.frames[i].depth_m.shape == shape], np.int64)
+    chosen = np.unique(known[np.linspace(0, len(known) - 1, min(POSED_FRAMES, len(known))).astype(int)])
+    return [look.frames[i] for i in chosen], T_world_camera[chosen]
+
+
+def _heights_together(
+    look: Look, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, gravity: bool
+) -> Points:
+    """(n,) heights of some of the frames above the one floor of all."""
+    from kinectbench.stages.segment.floor import find_floor
+    from kinectbench.stages.segment.up import FloorHint
+
+    camera, up = look.small_camera, look.recording.up_world
+    clouds, normals = [], []
+    for frame, T in zip(frames, T_world_camera, strict=True):
+        points, toward = _surface(np.where(frame.depth_m <= max_depth_m, frame.depth_m, 0), camera)
+        clouds.append(transform_points(T, points))
+        normals.append(toward @ T[:3, :3].T)
+    thinned = _thinned(np.concatenate(clouds), np.concatenate(normals))
+    hint = FloorHint(np.array(up) if up is not None and gravity else None)
+    heights_m = np.full(len(frames), np.nan)
+    if len(thinned[0]) < MIN_POINTS:
+        return heights_m
+    try:
+        floor = find_floor(*thinned, T_world_camera, convergence_point(T_world_camera), 0, hint)
+    except SegmentationError:
+        return heights_m
+    for index, points_world in enumerate(clouds):
+        on_floor = np.abs(transform_points(floor.T_floor_world, points_world)[:, 2]) < ON_FLOOR_M
+        if on_floor.sum() > MIN_ON_FLOOR * len(points_world):
+            heights_m[index] = transform_points(floor.T_floor_world, T_world_camera[index, :3, 3])[2]
+    return heights_m
+
+
+def _thinned(points_world: Points, normals_world: Points) -> tuple[Points, Points]:
+    """One point per cubic cell, and its mean unit normal, as the build's surface is thinned."""
+    _, cell, counts = np.unique(
+        np.floor(points_world / CELL_M).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    means = []
+    for values in (points_world, normals_world):
+        sums = [np.bincount(cell.reshape(-1), values[:, axis], len(counts)) for axis in range(3)]
+        means.append(np.stack(sums, axis=1) / counts[:, None])
+    return means[0], means[1] / np.maximum(np.linalg.norm(means[1], axis=1, keepdims=True), 1e-12)
+
+
+def _height_m(frame: SmallFrame, camera: Camera) -> float:
+    from kinectbench.stages.segment.floor import find_floor
+
+    if frame.depth_m.shape != (camera.height, camera.width):
+        return float("nan")
+    points, normals = _surface(frame.depth_m, camera)
+    if len(points) < MIN_POINTS:
+        return float("nan")
+    # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
+    unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
+    try:
+        floor = find_floor(points * unit, normals, np.eye(4)[None], FOCUS_CAMERA, 0)
+    except SegmentationError:
+        return float("nan")
+    return float(floor.plane_world[3]) / unit
+
+
+def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[Points, Points]:
+    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel."""
+    surface = camera.backproject(depth_m)
+    normals = -image_normals(surface, depth_m, reach_px=2)
+    chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
+    keep = np.zeros_like(chosen)
+    keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
+    return surface[keep], normals[keep]

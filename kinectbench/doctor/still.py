@@ -1,0 +1,56 @@
+"""A camera that stands still while something turns before it, and what to do about it."""
+
+from collections.abc import Iterator
+
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.still_camera import Watched, some_of, watch
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.look import Look
+
+# Of the images that are compared: enough for things of 4 % of their width (own choice).
+COLUMNS = 160
+TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if an object turns on the spot"
+MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
+OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it brings masks of the object"
+WALK = "walk around the object, or let it turn"
+PLAIN = "nothing but the object gives depth, so that it does not matter whether it turned or the camera moved"
+
+
+def check_still(look: Look) -> Iterator[Finding]:
+    """Recognise a turntable, and a still camera before which nothing moves."""
+    frames = [look.frames[index] for index in some_of(len(look.frames))]
+    shape = (look.small_camera.height, look.small_camera.width)
+    frames = [frame for frame in frames if frame.depth_m.shape == shape]
+    watched = watch([frame.depth_m for frame in frames], [frame.gray for frame in frames])
+    if watched is None:
+        return
+    if watched.plain:
+        advice = f"{TURNTABLE}: all of it is then the object, and no floor is needed"
+        yield Finding("plain_background", "note", PLAIN, look.where, advice)
+    elif watched.camera_still and not watched.something_moves:
+        what = "the camera stands still, and nothing moves before it: all frames show one view"
+        yield Finding("one_view", "warning", what, look.where, WALK)
+    elif watched.camera_still:
+        has_masks = look.recording.frame(look.frames[0].index).mask is not None
+        yield Finding("turntable", "warning", _what(watched), look.where, _advice(has_masks))
+
+
+def turntable_warning(sequence: Sequence) -> str:
+    """What `inspect` says of a still camera before which something moves, one line; "" if it is none."""
+    chosen = some_of(len(sequence))
+    step = max(1, round(sequence.camera.width / COLUMNS))
+    colors = (sequence.color_rgb(index) for index in chosen)
+    grays = [None if rgb is None else rgb[::step, ::step, 1] for rgb in colors]
+    watched = watch([sequence.depth_m(index)[::step, ::step] for index in chosen], grays)
+    if watched is None or not (watched.camera_still and watched.something_moves):
+        return ""
+    return f"{_what(watched)}; {_advice(sequence.masks is not None)}"
+
+
+def _what(watched: Watched) -> str:
+    share = watched.moving_share
+    return f"the camera stands still, and something moves before it, in {share:.0%} of the image"
+
+
+def _advice(has_masks: bool) -> str:
+    return OWN_MASKS if has_masks else f"{TURNTABLE}; {MASKS}"

@@ -1,0 +1,60 @@
+"""`inspect` tells a turntable from a camera that is carried around."""
+
+from pathlib import Path
+
+import pytest
+
+from kinectbench.doctor import inspect
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+
+# Of each finding, by its name.
+Advice = dict[str, str]
+# A camera that is led around at one height sees the floor as if it stood still.
+LEVEL = {"swing_rad": 0.0, "reach_share": 0.0, "shake_m": 0.002, "shake_rad": 0.003}
+
+
+def found(
+    tmp_path: Path, given: dict[str, object], own_pixels: bool = False, **path: object
+) -> dict[str, str]:
+    spec = {
+        "object": "kettle:seed=1",
+        "seed": 1,
+        "format": "folder",
+        "path": {"frames": 12, "rate_hz": 4.0, **LEVEL, **path},
+        "sensor": {"width": 320, "height": 240},
+        "given": {"trajectory": "none", **given},
+    }
+    simulate(SimulationSpec.model_validate(spec), tmp_path / "kettle")
+    diagnosis, _ = inspect(tmp_path / "kettle", own_pixels=own_pixels)
+    return {finding.name: finding.advice for finding in diagnosis.findings}
+
+
+NAMES = {"turntable", "one_view", "plain_background"}
+
+
+@pytest.mark.parametrize("given", [{}, {"trajectory": "true"}])
+def test_a_turntable_is_recognised(tmp_path: Path, given: dict[str, object]) -> None:
+    advice = found(tmp_path, given, moves="turntable")
+    assert "segment_by: turntable" in advice["turntable"]
+    # Poses of a camera that does not move fit nothing and everything.
+    assert not any(name.startswith("trajectory") for name in advice)
+
+
+def test_where_masks_come_with_it_they_are_named(tmp_path: Path) -> None:
+    advice = found(tmp_path, {"masks": True}, moves="hand", swing_rad=0.3)
+    assert "segment_by: masks" in advice["turntable"]
+
+
+def test_nothing_is_said_once_it_is_said_in_the_settings(tmp_path: Path) -> None:
+    assert not NAMES & found(tmp_path, {}, own_pixels=True, moves="turntable").keys()
+
+
+def test_a_camera_that_is_carried_around_is_none(tmp_path: Path) -> None:
+    assert not NAMES & found(tmp_path, {}).keys()
+
+
+def test_one_view_only(tmp_path: Path) -> None:
+    advice = found(tmp_path, {}, moves="turntable", arc_rad=0.0)
+    assert "one_view" in advice
+    assert "turntable" not in advice
