@@ -1,17 +1,17 @@
-"""What a build keeps: artefacts with the fingerprint of all they depend on, source hashes, and failures.
+"""What a build keeps: artefacts with the fingerprint of all they depend on, and source hashes.
 
 An artefact is a folder that one stage makes.
 """
 
 import contextlib
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
-from kinectbench.core.artefacts.manifest import Failed, Manifest, SourceFile, Sources, Timing
+from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources, Timing
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, replaced_folder, sha256_file, sha256_text
 
@@ -26,14 +26,14 @@ FORMAT_VERSION = 1
 # The stages of a build; then what stands beside them or on them: candidates of boxes, releases, synthetic
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 2,
-    "track": 1,
+    "ingest": 6,
+    "track": 5,
     "fuse": 5,
-    "segment": 20,
+    "segment": 23,
     "sample-views": 1,
     "pairs": 2,
-    "suggest": 1,
-    "publish": 8,
+    "suggest": 4,
+    "publish": 11,
     "synthesize": 2,
     "score": 3,
     "baselines": 1,
@@ -147,27 +147,3 @@ def _known(folder: Path) -> dict[str, SourceFile]:
         return Sources.read(folder).files
     except StorageError:
         return {}
-
-
-def keep_failure(build: Path, stage: str | None, error: str) -> None:
-    """Write failed.json. A disk that takes nothing more keeps no reason.
-
-    Args:
-        build: `build/<recording>/`.
-        stage: the name of the stage that failed; None if its process was killed.
-        error: why, one line, as people are told.
-    """
-    failed = Failed(stage=stage, error=error)
-    with contextlib.suppress(StorageError, OSError), replaced_file(build / Failed.FILE) as temporary:
-        temporary.write_text(failed.text(), encoding="utf-8")
-
-
-def forget_failure(build: Path, stages: Collection[str]) -> None:
-    """Remove failed.json of `build/<recording>/` if it is of one of these stages, which have succeeded."""
-    try:
-        failed = Failed.read_if_there(build)
-        of_others = failed is not None and failed.stage is not None and failed.stage not in stages
-    except StorageError:
-        of_others = False  # damaged: nobody can read the reason
-    if not of_others:
-        (build / Failed.FILE).unlink(missing_ok=True)

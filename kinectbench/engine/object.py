@@ -1,17 +1,22 @@
 """The stage `segment` as a whole: an object is chosen in the scene, observed by its frames and made solid."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
 from kinectbench.core.errors import ShapeError
-from kinectbench.core.geometry import OrientedBox, TriangleMesh
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Progress
-from kinectbench.core.voxels.observation import merge
-from kinectbench.settings.models import FusionSettings, SegmentationSettings
+from kinectbench.core.types import Bools, Float64, Progress
+from kinectbench.core.voxels.observation import Observation, merge
+from kinectbench.settings.models import FusionSettings, SegmentationSettings, Vector4
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m
-from kinectbench.stages.segment.choose import segment
-from kinectbench.stages.segment.evidence import weigh
-from kinectbench.stages.segment.frontiers import find_frontiers
+from kinectbench.stages.segment.choose import Segmentation, segment
+from kinectbench.stages.segment.evidence import FloorLayers, weigh
+from kinectbench.stages.segment.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.grids import (
     floor_layers,
     object_grid,
@@ -21,7 +26,17 @@ from kinectbench.stages.segment.grids import (
 )
 from kinectbench.stages.segment.object_model import ObjectModel, object_model, usual_pose_error
 from kinectbench.stages.segment.quality import surface_sigma_m
-from kinectbench.stages.segment.solid import make_solid, solidify
+from kinectbench.stages.segment.resolution import (
+    USUAL_VOXEL_M,
+    enlarged_observation,
+    enlarged_transform,
+    object_voxel_size_m,
+    restored_frontier,
+    restored_shape,
+)
+from kinectbench.stages.segment.solid import SolidShape, make_solid, solidify
+from kinectbench.stages.segment.up import floor_hint
+from kinectbench.stages.segment.whole import NO_LAYERS, segment_whole
 from kinectbench.stages.segment.witness import witness
 
 
@@ -33,6 +48,7 @@ def build_object(
     segmentation: SegmentationSettings,
     fusion: FusionSettings,
     progress: Progress | None = None,
+    floor: Vector4 | None = None,
 ) -> ObjectModel:
     """Find the object in the fused scene and make it solid.
 
@@ -47,35 +63,87 @@ def build_object(
         segmentation: floor and object settings.
         fusion: voxel size, and the range of depth that a person gives, if any.
         progress: called with (done, total).
+        floor: a person's plane (a, b, c, d) in the world of the trajectory, metres, or None.
 
     Raises:
         SegmentationError: no floor, no object, or a box with nothing in it.
         ShapeError: no solid can be made.
     """
-    chosen = segment(scene, trajectory, given_box, segmentation)
-    frames, voxel_size_m = trajectory.good_frames, fusion.voxel_size_m
+    hint = floor_hint(sequence, trajectory, floor)
+    if sequence.beside_m is not None:
+        chosen = segment_whole(scene, trajectory, given_box, hint)
+    else:
+        chosen = segment(scene, trajectory, given_box, segmentation, hint)
+    frames = trajectory.good_frames
+    voxel_size_m, scale = _resolution(chosen, sequence, trajectory, fusion)
     grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
-    odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion, progress) for k in (0, 1))
-    layers = floor_layers(chosen.floor, segmentation, voxel_size_m)
-    rules = chosen.excluded(grid), layers, usual_ray_width_m(sequence.camera, trajectory, grid)
-    try:
-        halves = solidify(odd, *rules), solidify(even, *rules)
-    except ShapeError as error:
-        raise ShapeError(f"odd or even frames alone: {error}") from error
-    sigma_m = surface_sigma_m(odd, even)
-    together = merge(odd, even)
-    # Of a large object each of them is a gigabyte.
-    del odd, even
-    evidence = weigh(together, *rules)
-    whole = make_solid(together, evidence, layers)
-    del together
-    T_floor_grid = chosen.floor.T_floor_world @ grid.T_world_grid
-    frontiers = find_frontiers(whole, evidence, T_floor_grid)
-    del evidence
+    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
+    width_m = usual_ray_width_m(sequence.camera, trajectory, middle_world)
+    layers = NO_LAYERS if chosen.hangs else floor_layers(chosen.floor, segmentation, voxel_size_m)
+    T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
+    made = _solids(
+        lambda half: observe(sequence, trajectory, frames[half::2], grid, fusion, progress),
+        (chosen.excluded(grid), layers, width_m / scale),
+        T_floor_grid,
+        scale,
+    )
     around = surround_grid(grid, chosen.floor)
     surround = observe(sequence, trajectory, surround_frames(frames), around, fusion)
     seen = witness(sequence, trajectory, scene, chosen, grid, max_depth_m)
-    pose_error = usual_pose_error(trajectory)
-    return object_model(chosen, (whole, *halves), sigma_m, seen, surround, pose_error, frontiers)
+    solid, of_odd, of_even = (restored_shape(shape, grid, scale) for shape in made.shapes)
+    shapes, pose_error = (solid, of_odd, of_even), usual_pose_error(trajectory)
+    frontiers = tuple(restored_frontier(each, scale) for each in made.frontiers)
+    return object_model(chosen, shapes, made.sigma_m, seen, surround, pose_error, frontiers)
+
+
+class _Made(NamedTuple):
+    """Solids from all, from odd and from even frames, and their frontiers, enlarged; the surface's sigma."""
+
+    shapes: tuple[SolidShape, SolidShape, SolidShape]
+    frontiers: tuple[Frontier, ...]
+    sigma_m: float
+
+
+def _solids(
+    observed: Callable[[int], Observation],
+    rules: tuple[Bools, FloorLayers, float],
+    T_floor_grid: Float64,
+    scale: float,
+) -> _Made:
+    """The solids of what the odd and the even frames saw, and of both together.
+
+    Args:
+        observed: what the odd (0) or the even frames (1) say.
+        rules: what `solidify` asks for beside that.
+        T_floor_grid: (4, 4), in the larger world.
+        scale: this world is 1 / scale times as large.
+    """
+    odd, even = observed(0), observed(1)
+    try:
+        of_odd, of_even = (solidify(enlarged_observation(half, scale), *rules) for half in (odd, even))
+    except ShapeError as error:
+        raise ShapeError(f"odd or even frames alone: {error}") from error
+    sigma_m = surface_sigma_m(odd, even)
+    together = enlarged_observation(merge(odd, even), scale)
+    # Of a large object each of them is a gigabyte.
+    del odd, even
+    evidence = weigh(together, *rules)
+    whole = make_solid(together, evidence, rules[1])
+    return _Made((whole, of_odd, of_even), find_frontiers(whole, evidence, T_floor_grid), sigma_m)
+
+
+def _resolution(
+    chosen: Segmentation, sequence: Sequence, trajectory: Trajectory, fusion: FusionSettings
+) -> tuple[float, float]:
+    """Edge of the object's voxels, metres, and by what the rules see it enlarged: 1 / scale times.
+
+    What a person says of the voxels is taken, and the rules see the object as it is.
+    """
+    if fusion.voxel_size_m is not None:
+        return fusion.voxel_size_m, 1.0
+    middle_world = transform_points(chosen.floor.T_world_floor, np.array(chosen.box.center_m))
+    width_m = usual_ray_width_m(sequence.camera, trajectory, middle_world)
+    voxel_size_m = object_voxel_size_m(chosen.box, width_m)
+    return voxel_size_m, voxel_size_m / USUAL_VOXEL_M

@@ -9,7 +9,8 @@ from queue import Empty
 from typing import Any, Protocol
 
 from kinectbench.core.errors import StorageError
-from kinectbench.engine.artefact import keep_failure
+from kinectbench.core.threads import using_threads
+from kinectbench.engine.failures import keep_failure
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
 from kinectbench.engine.pipeline import Outcome, build_recording
@@ -63,7 +64,7 @@ def build(
         jobs: the recordings.
         upto: name of the last stage.
         force: names of stages to make anew even if they are current.
-        workers: processes; the results do not depend on how many.
+        workers: processes, or threads of a recording that is alone; the results do not depend on how many.
         watcher: told in this process how far each recording is.
         wait_for_others: whether to wait for another run that is at the same recording, or to let it fail.
 
@@ -73,8 +74,9 @@ def build(
     outcomes = _Outcomes(watcher or _Nobody())
     build_one = partial(build_recording, upto=upto, force=tuple(force), wait=wait_for_others)
     if workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            outcomes.add(build_one(job, progress=partial(outcomes.tell, job.recording.id)))
+        with using_threads(workers):
+            for job in jobs:
+                outcomes.add(build_one(job, progress=partial(outcomes.tell, job.recording.id)))
         return list(outcomes.by_id.values())
     left, at_once = list(jobs), min(workers, len(jobs))
     try:

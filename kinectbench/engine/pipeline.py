@@ -16,7 +16,8 @@ from kinectbench.core.errors import (
     TrackingError,
     internal_error,
 )
-from kinectbench.engine.artefact import Artefact, forget_failure, keep_failure
+from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.failures import StillFailsError, forget_failure, keep_failure, refuse_again
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
@@ -26,13 +27,17 @@ NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one recording: the stages made and those still current, the error or None."""
+    """What became of one recording: the stages made and those still current, the error or None.
+
+    `repeated`: the error is that of an earlier run, as nothing has changed; nothing was tried.
+    """
 
     recording: str
     made: tuple[str, ...]
     current: tuple[str, ...]
     error: str | None
     seconds: float
+    repeated: bool = False
 
 
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
@@ -48,7 +53,8 @@ def build_recording(
 ) -> Outcome:
     """Bring one recording up to date as far as a stage. Its errors are told, not raised.
 
-    Not even an unforeseen one may stop the other recordings (but does with KINECTBENCH_DEBUG set).
+    A stage that failed is tried again once something that it depends on has changed, or if it is forced.
+    Not even an unforeseen error may stop the other recordings (but does with KINECTBENCH_DEBUG set).
 
     Args:
         job: the recording.
@@ -61,42 +67,47 @@ def build_recording(
     started = time.monotonic()
     made: list[str] = []
     current: list[str] = []
-    error = None
+    error, repeated = None, False
     try:
         with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
             artefacts: dict[str, Artefact] = {}
             stages = stages_upto(upto)
             for stage in stages:
                 if stage.name == "sample-views":
-                    with _failure_kept(job, stage):
+                    with _failure_kept(job, stage, artefacts):
                         check_masks(job)  # before the stages that take long
             for stage in stages:
-                with _failure_kept(job, stage):
+                with _failure_kept(job, stage, artefacts):
                     artefact = _artefact(job, stage, artefacts)
                     artefacts[stage.name] = artefact
                     if artefact.is_current() and stage.name not in force:
                         current.append(stage.name)
                         continue
+                    if stage.name not in force:
+                        refuse_again(job.build, artefact)
                     report(stage.name, 0, 1)
                     _make(job, stage, artefact, report)
                     made.append(stage.name)
             forget_failure(job.build, (*made, *current))
     except Exception as failure:
-        error = _told(failure)
+        error, repeated = _told(failure), isinstance(failure, StillFailsError)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
-    return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started)
+    seconds = time.monotonic() - started
+    return Outcome(job.recording.id, tuple(made), tuple(current), error, seconds, repeated)
 
 
 @contextmanager
-def _failure_kept(job: Job, stage: Stage) -> Iterator[None]:
+def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
     """Keep on disk why a stage failed, for the page; of `suggest` it shows nothing."""
     try:
         yield
+    except StillFailsError:
+        raise  # what is kept says why
     except Exception as failure:
         check_interrupt()
         if stage.name in STAGE_NAMES:
-            keep_failure(job.build, stage.name, _told(failure))
+            keep_failure(job.build, stage.name, _told(failure), failure, artefacts.get(stage.name))
         raise
 
 
@@ -162,7 +173,7 @@ def _explained(job: Job, failure: KinectBenchError) -> str:
 
     try:
         recording = open_recording(job.source, job.recording.camera)
-        if job.recording.trajectory == "ignore":
+        if job.recording.trajectory_mode == "ignore":
             recording = replace(recording, given_trajectory=None, trajectory_error="")
         doubt = doubted_scale(recording)
     except KinectBenchError:

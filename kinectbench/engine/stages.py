@@ -81,13 +81,26 @@ def _ingest_settings(job: Job) -> Mapping[str, Any]:
     return {"camera": None if camera is None else camera.model_dump(mode="json")}
 
 
+def _track_settings(job: Job) -> Mapping[str, Any]:
+    """What comes after it depends on `segment_by` through it."""
+    by = {} if job.recording.segment_by is None else {"segment_by": job.recording.segment_by}
+    return {"trajectory": job.recording.trajectory, **by, "tracking": _section(job, "tracking")}
+
+
 def _segment_settings(job: Job) -> Mapping[str, Any]:
     box = job.recording.box
     return {
         "box": None if box is None else box.model_dump(mode="json"),
+        **_floor_settings(job),
         "segmentation": _section(job, "segmentation", without=("mask_tolerance_m",)),
         "fusion": _section(job, "fusion", without=("scene_voxel_size_m",)),
     }
+
+
+def _floor_settings(job: Job) -> Mapping[str, Any]:
+    """Nothing where no plane is given, so that what was made before the setting came stays current."""
+    plane_world = job.recording.plane_world
+    return {} if plane_world is None else {"floor": list(plane_world)}
 
 
 def _view_settings(job: Job) -> Mapping[str, Any]:
@@ -117,6 +130,11 @@ def _mask_sources(job: Job) -> Mapping[str, str]:
     return {"masks": content_hash(sorted(job.masks.glob("*.png")), job.masks)}
 
 
+def _frame_mask_sources(job: Job) -> Mapping[str, str]:
+    """A person's masks of frames; nothing where those of views are meant."""
+    return _mask_sources(job) if job.recording.segment_by == "masks" else {}
+
+
 def _recording_sources(job: Job) -> Mapping[str, str]:
     from kinectbench.stages.ingest.readers import source_files
 
@@ -131,7 +149,8 @@ STAGES: tuple[Stage, ...] = (
         "track",
         "trajectory",
         ("ingest",),
-        lambda job: {"trajectory": job.recording.trajectory, "tracking": _section(job, "tracking")},
+        _track_settings,
+        _frame_mask_sources,
     ),
     Stage(
         "fuse",
@@ -154,7 +173,10 @@ SUGGEST = Stage(
     "suggest",
     "candidates",
     ("ingest", "track", "fuse"),
-    lambda job: {"segmentation": _section(job, "segmentation", "seed", "floor_cut_m", "low_cut_m")},
+    lambda job: {
+        "segmentation": _section(job, "segmentation", "seed", "floor_cut_m", "low_cut_m"),
+        **_floor_settings(job),
+    },
 )
 
 

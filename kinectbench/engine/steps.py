@@ -7,14 +7,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
 from kinectbench.core.types import Progress
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
+from kinectbench.engine.frame_masks import frame_masks, plane_given
 from kinectbench.engine.object import build_object
 from kinectbench.engine.stages import SUGGEST, Job
+from kinectbench.engine.track_scene import track_scene
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.reconstruction import write_reconstruction
 from kinectbench.stages.ingest.readers import open_recording
@@ -24,8 +28,14 @@ from kinectbench.stages.sample_views.views import read_masks, read_views, sample
 from kinectbench.stages.segment.candidate_pictures import write_candidates
 from kinectbench.stages.segment.candidates import find_candidates
 from kinectbench.stages.segment.object_model import read_object, write_object
-from kinectbench.stages.track import track
+from kinectbench.stages.segment.up import floor_hint
+from kinectbench.stages.track.own_pixels import track_own_pixels
 from kinectbench.stages.track.pictures import COMPARISON, write_pictures
+
+NOTHING_TO_CHOOSE = (
+    "with `segment_by` there is nothing to choose from: all that is fused is the object; correct the masks, "
+    "or leave `segment_by` out"
+)
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
@@ -35,6 +45,13 @@ def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
     return sequence.calibrated(trajectory.depth_calibration), trajectory
 
 
+def read_own(job: Job) -> tuple[Sequence, Trajectory]:
+    """As `read_tracked`; of what is segmented by masks, with the object's own depth only."""
+    sequence, trajectory = read_tracked(job.build)
+    masks = frame_masks(job, sequence)
+    return (sequence if masks is None else by_own_pixels(sequence, masks)), trajectory
+
+
 def _scene(build: Path) -> TriangleMesh:
     return read_ply(build / "reconstruction" / "mesh.ply")
 
@@ -42,14 +59,18 @@ def _scene(build: Path) -> TriangleMesh:
 def _ingest(job: Job, folder: Path, progress: Progress) -> None:
     recording = open_recording(job.source, job.recording.camera)
     refuse_hopeless(recording)
-    needed = job.recording.trajectory != "ignore"
+    needed = job.recording.trajectory_mode != "ignore"
     watched = recording if needed else replace(recording, given_trajectory=None)
     write_sequence(recording, folder, progress, needs_trajectory=needed, watch=OffsetWatch(watched))
 
 
 def _track(job: Job, folder: Path, progress: Progress) -> None:
     sequence = read_sequence(job.build / "sequence")
-    trajectory = track(sequence, job.recording.trajectory, job.settings.tracking, progress)
+    masks, how = frame_masks(job, sequence), (job.recording.trajectory_mode, job.settings.tracking)
+    if masks is None:
+        trajectory = track_scene(sequence, *how, progress)
+    else:
+        trajectory = track_own_pixels(sequence, masks, *how, progress)
     write_trajectory(trajectory, folder)
     write_pictures(folder, trajectory)
     # It shows the trajectory that is about to be replaced.
@@ -57,27 +78,38 @@ def _track(job: Job, folder: Path, progress: Progress) -> None:
 
 
 def _fuse(job: Job, folder: Path, progress: Progress) -> None:
-    reconstruction = fuse(*read_tracked(job.build), job.settings.fusion, progress)
+    reconstruction = fuse(*read_own(job), job.settings.fusion, progress)
     write_reconstruction(reconstruction, folder)
 
 
 def _suggest(job: Job, folder: Path, progress: Progress) -> None:
+    if job.recording.segment_by is not None:
+        raise SegmentationError(NOTHING_TO_CHOOSE)
     sequence, trajectory = read_tracked(job.build)
-    found = find_candidates(_scene(job.build), trajectory, job.settings.segmentation)
+    found = find_candidates(
+        _scene(job.build),
+        trajectory,
+        job.settings.segmentation,
+        floor_hint(sequence, trajectory, job.recording.plane_world),
+    )
     write_candidates(found, sequence, trajectory, folder)
 
 
 def _segment(job: Job, folder: Path, progress: Progress) -> None:
-    tracked, scene, settings = read_tracked(job.build), _scene(job.build), job.settings
+    tracked, scene, settings = read_own(job), _scene(job.build), job.settings
     box = job.recording.box.box() if job.recording.box else None
-    model = build_object(*tracked, scene, box, settings.segmentation, settings.fusion, progress)
+    wanted = settings.segmentation, settings.fusion
+    model = build_object(*tracked, scene, box, *wanted, progress, plane_given(job, *tracked))
     write_object(model, folder)
 
 
 def _sample_views(job: Job, folder: Path, progress: Progress) -> None:
     sequence, trajectory = read_tracked(job.build)
     model = read_object(job.build / "object")
-    masks = None if job.masks is None else read_masks(job.masks)
+    of_frames = frame_masks(job, sequence)
+    of_views = None if job.recording.segment_by == "masks" else job.masks
+    masks = None if of_views is None else read_masks(of_views)
+    sequence = replace(sequence, masks=of_frames) if of_frames else sequence
     wanted = job.settings.views, job.settings.segmentation, job.settings.pairs
     views = sample_views(sequence, trajectory, model, *wanted, masks, progress)
     write_views(views, sequence, folder)

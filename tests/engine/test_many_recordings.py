@@ -19,6 +19,7 @@ from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark
 
+STAGES = ("ingest", "track", "fuse", "segment", "sample-views", "pairs")
 pytestmark = pytest.mark.xdist_group("resume")
 
 Command = Callable[..., Run]
@@ -45,6 +46,22 @@ class Listener:
 
     def warn(self, message: str) -> None:
         self.warnings.append(message)
+
+
+# --- one recording, several threads --------------------------------------------------------------------
+
+
+def test_a_recording_that_is_alone_gives_the_same_bytes_with_any_number_of_threads(
+    small: Path, tmp_path: Path
+) -> None:
+    settings = load_benchmark(small / "benchmark.yaml", ())
+    digests = []
+    for workers in (1, 3):
+        root = copied(small, tmp_path / str(workers))
+        (outcome,) = build([Job(settings, settings.recordings[0], root)], force=STAGES, workers=workers)
+        assert outcome.error is None and set(outcome.made) == set(STAGES)
+        digests.append(hashes(root / "build" / "chair"))
+    assert digests[0] == digests[1]
 
 
 # --- killed workers -----------------------------------------------------------------------------------

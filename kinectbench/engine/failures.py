@@ -1,0 +1,98 @@
+"""Failures that are kept, so that what failed is not tried again before something it depends on changes."""
+
+import contextlib
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.core.errors import (
+    KinectBenchError,
+    RecordingError,
+    SegmentationError,
+    ShapeError,
+    StorageError,
+    TrackingError,
+)
+from kinectbench.core.storage import replaced_file
+from kinectbench.engine.artefact import Artefact
+
+# What the recording and the settings are to blame for: the same code would fail again.
+OF_THE_RECORDING = (RecordingError, TrackingError, SegmentationError, ShapeError)
+# What the machine is to blame for, behind whatever it was told as: it may be well at the next run.
+OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
+
+
+class StillFailsError(KinectBenchError):
+    """A stage failed before, and would fail again for the same reason: nothing it depends on has changed."""
+
+
+def refuse_again(build: Path, artefact: Artefact) -> None:
+    """Refuse to make what has failed with the same inputs, settings and code.
+
+    Args:
+        build: `build/<recording>/`.
+        artefact: that is about to be made.
+
+    Raises:
+        StillFailsError: it would fail again; the message is the reason that was kept.
+    """
+    try:
+        failed = Failed.read_if_there(build)
+    except StorageError:
+        return  # damaged: nobody can read what failed
+    if (
+        failed is not None
+        and failed.stage == artefact.stage
+        and failed.fingerprint == artefact.fingerprint
+        and failed.package_version == __version__
+    ):
+        raise StillFailsError(failed.error)
+
+
+def keep_failure(
+    build: Path,
+    stage: str | None,
+    error: str,
+    failure: BaseException | None = None,
+    tried: Artefact | None = None,
+) -> None:
+    """Write failed.json. A disk that takes nothing more keeps no reason.
+
+    Args:
+        build: `build/<recording>/`.
+        stage: the name of the stage that failed; None if its process was killed.
+        error: why, one line, as people are told.
+        failure: what was raised, if it is known.
+        tried: what was to be made, if it had come so far.
+    """
+    failed = Failed(stage=stage, error=error)
+    if tried is not None and failure is not None and _would_repeat(failure):
+        failed = Failed(stage=stage, error=error, fingerprint=tried.fingerprint, package_version=__version__)
+    with contextlib.suppress(StorageError, OSError), replaced_file(build / Failed.FILE) as temporary:
+        temporary.write_text(failed.text(), encoding="utf-8")
+
+
+def forget_failure(build: Path, stages: Collection[str]) -> None:
+    """Remove failed.json of `build/<recording>/` if it is of one of these stages, which have succeeded."""
+    try:
+        failed = Failed.read_if_there(build)
+        of_others = failed is not None and failed.stage is not None and failed.stage not in stages
+    except StorageError:
+        of_others = False  # damaged: nobody can read the reason
+    if not of_others:
+        (build / Failed.FILE).unlink(missing_ok=True)
+
+
+def _would_repeat(failure: BaseException) -> bool:
+    """Whether the recording is to blame, and no error of the machine lies behind it."""
+    behind = any(isinstance(each, OF_THE_MACHINE) for each in _chain(failure))
+    return isinstance(failure, OF_THE_RECORDING) and not behind
+
+
+def _chain(failure: BaseException) -> Iterator[BaseException]:
+    """An error and those that it was raised from, or in the midst of."""
+    each: BaseException | None = failure
+    while each is not None:
+        yield each
+        each = each.__cause__ or each.__context__

@@ -1,0 +1,76 @@
+"""Masks of every frame of a recording that is segmented by them: a person's, its own, or of what turns."""
+
+from pathlib import Path
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.own_pixels import Masks, whole
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Bools
+from kinectbench.engine.stages import Job
+from kinectbench.settings.models import Vector4
+from kinectbench.stages.sample_views.views import read_masks
+from kinectbench.stages.segment.turntable import plane_below, turntable_masks
+
+
+def frame_masks(job: Job, sequence: Sequence) -> Masks | None:
+    """The masks that a recording is segmented by, index -> mask or None; None if it is not.
+
+    Raises:
+        SegmentationError: it is to be, but brings no masks, a person's cannot be used, or nothing turns.
+    """
+    if job.recording.segment_by is None:
+        return None
+    if job.recording.segment_by == "turntable":
+        return turntable_masks(sequence)
+    if job.masks is not None:
+        return _of_folder(job.masks, sequence)
+    if sequence.masks is None:
+        raise SegmentationError(
+            f"{job.source}: `segment_by: masks` asks for masks, but the recording brings none: put a PNG a "
+            "frame (not 0 = object) into a folder, called by the frame's number such as 000012.png, and name "
+            "the folder as `masks`"
+        )
+    return sequence.masks
+
+
+def plane_given(job: Job, sequence: Sequence, trajectory: Trajectory) -> Vector4 | None:
+    """What the object stands on, in its world: a person's plane, or the one that it was seen to turn on."""
+    if job.recording.segment_by != "turntable" or job.recording.plane_world is not None:
+        return job.recording.plane_world
+    plane_world = plane_below(whole(sequence), trajectory)
+    if plane_world is None:
+        return None
+    a, b, c, d = (float(value) for value in plane_world)
+    return a, b, c, d
+
+
+def _of_folder(folder: Path, sequence: Sequence) -> Masks:
+    """A person's masks, `<frame>.png`: the frame's number counts from 0, as in frames.json.
+
+    Raises:
+        SegmentationError: no file is called by a frame's number; later: one is damaged or of another size.
+    """
+    given = read_masks(folder)
+    numbered = {int(Path(name).stem): name for name in given.names if Path(name).stem.isdecimal()}
+    names = {number: name for number, name in numbered.items() if name.lower().endswith(".png")}
+    last = len(sequence) - 1
+    if not any(number <= last for number in names):
+        raise SegmentationError(
+            f"{folder}: holds no mask of a frame; with `segment_by: masks` they are called by the frame's "
+            f"number, 000000.png to {last:06d}.png"
+        )
+
+    def mask(index: int) -> Bools | None:
+        """The mask of a frame: (height, width) bool, or None if nobody drew one."""
+        if index not in names:
+            return None
+        own, size = given.read(names[index]), (sequence.camera.height, sequence.camera.width)
+        if own.shape != size:
+            raise SegmentationError(
+                f"{folder}/{names[index]}: the mask is {own.shape[1]}x{own.shape[0]}, the depth image "
+                f"{size[1]}x{size[0]}; draw it in depth pixels"
+            )
+        return own
+
+    return mask
