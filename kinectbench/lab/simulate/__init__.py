@@ -24,4 +24,7 @@ Format = Literal[
     "polycam",
     "redwood_zip",
     "record3d",
+    "scannet",
+    "sun3d",
+    "azure_kinect",
 ]

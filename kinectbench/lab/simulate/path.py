@@ -20,6 +20,8 @@ FIT_MARGIN = 1.06
 REACH_PEAK = 1.9
 # As steep as a view gets whose right is level: 86 degrees.
 STEEPEST_RAD = 1.5
+# The camera's own axes, in the order it is turned about them: roll, pitch, yaw.
+TURN_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 GOLDEN_SHARE = (np.sqrt(5) - 1) / 2
 
 
@@ -103,6 +105,8 @@ class CameraPath:
             [look_at(self.target_room + o * r, self.target_room) for o, r in zip(outward, reach, strict=True)]
         )
         looks[:, :3, :3] = looks[:, :3, :3] @ Rotation.from_rotvec(turned).as_matrix()
+        if chosen.turn_rad > 0:
+            looks[:, :3, :3] = looks[:, :3, :3] @ Rotation.from_rotvec(self._turns(time_s)).as_matrix()
         looks[:, :3, 3] = positions
         return looks
 
@@ -115,6 +119,18 @@ class CameraPath:
         share = np.interp(time_s, self.knots_s, self.knots_share)
         swing = np.sin(2 * np.pi * chosen.swings * share + self.swing_phase_rad)
         return self.start_rad + chosen.arc_rad * share, chosen.elevation_rad + chosen.swing_rad * swing
+
+    def _turns(self, time_s: Float64) -> Float64:
+        """Rotation vectors (n, 3), camera axes, of the turns there and back.
+
+        About each axis to the one side, then to the other; each comes to rest at both ends.
+        """
+        chosen = self.settings
+        # A (1 - cos(2 pi t / period)) / 2 is fastest at a quarter of its period: pi A / period.
+        number, since = np.divmod(time_s * chosen.turn_rad_per_s / (np.pi * chosen.turn_rad), 1)
+        axis, side = np.mod(number // 2, 3).astype(np.int64), 1 - 2 * np.mod(number, 2)
+        angle_rad = side * chosen.turn_rad * (1 - np.cos(2 * np.pi * since)) / 2
+        return np.asarray(angle_rad[:, None] * TURN_AXES[axis])
 
     def _knock(self, time_s: Float64) -> Float64:
         """The knock's course (n, 6): a damped swing that starts at two thirds of the way; peak about 1."""

@@ -17,6 +17,7 @@ from kinectbench.core.types import NamedProgress
 from kinectbench.lab.simulate import Format
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec, WorldFrame
+from kinectbench.scoring.workers import run_tasks
 from kinectbench.settings.overrides import merged, settings_from_options
 
 # 300 frames at 15 Hz: twenty seconds around the object and a little farther, at an easy pace.
@@ -74,6 +75,29 @@ PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
         _orbit(path={"reach_share": 0.08, "lowest_m": 0.1}),
     ),
     "far-v1": ("from 2.5 to 4 m away", _orbit(path={"distance_m": 3.2, "reach_share": 0.12})),
+    # As a hand turns a camera that stays where it is, to try a tracker: 150 degrees a second, 23 seconds.
+    "turns-v1": (
+        "fast turns in place, up to 150 degrees a second, blurred",
+        {
+            "path": {
+                "frames": 700,
+                "rate_hz": 30.0,
+                "arc_rad": 0.4,
+                "distance_m": 1.8,
+                "shake_m": 0.015,
+                "turn_rad": 0.6,
+                "turn_rad_per_s": 2.618,
+            },
+            "scene": {"walls": 4, "clutter": 8},
+            "sensor": {
+                "exposure_s": 1 / 60,
+                "exposure_drift": 0.3,
+                "color_delay_s": 0.01,
+                "readout_s": 0.03,
+            },
+            "faults": {"drop_share": 0.02, "stamp_jitter_s": 0.001},
+        },
+    ),
     "azure-v1": ("a full orbit, Azure Kinect", _orbit(sensor={"model": "azure_kinect"})),
     "phone-v1": ("a full orbit, a phone's LiDAR", _orbit(sensor={"model": "phone_lidar"})),
     # For truth that is judged: short, and from 10 to 45 degrees, so that most openings are looked into at a
@@ -153,6 +177,7 @@ def simulate_named(
     samples: Path | None,
     demo: Path | None,
     progress: NamedProgress,
+    jobs: int = 1,
 ) -> list[Path]:
     """Write one recording, or the sample recordings, or the demo's.
 
@@ -163,7 +188,8 @@ def simulate_named(
         overrides: of that one, `section.key=value`.
         samples: folder for the sample recordings.
         demo: folder for the demo's recordings.
-        progress: told (recording, done, total).
+        progress: told (recording, frames done, frames), or of several (folder, recordings done, recordings).
+        jobs: number of processes where there are several.
 
     Returns:
         The recordings written.
@@ -184,6 +210,15 @@ def simulate_named(
         assert out is not None
         by_name = {"format": "bag"} if out.suffix == ".bag" else {}
         specs = {out: preset_spec(preset, by_name | changes, overrides)}
-    for path, spec in specs.items():
-        simulate(spec, path, partial(progress, path.name))
+    if len(specs) == 1:
+        for path, spec in specs.items():
+            simulate(spec, path, partial(progress, path.name))
+    else:
+        run_tasks(_simulated, list(specs.items()), jobs, partial(progress, next(iter(specs)).parent.name))
     return list(specs)
+
+
+def _simulated(task: tuple[Path, SimulationSpec]) -> None:
+    """Write one recording of several."""
+    path, spec = task
+    simulate(spec, path)

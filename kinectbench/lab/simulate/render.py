@@ -80,19 +80,22 @@ class Rendering(NamedTuple):
 def pixel_rays(camera: Camera, T_room_camera: Float64) -> Float32:
     """Rays (height, width, 6) through integer pixel centres: origin, then direction, frame `room`.
 
-    Directions have z = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole
-    rays pass half a pixel beside integer centres.)
+    The camera's pose is one (4, 4), or with a rolling shutter one for each row (height, 4, 4). Directions
+    have z = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole rays pass half
+    a pixel beside integer centres.)
     """
     size, lens = (camera.height, camera.width), (camera.fx, camera.fy, camera.cx, camera.cy)
-    return np.asarray(_rays(size, lens, np.ascontiguousarray(T_room_camera, dtype=np.float64)))
+    T_rows = np.broadcast_to(T_room_camera, (camera.height, 4, 4))
+    return np.asarray(_rays(size, lens, np.ascontiguousarray(T_rows, dtype=np.float64)))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _rays(size, lens, T_room_camera):  # type: ignore[no-untyped-def]
+def _rays(size, lens, T_rows):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = lens
     rays = np.empty((size[0], size[1], 6), np.float32)
     for v in range(size[0]):
         y = (v - cy) / fy
+        T_room_camera = T_rows[v]
         for u in range(size[1]):
             x = (u - cx) / fx
             for k in range(3):
@@ -215,7 +218,12 @@ class Renderer:
         )
 
     def render(self, camera: Camera, T_room_camera: Float64) -> Rendering:
-        """Render one noise-free frame from a camera at `T_room_camera` (4, 4), on one thread."""
+        """Render one noise-free frame from a camera at `T_room_camera`, on one thread.
+
+        Args:
+            camera: intrinsics.
+            T_room_camera: (4, 4), or (height, 4, 4): of each row.
+        """
         rays = pixel_rays(camera, T_room_camera)
         hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)
         hit_m, items = hits["t_hit"].numpy(), hits["geometry_ids"].numpy()

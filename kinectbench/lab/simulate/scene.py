@@ -1,9 +1,10 @@
 """What stands around the subject: a room or open ground, and clutter that hides nothing of it.
 
-Frame `room`: z up, floor at z = 0, the subject's origin at the room's origin.
+Frame `room`: z up, z = 0 where the subject stands, its origin at the room's origin.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,11 @@ FLOOR_M, GROUND_M = 16.0, 30.0
 CLEARANCE_M = 0.6
 # A touching neighbour reaches this far into the subject's bounding box.
 TOUCH_M = 0.005
+# A table as people eat and work at, metres; and what stands about on it is as far from the subject as a hand
+# needs to take it (own choices).
+TABLE_M, TABLE_THICK_M, TABLE_LEG_M = 0.74, 0.035, 0.05
+TABLE_LONG_M, TABLE_DEEP_M = (1.1, 1.5), (0.7, 0.9)
+TABLE_CLEARANCE_M = (0.05, 0.12)
 FLOOR_RGB: tuple[Vector3, ...] = (
     (0.62, 0.55, 0.46),
     (0.45, 0.32, 0.22),
@@ -88,16 +94,20 @@ def make_scene(
         for piece in subject.pieces
     ]
     outdoor = settings.place == "outdoor"
-    items.append(_floor(draw, outdoor=outdoor))
+    around = [_floor(draw, outdoor=outdoor)]
     walls = settings.walls
     if walls is None:
         walls = 0 if outdoor else draw.integer(2, 4)
     wall_m = max(3.0, reach_m + WALL_CLEARANCE_M) + draw.between(0, 0.5)
     first = draw.integer(0, 4)
     for k in range(walls):
-        items += _wall((first + k) * np.pi / 2, wall_m, draw)
+        around += _wall((first + k) * np.pi / 2, wall_m, draw)
     clutter = draw.integer(1, 3) if settings.clutter is None else settings.clutter
-    items += _low_clutter(clutter, radius_m, draw)
+    if settings.stands_on == "table":
+        items += [_lowered(item, TABLE_M) for item in around]
+        items += [*_table(radius_m, draw), *_table_clutter(clutter, radius_m, draw)]
+    else:
+        items += [*around, *_low_clutter(clutter, radius_m, draw)]
     if settings.touching:
         items.append(_neighbour(mesh_room, draw))
     return items
@@ -144,6 +154,53 @@ def _low_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
         turn = start + (k + draw.between(-0.3, 0.3)) * 2 * np.pi / count
         x, y = reach * float(np.cos(turn)), reach * float(np.sin(turn))
         box = OrientedBox((x, y, high / 2), (long, deep, high), draw.between(0, np.pi))
+        items.append(Item("clutter", box_mesh(box), draw.choose(THING_RGB), 0.5))
+    return items
+
+
+def _lowered(item: Item, by_m: float) -> Item:
+    """An item moved down."""
+    T = np.eye(4)
+    T[2, 3] = -by_m
+    return replace(item, mesh=item.mesh.transformed(T))
+
+
+def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
+    """A table with four legs whose top is z = 0; the subject stands anywhere on it, but not over its edge."""
+    long, deep = draw.between(*TABLE_LONG_M), draw.between(*TABLE_DEEP_M)
+    (x, y), turn = (
+        (
+            draw.between(-free, free)
+            for free in (max(0.0, side / 2 - subject_radius_m - THICK_M) for side in (long, deep))
+        ),
+        draw.between(0, np.pi),
+    )
+    T = OrientedBox((0, 0, 0), (1, 1, 1), turn).T_floor_box
+
+    def part(center: Vector3, size: Vector3) -> Item:
+        mesh = box_mesh(OrientedBox(center, size)).transformed(T)
+        return Item("clutter", mesh, color, 0.35, albedo=0.65)
+
+    color = draw.choose(FLOOR_RGB)
+    high = TABLE_M - TABLE_THICK_M
+    items = [part((x, y, -TABLE_THICK_M / 2), (long, deep, TABLE_THICK_M))]
+    for right, far in product((-1, 1), (-1, 1)):
+        at = x + right * (long / 2 - TABLE_LEG_M), y + far * (deep / 2 - TABLE_LEG_M)
+        items.append(part((*at, -TABLE_THICK_M - high / 2), (TABLE_LEG_M, TABLE_LEG_M, high)))
+    return items
+
+
+def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
+    """Boxes and books on the table around the subject, the farther away the higher."""
+    items = []
+    start = draw.between(0, 2 * np.pi)
+    for k in range(count):
+        free = draw.between(*TABLE_CLEARANCE_M)
+        size = draw.between(0.05, 0.16), draw.between(0.05, 0.2), draw.between(0.02, 0.04 + free)
+        reach = subject_radius_m + free + float(np.hypot(*size[:2])) / 2
+        turn = start + (k + draw.between(-0.2, 0.2)) * 2 * np.pi / count
+        x, y = reach * float(np.cos(turn)), reach * float(np.sin(turn))
+        box = OrientedBox((x, y, size[2] / 2), size, draw.between(0, np.pi))
         items.append(Item("clutter", box_mesh(box), draw.choose(THING_RGB), 0.5))
     return items
 

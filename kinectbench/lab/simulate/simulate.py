@@ -21,6 +21,7 @@ from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
 from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture, sample_surface
 from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.spec import DEVICE, MIN_RANGE_M, PATH, SCENE, SENSOR, WORLD, SimulationSpec
+from kinectbench.lab.simulate.still_camera import StillRenderer, still_renderer, turning_only
 from kinectbench.lab.simulate.time_of_flight import (
     TimeOfFlightDevice,
     draw_time_of_flight,
@@ -63,7 +64,7 @@ class Simulation:
 
     spec: SimulationSpec
     subject: Subject
-    renderer: Renderer
+    renderer: Renderer | StillRenderer
     foreign: Renderer | None
     path: CameraPath
     device: Device | TimeOfFlightDevice | None
@@ -80,7 +81,7 @@ class Simulation:
 
     @property
     def T_world_camera(self) -> Float64:
-        """(n, 4, 4) float64: the true pose of every recorded frame, wherever it looks."""
+        """(n, 4, 4) float64: the true pose of every recorded frame to the object, wherever it looks."""
         times = np.array([frame.time_s for frame in self.frames])
         return np.asarray(self.T_world_room @ self.path.poses(times))
 
@@ -122,7 +123,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
     """
     subject = make_subject(spec)
     min_range_m = MIN_RANGE_M[spec.sensor.model]
-    path = draw_path(spec.path, subject.mesh, spec.camera, spec.rng(PATH), min_range_m)
+    path = draw_path(turning_only(spec.path), subject.mesh, spec.camera, spec.rng(PATH), min_range_m)
     rng = spec.rng(SCENE)
     yaw_rad = float(rng.uniform(0, 2 * np.pi))
     reach_m = path.distance_m * max(1.1, 1 + REACH_PEAK * spec.path.reach_share)
@@ -131,12 +132,19 @@ def prepare(spec: SimulationSpec) -> Simulation:
     walk_s = np.arange(spec.path.frames) / spec.path.rate_hz
     walk = path.poses(walk_s)
     T_world_room = _world(spec, walk[0])
-    frames = plan_frames(spec, T_world_room @ walk)
+    renderer: Renderer | StillRenderer
+    if spec.path.moves == "camera":
+        renderer, T_room_given = Renderer(scene, texture), walk
+    else:
+        # A given trajectory is the camera's, which does not move.
+        renderer = still_renderer(scene, texture, walk[0], spec.path)
+        T_room_given = np.repeat(renderer.T_room_still[None], len(walk), axis=0)
+    frames = plan_frames(spec, T_world_room @ T_room_given)
     frames_s = np.array([frame.time_s for frame in frames])
     return Simulation(
         spec=spec,
         subject=subject,
-        renderer=Renderer(scene, texture),
+        renderer=renderer,
         foreign=_foreign(spec, reach_m) if spec.faults.foreign_frames else None,
         path=path,
         device=_device(spec),
@@ -157,13 +165,13 @@ def record(simulation: Simulation, index: int) -> Recorded:
     """
     spec, plan = simulation.spec, simulation.frames[index]
     renderer = simulation.foreign if plan.foreign and simulation.foreign else simulation.renderer
-    T_room_camera = simulation.path.poses(np.array([plan.time_s]))[0]
-    exact = renderer.render(spec.camera, T_room_camera)
+    exact = renderer.render(spec.camera, _poses_of_rows(simulation, spec.camera.height, plan.time_s))
     rng = spec.rng(SENSOR, plan.source)
     depth_m = exact.depth_m
     if simulation.device is not None:
         depth_m = _measured(exact, simulation.device, spec, rng)
     color_rgb = _color(simulation, renderer, exact, index, rng)
+    mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
     frame = RecordedFrame(
         stamp_ns=plan.stamp_ns,
         depth_m=depth_m * np.float32(spec.faults.scale_error),
@@ -171,9 +179,17 @@ def record(simulation: Simulation, index: int) -> Recorded:
         color_rgb=color_rgb,
         T_world_camera=plan.T_world_given,
         pose_stamp_ns=spec.stamp_ns(plan.source),
+        mask=mask if spec.given.masks else None,
     )
-    mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
     return Recorded(frame, exact.depth_m, mask)
+
+
+def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float64:
+    """The poses (height, 4, 4) of the depth camera, the middle row at `time_s`; (4, 4) if all are one."""
+    readout_s = simulation.spec.sensor.readout_s
+    if readout_s == 0:
+        return np.asarray(simulation.path.poses(np.array([time_s]))[0])
+    return simulation.path.poses(time_s + readout_s * np.linspace(-0.5, 0.5, height))
 
 
 def _measured(
@@ -186,7 +202,11 @@ def _measured(
 
 
 def _color(
-    simulation: Simulation, renderer: Renderer, exact: Rendering, index: int, rng: np.random.Generator
+    simulation: Simulation,
+    renderer: Renderer | StillRenderer,
+    exact: Rendering,
+    index: int,
+    rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
     """The colour image of one frame; it is cast anew only if another camera takes it, or at another time."""
     sensor = simulation.spec.sensor
@@ -195,7 +215,8 @@ def _color(
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
     start, middle, end = simulation.path.poses(times_s) @ T_depth_color
     if not sensor.color_registered or sensor.color_delay_s:
-        exact = renderer.render(simulation.rig.color, middle)
+        T_room_rows = _poses_of_rows(simulation, simulation.rig.color.height, float(times_s[1]))
+        exact = renderer.render(simulation.rig.color, T_room_rows @ T_depth_color)
     if simulation.device is None:
         return exact.color_rgb
     return expose(exact, simulation.rig.color, (start, middle, end), float(simulation.gains[index]), rng)

@@ -28,10 +28,30 @@ NATIVE = {
 }
 # What came after the first presets were frozen: left out of a stored spec while it has its default, so that
 # the stored specs of older recordings, and their hashes, stay what they are.
-LATER = {"order": "walk", "reach_share": 0.04, "lowest_m": 0.25}
+LATER = {
+    "order": "walk",
+    "moves": "camera",
+    "plate_m": 0.0,
+    "reach_share": 0.04,
+    "lowest_m": 0.25,
+    "turn_rad": 0.0,
+    "turn_rad_per_s": 2.6,
+    "readout_s": 0.0,
+    "masks": False,
+    "stands_on": "floor",
+}
 
 
-class PathSettings(Settings):
+class GrownSettings(Settings):
+    """Settings to which some were added later."""
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = write(self)
+        return {key: value for key, value in values.items() if key not in LATER or value != LATER[key]}
+
+
+class PathSettings(GrownSettings):
     """How the camera is carried around the object."""
 
     frames: int = Field(300, ge=1, le=100_000, description="number of frames")
@@ -39,6 +59,11 @@ class PathSettings(Settings):
     order: Literal["walk", "shuffled"] = Field(
         "walk", description="shuffled: views spread over the same arc and elevations, in no order of time"
     )
+    moves: Literal["camera", "turntable", "hand"] = Field(
+        "camera",
+        description="turntable, hand: the camera stands still, and the object moves as if it did not",
+    )
+    plate_m: float = Field(0.0, ge=0, le=0.2, description="height of the turntable's plate; 0: without one")
     arc_rad: float = Field(2.2 * np.pi, ge=0, le=100, description="angle walked around the object")
     distance_m: float | None = Field(None, gt=0.2, le=10, description="to the object; default: it fits")
     reach_share: float = Field(
@@ -52,25 +77,27 @@ class PathSettings(Settings):
     shake_rad: float = Field(0.008, ge=0, le=0.5, description="standard deviation of the hand's shake")
     speed_variation: float = Field(0.3, ge=0, le=0.9, description="the walking speed varies by this share")
     pause_s: float = Field(0.0, ge=0, le=1000, description="a pause, half-way, in which only the hand shakes")
+    turn_rad: float = Field(
+        0.0, ge=0, le=1.5, description="the camera rolls, pitches and yaws by this and back, again and again"
+    )
+    turn_rad_per_s: float = Field(2.6, gt=0, le=20, description="how fast such a turn is half-way")
     jolt_m: float = Field(0.0, ge=0, le=1, description="a sudden knock, at two thirds of the way")
     jolt_rad: float = Field(0.0, ge=0, le=1, description="turn that comes with the knock")
 
-    @model_serializer(mode="wrap")
-    def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = write(self)
-        return {key: value for key, value in values.items() if key not in LATER or value != LATER[key]}
 
-
-class SceneSettings(Settings):
+class SceneSettings(GrownSettings):
     """What stands around the object."""
 
     place: Literal["indoor", "outdoor"] = Field("indoor", description="outdoor: no walls, strong sun")
     walls: int | None = Field(None, ge=0, le=4, description="default: two or three, none outdoors")
     clutter: int | None = Field(None, ge=0, le=20, description="things around it; default: one or two")
     touching: bool = Field(False, description="a box stands against the object")
+    stands_on: Literal["floor", "table"] = Field(
+        "floor", description="table: the object and the clutter stand on one, above the floor"
+    )
 
 
-class SensorSettings(Settings):
+class SensorSettings(GrownSettings):
     """The camera and its noise."""
 
     model: Literal["kinect_v1", "ideal", "azure_kinect", "phone_lidar"] = Field(
@@ -89,6 +116,12 @@ class SensorSettings(Settings):
     sunlight: float | None = Field(None, ge=0, le=1, description="default: 0 indoors, 0.6 outdoors")
     exposure_s: float = Field(0.0, ge=0, le=0.2, description="of colour: motion blur")
     exposure_drift: float = Field(0.0, ge=0, le=0.9, description="automatic exposure varies by this share")
+    readout_s: float = Field(
+        0.0,
+        ge=-0.2,
+        le=0.2,
+        description="a rolling shutter: from the first row to the last, depth and colour",
+    )
     color_registered: bool = Field(True, description="colour is delivered in depth pixels")
     color_baseline_m: float = Field(0.025, ge=0, le=0.5, description="colour camera beside the depth camera")
     color_delay_s: float = Field(0.0, ge=-0.5, le=0.5, description="colour is taken this much after depth")
@@ -116,13 +149,14 @@ class FaultSettings(Settings):
     cut_share: float = Field(0.0, ge=0, le=0.99, description="this share of the last file or bag is missing")
 
 
-class GivenSettings(Settings):
-    """The trajectory that is recorded with the frames."""
+class GivenSettings(GrownSettings):
+    """The trajectory and the masks that are recorded with the frames."""
 
     trajectory: Literal["true", "noisy", "drifting", "none"] = Field("true", description="how good it is")
     noise_m: float = Field(0.005, ge=0, le=1, description="noisy: standard deviation per axis and frame")
     noise_rad: float = Field(0.002, ge=0, le=1, description="noisy: standard deviation per axis and frame")
     drift_m_per_m: float = Field(0.01, ge=0, le=1, description="drifting: error per metre of path")
+    masks: bool = Field(False, description="true masks come with it, where the format has a place for them")
 
 
 class SimulationSpec(Settings):

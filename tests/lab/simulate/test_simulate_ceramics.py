@@ -1,4 +1,4 @@
-"""Mugs, kettles and vases: vessels with walls of one thickness, openings under handles, true cavities."""
+"""Mugs, kettles, bottles and vases: walls of one thickness, openings under handles, true cavities."""
 
 import numpy as np
 import pytest
@@ -10,9 +10,10 @@ SEEDS = range(10)
 BOUNDS = {
     "mug": ((0.10, 0.065, 0.10), (0.24, 0.16, 0.165), (0.15, 1.5)),
     "kettle": ((0.2, 0.16, 0.13), (0.42, 0.26, 0.34), (1.5, 9.0)),
+    "bottle": ((0.059, 0.059, 0.155), (0.085, 0.085, 0.285), (0.2, 1.4)),
     "vase": ((0.10, 0.10, 0.19), (0.40, 0.36, 0.46), (0.3, 5.0)),
 }
-THICK_M = {"mug": 0.0079, "kettle": 0.0119, "vase": 0.0079}
+THICK_M = {"mug": 0.0079, "kettle": 0.0119, "bottle": 0.0119, "vase": 0.0079}
 
 
 @pytest.mark.parametrize("family", BOUNDS)

@@ -203,9 +203,9 @@ def test_a_voxelised_solid_keeps_the_colours_of_the_nearest_faces(tmp_path):
     [
         (
             box((0, 0, 0), (500, 400, 800)),
-            "its largest side is 800 m, not 0.1 to 5 m; scale the mesh to metres",
+            "its largest side is 800 m, not 0.01 to 5 m; scale the mesh to metres",
         ),
-        (box((0, 0, 0), (0.01, 0.02, 0.05)), "its largest side is 0.05 m"),
+        (box((0, 0, 0), (0.001, 0.002, 0.005)), "its largest side is 0.005 m"),
         (trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)], process=False), "has no volume"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kinectbench.core.geometry import Camera, OrientedBox, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import box_mesh
@@ -180,3 +181,18 @@ def test_look_at_is_level():
     T = look_at(np.array([0.0, -2.0, 1.0]), np.zeros(3))
     assert np.allclose(T[:3, 0], [1, 0, 0])
     assert np.allclose(transform_points(invert_rigid(T), np.zeros(3)), [0, 0, np.sqrt(5)])
+
+
+def test_turns_there_and_back_are_as_fast_as_asked():
+    """150 degrees a second at most, 34 degrees to either side about one axis after the other."""
+    still = {"arc_rad": 0.0, "swing_rad": 0.0, "shake_m": 0.0, "shake_rad": 0.0, "reach_share": 0.0}
+    path = path_of(frames=400, rate_hz=100.0, turn_rad=0.6, turn_rad_per_s=2.618, **still)
+    turned = path.poses(np.array([0.0]))[0, :3, :3].T @ path.poses(np.arange(400) / 100)[:, :3, :3]
+    vectors = Rotation.from_matrix(turned).as_rotvec()
+    speeds = np.linalg.norm(Rotation.from_matrix(turned[:-1].swapaxes(1, 2) @ turned[1:]).as_rotvec(), axis=1)
+    assert 100 * speeds.max() == pytest.approx(2.618, rel=0.01)
+    # Roll is about z, pitch about x, yaw about y, each to either side in pi * 0.6 / 2.618 = 0.72 seconds.
+    for axis, first in ((2, 0), (0, 144), (1, 288)):
+        assert vectors[first : first + 72, axis].max() == pytest.approx(0.6, rel=0.01)
+    assert vectors[72:144, 2].min() == pytest.approx(-0.6, rel=0.01)
+    assert np.abs(vectors[144:288, 1:]).max() < 0.03

@@ -1,7 +1,7 @@
 """Whole simulated recordings: their files, their truth, and that the same spec gives the same bytes."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -276,3 +276,21 @@ def test_every_frame_of_the_samples_shows_the_subject():
             assert recorded.mask.sum() > 1500
             # A table top seen edge-on loses most.
             assert (recorded.frame.depth_m[recorded.mask] > 0).mean() > 0.5
+
+
+@pytest.mark.parametrize("registered", [True, False])
+def test_a_rolling_shutter_takes_each_row_when_it_is_read(registered):
+    """Row k of the depth is that of a frame taken at once when row k is read; the colour's, 20 ms later."""
+    turning = {"turn_rad": 0.5, "turn_rad_per_s": 2.5, "shake_m": 0.0, "frames": 8, "rate_hz": 30.0}
+    sensor = {"model": "ideal", "color_delay_s": 0.02, "color_registered": registered, "readout_s": 0.03}
+    rolled = prepare(spec_of(object="chair:seed=7", path=turning, sensor=sensor))
+    at_once = prepare(spec_of(object="chair:seed=7", path=turning, sensor={**sensor, "readout_s": 0.0}))
+    found, middle = record(rolled, 5), record(at_once, 5)
+    assert not np.array_equal(found.depth_m, middle.depth_m)
+    plan = at_once.frames[5]
+    for row in (0, 40, 119):
+        time_s = plan.time_s + 0.03 * (row / 119 - 0.5)
+        then = record(replace(at_once, frames=(replace(plan, time_s=time_s),)), 0)
+        np.testing.assert_allclose(found.depth_m[row], then.depth_m[row], atol=1e-5)
+        assert np.abs(found.frame.color_rgb[row].astype(int) - then.frame.color_rgb[row]).max() <= 2
+        assert not np.array_equal(found.depth_m[row], middle.depth_m[row])

@@ -69,6 +69,30 @@ def test_a_neighbour_touches(seed):
     assert np.linalg.norm(middle) < radius(items[:1]) + 0.5
 
 
+CUP = box_mesh(OrientedBox((0, 0, 0.06), (0.1, 0.14, 0.12)))
+SMALL = Subject("cup", (Piece("cup", CUP, (0.5, 0.4, 0.3), 0.2),), CUP, "exact")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_table_carries_the_subject_and_the_clutter(seed):
+    settings = SceneSettings(stands_on="table", clutter=4, walls=0)
+    cup, floor, top, *rest = make_scene(SMALL, 0.7, REACH_M, settings, np.random.default_rng(seed))
+    legs, things = rest[:4], rest[4:]
+    assert floor.role == "floor" and floor.mesh.vertices[:, 2].max() == pytest.approx(-0.74)
+    assert top.mesh.vertices[:, 2].max() == 0 and len(things) == 4
+    assert all(leg.mesh.vertices[:, 2].min() == pytest.approx(-0.74) for leg in legs)
+    # The subject stands on the top, with a hand's breadth around it, and no thing touches it.
+    corners = top.mesh.vertices[[0, 2, 6, 4], :2]
+    ahead = np.roll(corners, -1, axis=0) - corners
+    inward = np.array([-ahead[:, 1], ahead[:, 0]]).T / np.linalg.norm(ahead, axis=1, keepdims=True)
+    depths_m = ((cup.mesh.vertices[:, None, :2] - corners) * inward).sum(axis=2)
+    assert (depths_m > 0).all() or (depths_m < 0).all()
+    assert np.abs(depths_m).min() > 0.08
+    for thing in things:
+        assert thing.mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-12)
+        assert np.linalg.norm(outline(thing), axis=1).min() > radius([cup]) + 0.04
+
+
 def test_the_seed_decides():
     first, again, other = scene_of(3), scene_of(3), scene_of(4)
     assert all(np.array_equal(a.mesh.vertices, b.mesh.vertices) for a, b in zip(first, again, strict=True))

@@ -29,7 +29,8 @@ READER = {
     "realsense": "realsense", "realsense_old": "realsense", "klg": "klg", "sens": "sens",
     "stray": "stray", "scanner_app": "scanner_app", "bop": "bop",
     "wildrgbd": "wildrgbd", "nerfstudio": "nerfstudio", "polycam": "polycam",
-    "redwood_zip": "redwood_zip", "record3d": "record3d",
+    "redwood_zip": "redwood_zip", "record3d": "record3d", "scannet": "scannet", "sun3d": "sun3d",
+    "azure_kinect": "azure_kinect",
 }  # fmt: skip
 SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0, "record3d": 5000.0}
 BAGS = ["bag", "bag_compressed"]
@@ -44,18 +45,24 @@ NUMBERED = {
     "wildrgbd",
     "nerfstudio",
     "record3d",
+    "scannet",
+    "sun3d",
 }
 # Their layout has no place for poses; nor for saying that colour is registered.
-WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip"}
+WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip", "azure_kinect"}
 UNREGISTERED = {"7scenes"}
 # It says where the colour camera is.
 CALIBRATED = {"tum", "folder", "redwood", "ros2_sqlite", "ros2_mcap", "realsense", "realsense_old", "sens"}
+CALIBRATED |= {"scannet", "azure_kinect"}
 # Numbers are float32, or text with nine decimals.
 POSE_TOLERANCE = {"sens": 2e-7, "tum": 3e-9, "stray": 3e-9}
 # Their depth images are PNG files.
 FOLDERS = ["tum", "7scenes", "folder", "redwood"]
 # One camera takes both: colour of another is left out.
 ONE_CAMERA = {"klg", "stray", "scanner_app", "bop", "wildrgbd", "nerfstudio", "polycam", "record3d"}
+ONE_CAMERA |= {"sun3d"}
+# Its library refuses stamps that go back.
+IN_ORDER = {"azure_kinect"}
 START_NS = 1_400_000_000_123_456_000
 STEP_NS = 33_333_000
 DELAY_NS = 7_001_000
@@ -159,6 +166,7 @@ def test_stamps_as_read() -> None:
     expected = dict.fromkeys(WRITERS, stamp_ns)
     expected |= dict.fromkeys(("tum", "klg", "sens", "stray", "polycam"), 1_400_000_000_123_456_000)
     expected |= {"7scenes": 3 * 10**9, "folder": 3 * 10**9, "redwood": 123_456_000}
+    expected |= {"scannet": 3 * 10**9, "sun3d": 123_456_000, "azure_kinect": 1_400_000_000_123_000_000}
     expected |= {"redwood_zip": 123_456_000, "record3d": 1_400_000_000_123_456_768}
     expected |= {
         "bop": 3 * 10**9,
@@ -200,6 +208,10 @@ def test_frames_without_a_pose_are_left_out_of_the_trajectory(tmp_path: Path, na
 def test_stamps_that_repeat_or_go_back(tmp_path: Path, name: str) -> None:
     stamps_ns = [START_NS + step * STEP_NS for step in (0, 2, 1, 2, 2)]
     made = [frame(i, stamp_ns=stamp_ns) for i, stamp_ns in enumerate(stamps_ns)]
+    if name in IN_ORDER:
+        with pytest.raises(RecordingError, match="cannot hold stamps that go back"):
+            write(tmp_path / "r", name, made)
+        return
     out = write(tmp_path / "r", name, made)
     # Readers that have stamps sort, and keep the first of equal ones; others count.
     expected = [made[i] for i in ((0, 1, 2, 3, 4) if name in NUMBERED else (0, 2, 1))]

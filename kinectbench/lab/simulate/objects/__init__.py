@@ -16,7 +16,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.cabinets import fridge, open_cabinet
 from kinectbench.lab.simulate.objects.casework import piano, sideboard
-from kinectbench.lab.simulate.objects.ceramics import kettle, mug, vase
+from kinectbench.lab.simulate.objects.ceramics import bottle, kettle, mug, vase
 from kinectbench.lab.simulate.objects.chairs import chair
 from kinectbench.lab.simulate.objects.containers import basket, bucket, pot, waste_bin
 from kinectbench.lab.simulate.objects.couches import couch
@@ -81,6 +81,7 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "watering_can": watering_can,
     "toy_car": toy_car,
     "helmet": helmet,
+    "bottle": bottle,
 }
 # Those of the paper's categories that are furniture: what `synthesize` draws where no family is named.
 PAPER_FURNITURE = ("chair", "table", "bench", "couch")
@@ -99,7 +100,7 @@ REPORTED_ONLY: tuple[str, ...] = (
     *("wheelbarrow", "trough"),
     *("clothes_horse", "easel"),
     "washing_machine",
-    *("watering_can", "toy_car", "helmet"),
+    *("watering_can", "toy_car", "helmet", "bottle"),
 )
 
 

@@ -1,4 +1,4 @@
-"""Table-top things that are turned: mugs and steins, kettles and teapots, vases."""
+"""Table-top things that are turned: mugs and steins, kettles and teapots, vases, bottles."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -253,3 +253,29 @@ def vase(draw: Draw) -> Parts:
         for side in SIDES:
             shape = ear if side > 0 else ear.mirror((1.0, 0.0, 0.0))
             yield Part("handle", shape - room, look)
+
+
+def bottle(draw: Draw) -> Parts:
+    """Draw a bottle with its cap on: closed, 60 to 80 mm wide."""
+    look = draw.pick(looks.GLAZES)
+    radius, high = draw.between(0.03, 0.04), draw.between(0.16, 0.28)
+    neck = draw.between(0.012, 0.016)
+    share = {
+        "shoulder": [(0.95, 0.0), (1.0, 0.03), (1.0, 0.62), (neck / radius, 0.8), (neck / radius, 0.93)],
+        "cone": [(1.0, 0.0), (1.0, 0.35), (0.7, 0.65), (neck / radius, 0.85), (neck / radius, 0.93)],
+        "flask": [
+            (0.8, 0.0),
+            (1.0, 0.1),
+            (1.0, 0.3),
+            (0.6, 0.55),
+            (neck / radius, 0.7),
+            (neck / radius, 0.93),
+        ],
+    }[draw.choose(["shoulder", "cone", "flask"])]
+    profile = smooth_profile([(r * radius, z * high) for r, z in share])
+    yield Part("body", turned([(0.0, 0.0), *_pairs(profile), (0.0, 0.93 * high)]), look)
+    cap = neck + draw.between(0.001, 0.004)
+    line = [(0.0, 0.92 * high), (cap, 0.92 * high), (cap, high), (0.0, high)]
+    yield Part("cap", turned(line), draw.pick(looks.PLASTICS))
+    if draw.chance(0.6):
+        yield Part("label", band(profile, 0.15 * high, 0.5 * high, 0.0006, 0.004), draw.pick(looks.PLASTICS))

@@ -24,8 +24,10 @@ from kinectbench.lab.simulate.writers.image_folders import (
     write_tum,
     write_wildrgbd,
 )
+from kinectbench.lab.simulate.writers.matroska import NS_PER_MS, write_azure_kinect
 from kinectbench.lab.simulate.writers.phones import write_scanner_app, write_stray
 from kinectbench.lab.simulate.writers.realsense import write_realsense
+from kinectbench.lab.simulate.writers.scene_folders import write_scannet, write_sun3d
 
 Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
 
@@ -51,6 +53,9 @@ WRITERS: dict[Format, Writer] = {
     "polycam": write_polycam,
     "redwood_zip": write_redwood_zip,
     "record3d": write_record3d,
+    "scannet": write_scannet,
+    "sun3d": write_sun3d,
+    "azure_kinect": write_azure_kinect,
 }
 # The formats that are one file, and what its name ends in.
 SUFFIXES: dict[Format, str] = {
@@ -62,11 +67,12 @@ SUFFIXES: dict[Format, str] = {
     "sens": ".sens",
     "redwood_zip": ".zip",
     "record3d": ".r3d",
+    "azure_kinect": ".mkv",
 }
 # Where `cut` looks for the image that comes last, and the formats whose stamps are microseconds.
 DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png", "keyframes/depth/*.png")
 MICROSECONDS = ("tum", "klg", "sens", "stray", "polycam")
-WITHOUT_STAMPS = ("7scenes", "folder", "bop", "wildrgbd", "nerfstudio")
+WITHOUT_STAMPS = ("7scenes", "folder", "bop", "wildrgbd", "nerfstudio", "scannet")
 
 __all__ = ["SUFFIXES", "WRITERS", "RecordedFrame", "Rig", "Writer", "cut", "stamp_as_read"]
 
@@ -75,8 +81,9 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
     """The stamp in nanoseconds under which a reader finds a frame (own rule).
 
     Bags keep stamps, TUM folders, .klg, .sens, StrayScanner and Polycam keep microseconds, Redwood's names
-    twelve digits of them. 7-Scenes, plain folders, BOP, WildRGB-D and transforms.json have none: there a
-    frame's number counts seconds. 3D Scanner App and Record3D have seconds as a float.
+    and SUN3D's twelve digits of them, Azure Kinect milliseconds. 7-Scenes, plain folders, BOP, WildRGB-D,
+    ScanNet's folders and transforms.json have none: there a frame's number counts seconds. 3D Scanner App
+    and Record3D have seconds as a float.
 
     Args:
         file_format: of the recording.
@@ -87,7 +94,9 @@ def stamp_as_read(file_format: Format, index: int, stamp_ns: int) -> int:
         return index * NS_PER_S
     if file_format in ("scanner_app", "record3d"):
         return round(stamp_ns / NS_PER_S * NS_PER_S)
-    if file_format in ("redwood", "redwood_zip"):
+    if file_format == "azure_kinect":
+        return stamp_ns // NS_PER_MS * NS_PER_MS
+    if file_format in ("redwood", "redwood_zip", "sun3d"):
         return stamp_ns // 1000 % 10**12 * 1000
     return stamp_ns // 1000 * 1000 if file_format in MICROSECONDS else stamp_ns
 

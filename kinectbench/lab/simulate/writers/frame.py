@@ -43,6 +43,7 @@ class RecordedFrame:
         color_rgb: (height, width, 3) uint8, the rig's colour camera.
         T_world_camera: (4, 4) float64 as given with the recording, depth camera, optical axes; or None.
         pose_stamp_ns: time of that pose as recorded, nanoseconds; None: that of depth.
+        mask: (height, width) bool, the object, in depth pixels, as given with the recording; or None.
     """
 
     stamp_ns: int
@@ -51,6 +52,7 @@ class RecordedFrame:
     color_rgb: NDArray[np.uint8]
     T_world_camera: NDArray[np.float64] | None
     pose_stamp_ns: int | None = None
+    mask: NDArray[np.bool_] | None = None
 
     @property
     def given_ns(self) -> int:
@@ -70,6 +72,12 @@ class RecordedFrame:
     def color_bgr(self) -> NDArray[np.uint8]:
         """Colour as OpenCV has it: (height, width, 3) uint8 in blue, green, red."""
         return np.ascontiguousarray(self.color_rgb[..., ::-1])
+
+    def add_mask(self, file: Path) -> None:
+        """Write the mask, if there is one, as a PNG (255 = object) into a folder that is made if need be."""
+        if self.mask is not None:
+            file.parent.mkdir(exist_ok=True)
+            file.write_bytes(png_bytes(np.where(self.mask, np.uint8(255), np.uint8(0))))
 
     def color_jpeg(self) -> bytes:
         """Colour as a JPEG file."""

@@ -78,7 +78,8 @@ def write_seven_scenes(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) 
 def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a recording into an empty folder: depth/XXXXXX.png, color/XXXXXX.jpg, intrinsics, trajectory.
 
-    Depth is in mm. Frames are numbered from 0 in their order; the layout has no stamps.
+    Depth is in mm. Frames are numbered from 0 in their order; the layout has no stamps. masks/XXXXXX.png is
+    there if frames have masks.
     `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with depth_scale and what `color_json`
     says beside it, which Open3D passes over. `trajectory.log` is not there if no frame has a pose.
     """
@@ -87,6 +88,7 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
     for index, frame in enumerate(frames):
         (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
         (folder / "color" / f"{index:06d}.jpg").write_bytes(frame.color_jpeg())
+        frame.add_mask(folder / "masks" / f"{index:06d}.png")
         log += _log_rows(index, frame)
     if log:
         write_lines(folder / "trajectory.log", log)
@@ -120,11 +122,13 @@ def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> No
 def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a BOP scene into an empty folder: depth/, rgb/, scene_camera.json.
 
-    Poses are world to camera, translation in mm. The layout has no stamps. A writer does not see the truth:
-    there are no masks. Colour that is not registered is left out, as the format has one camera.
+    Poses are world to camera, translation in mm. The layout has no stamps. Frames with masks are of object 1,
+    in mask_visib/ and, without its pose, in scene_gt.json. Colour that is not registered is left out, as the
+    format has one camera.
     """
     make_folders(folder, "depth", "rgb")
     cameras: dict[str, dict[str, Any]] = {}
+    objects: dict[str, list[dict[str, Any]]] = {}
     for index, frame in enumerate(frames):
         (folder / "depth" / f"{index:06d}.png").write_bytes(frame.depth_png())
         if rig.color_registered:
@@ -135,15 +139,19 @@ def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
             camera["cam_R_w2c"] = T_camera_world[:3, :3].ravel().tolist()
             camera["cam_t_w2c"] = (T_camera_world[:3, 3] * MM_PER_M).tolist()
         cameras[str(index)] = camera
+        frame.add_mask(folder / "mask_visib" / f"{index:06d}_000000.png")
+        if frame.mask is not None:
+            objects[str(index)] = [{"obj_id": 1}]
     (folder / "scene_camera.json").write_text(pretty_json(cameras))
+    if objects:
+        (folder / "scene_gt.json").write_text(pretty_json(objects))
 
 
 def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a scene of WildRGB-D into an empty folder: depth/, rgb/, metadata, cam_poses.txt.
 
-    Depth is PNG in mm, colour PNG, K column by column, poses camera to world. The layout has no stamps. A
-    writer does not see the truth: there are no masks. Colour that is not registered is left out, as there
-    is one camera.
+    Depth is PNG in mm, colour PNG, K column by column, poses camera to world. The layout has no stamps.
+    masks/ is there if frames have masks. Colour that is not registered is left out, as there is one camera.
     """
     make_folders(folder, "depth", "rgb")
     rows: list[str] = []
@@ -153,6 +161,7 @@ def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> N
             (folder / "rgb" / f"{index:05d}.png").write_bytes(png_bytes(frame.color_bgr))
         if frame.T_world_camera is not None:
             rows.append(f"{index:05d} {' '.join(matrix_rows(frame.T_world_camera))}")
+        frame.add_mask(folder / "masks" / f"{index:05d}.png")
     write_lines(folder / "cam_poses.txt", rows)
     K = {"w": rig.depth.width, "h": rig.depth.height, "K": rig.depth.K.T.ravel().tolist()}
     (folder / "metadata").write_text(pretty_json(K))

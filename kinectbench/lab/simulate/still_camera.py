@@ -1,0 +1,106 @@
+"""A camera that stands still while the object turns on a turntable, or is carried about by a hand.
+
+What a camera sees of the object then depends only on where it is to the object: `path` says that, in the
+frame `room`, which goes with the object. Everything else is seen from where the camera stands.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.geometry import Camera, OrientedBox
+from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.lab.simulate.objects.shapes import surface, turned
+from kinectbench.lab.simulate.render import Renderer, Rendering
+from kinectbench.lab.simulate.scene import Item
+from kinectbench.lab.simulate.spec import PathSettings
+
+# A fist and forearm below the object, and how much higher than a table it is held (own choices).
+ARM_M = (0.07, 0.06, 0.35)
+ARM_RGB = (0.75, 0.56, 0.45)
+# A turntable's plate, wider than the object by so much (own choices).
+PLATE_RGB = (0.85, 0.85, 0.82)
+PLATE_RATIO = 1.25
+GRIP_M = 0.015
+HELD_M = 0.8
+
+
+@dataclass(frozen=True)
+class StillRenderer:
+    """Two scenes in one image: what goes with the object, and what stands around.
+
+    The light goes with the object. Everything has the interface of `Renderer`.
+
+    Attributes:
+        own: the object, and the arm that holds it.
+        around: all else.
+        T_room_still: (4, 4), from where that is seen.
+    """
+
+    own: Renderer
+    around: Renderer
+    T_room_still: Float64
+
+    def render(self, camera: Camera, T_room_camera: Float64) -> Rendering:
+        """Render one noise-free frame; `T_room_camera` (4, 4) is how the camera lies to the object."""
+        own = self.own.render(camera, T_room_camera)
+        around = self.around.render(camera, self.T_room_still)
+        nearer = (own.depth_m > 0) & ((around.depth_m == 0) | (own.depth_m < around.depth_m))
+        return Rendering(
+            np.where(nearer, own.depth_m, around.depth_m),
+            np.where(nearer[..., None], own.color_rgb, around.color_rgb),
+            nearer & own.mask,
+            np.where(nearer, own.cos_incidence, around.cos_incidence),
+            np.where(nearer, own.albedo, around.albedo),
+        )
+
+    def visible(
+        self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
+    ) -> Bools:
+        """As `Renderer.visible`: what stands around hides nothing."""
+        return self.own.visible(points_room, normals_room, camera, T_room_camera)
+
+
+def still_renderer(
+    items: Sequence[Item], texture: Float32, T_room_first: Float64, settings: PathSettings
+) -> StillRenderer:
+    """Make the scene of a camera that stands still where the path begins.
+
+    Args:
+        items: of the scene, with the object at the origin.
+        texture: of all surfaces.
+        T_room_first: (4, 4), the first pose.
+        settings: `moves` is turntable or hand.
+    """
+    own = [item for item in items if item.role == "subject"]
+    T_room_still = T_room_first.copy()
+    if settings.moves == "hand":
+        arm = OrientedBox((0.0, 0.0, GRIP_M - ARM_M[2] / 2), ARM_M)
+        own.append(Item("clutter", box_mesh(arm), ARM_RGB, 0.2))
+        T_room_still[2, 3] += HELD_M
+    elif settings.plate_m > 0:
+        vertices = np.concatenate([item.mesh.vertices for item in own])
+        wide_m = PLATE_RATIO * float(np.linalg.norm(vertices[:, :2], axis=1).max())
+        low_m = -settings.plate_m
+        plate = surface(turned([(0.0, low_m), (wide_m, low_m), (wide_m, 0.0), (0.0, 0.0)]))
+        own.append(Item("clutter", plate, PLATE_RGB, 0.3))
+        T_room_still[2, 3] += settings.plate_m
+    around = [item for item in items if item.role != "subject"]
+    return StillRenderer(Renderer(own, texture), Renderer(around, texture), T_room_still)
+
+
+def turning_only(settings: PathSettings) -> PathSettings:
+    """The path of a turntable: nothing shakes, rises or comes nearer."""
+    if settings.moves != "turntable":
+        return settings
+    still = {
+        "swing_rad": 0.0,
+        "turn_rad": 0.0,
+        "shake_m": 0.0,
+        "shake_rad": 0.0,
+        "reach_share": 0.0,
+        "jolt_m": 0.0,
+    }
+    return settings.model_copy(update={**still, "jolt_rad": 0.0})
