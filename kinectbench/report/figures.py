@@ -20,8 +20,7 @@ NAMES: Mapping[str, str] = {
     "doubtful_share": "perhaps a hollow, share of the solid",
 }
 # The colour of each grade of health.json; warnings turn "good" into "warn".
-TONES: Mapping[Grade, str] = {"5 mm": "good", "10 mm": "good", "not good": "bad"}
-GRADE_WORDS: Mapping[Grade, str] = {"5 mm": "good at 5 mm", "10 mm": "good at 10 mm", "not good": "not good"}
+TONES: Mapping[Grade, str] = {"good": "good", "fair": "good", "not good": "bad"}
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def health_figures(health: TrajectoryHealth) -> Figures:
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
-    return Figures(health.verdict, tone, GRADE_WORDS[health.grade], health.warnings, _shown(health, HIDDEN))
+    return Figures(health.verdict, tone, health.grade, health.warnings, _shown(health, HIDDEN))
 
 
 def quality_figures(quality: QualityFile) -> Figures:

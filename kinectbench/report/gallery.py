@@ -6,6 +6,7 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.counts import PRIMARY, occupied
+from kinectbench.scoring.baselines.predict import BaselineTask, predicted
+from kinectbench.scoring.counts import PRIMARY, Prediction, occupied
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import find_predictions
 from kinectbench.scoring.truth import read_parts, read_voxel_size
+from kinectbench.scoring.workers import run_tasks
 
 # Of the text; the rest of a page is its pictures.
 MAX_BYTES = 4 << 20
@@ -71,27 +74,87 @@ def gallery_cells(
     Raises:
         PredictionError: a file that was scored has gone or changed.
     """
+    files = find_predictions(predictions, release.split("test")).files
+
+    def load(target: Target) -> Prediction | None:
+        """The prediction of a pair, or None if it is missing."""
+        file = files.get(target)
+        if file is None:  # missing, and scored as empty
+            return None
+        mesh = file.suffix in MESHES
+        size_m = read_voxel_size(release.pair_path(target), target.sha256) if mesh else None
+        return load_prediction(file, target.name + file.suffix, size_m)
+
+    chosen = _chosen(release, table)
+    cells = {}
+    for done, (target, threshold) in enumerate(chosen.items()):
+        if progress:
+            progress(done, len(chosen))
+        cells[target.name] = _drawn(load(target), threshold, upsampling)
+    return cells
+
+
+def baseline_cells(
+    release: Release,
+    tables: Sequence[ScoreTable],
+    upsampling: str = HALF_PIXEL,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[dict[str, Packed]]:
+    """The same of baselines that were scored without being written; they are predicted again, pair by pair.
+
+    Args:
+        release: what was predicted.
+        tables: their scores.
+        upsampling: see `upsampled_planes`.
+        jobs: number of processes.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    wanted: dict[Target, dict[str, float]] = {}
+    for table in tables:
+        for target, threshold in _chosen(release, table).items():
+            wanted.setdefault(target, {})[table.method] = threshold
+    tasks = []
+    for target, thresholds in sorted(wanted.items(), key=lambda item: item[0]):
+        rate = tables[0].base_rate[target.category].value
+        tasks.append((BaselineTask(release, target, rate, tuple(thresholds)), thresholds))
+    found = run_tasks(partial(_baselines_of, upsampling), tasks, jobs, progress)
+    return [
+        {
+            task.target.name: cells[table.method]
+            for (task, _), cells in zip(tasks, found, strict=True)
+            if table.method in cells
+        }
+        for table in tables
+    ]
+
+
+def _baselines_of(upsampling: str, task: tuple[BaselineTask, Mapping[str, float]]) -> dict[str, Packed]:
+    """{baseline: what is drawn of its prediction} of one pair."""
+    baselines, thresholds = task
+    return {name: _drawn(grid, thresholds[name], upsampling) for name, grid in predicted(baselines)}
+
+
+def _chosen(release: Release, table: ScoreTable) -> dict[Target, float]:
+    """The pairs of a method that are shown, and the thresholds that they were scored at."""
     protocols = table.settings.protocols
     rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else protocols[0])}
     rising = [
         name for _, name in sorted((row.iou, name) for name, row in rows.items() if row.iou is not None)
     ]
     targets = {target.name: target for target in release.split("test")}
-    chosen = [name for name in choose_pairs(rising, list(targets)) if name in rows]
-    files = find_predictions(predictions, [targets[name] for name in chosen]).files
-    cells = {}
-    for done, name in enumerate(chosen):
-        if progress:
-            progress(done, len(chosen))
-        target, file = targets[name], files.get(targets[name])
-        if file is None:  # missing, and scored as empty
-            cells[name] = np.zeros(CELLS_SHAPE, np.uint8)
-            continue
-        mesh = file.suffix in MESHES
-        size_m = read_voxel_size(release.pair_path(target), target.sha256) if mesh else None
-        grid = load_prediction(file, name + file.suffix, size_m)
-        cells[name] = reduced(occupied(grid, rows[name].threshold, upsampling))
-    return cells
+    shown = choose_pairs(rising, list(targets))
+    return {targets[name]: rows[name].threshold for name in shown if name in rows}
+
+
+def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed:
+    """A prediction as (64, 64, 8) packed cells; None is an empty grid."""
+    if grid is None:
+        return np.zeros(CELLS_SHAPE, np.uint8)
+    return reduced(occupied(grid, threshold, upsampling))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import NamedProgress
 from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
-from kinectbench.report.gallery import PairTruth, gallery_cells, read_pair_truth
+from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
 from kinectbench.report.page import Beside, Ranks, write_report
 from kinectbench.scoring.compare import ALL, compare, find_scores, read_named
 from kinectbench.scoring.predictions import split_methods
@@ -194,22 +194,30 @@ def page_of_release(
 
 def write_galleries(
     release: Release,
-    predictions: Path,
+    predictions: Path | None,
     tables: Sequence[ScoreTable],
     out: Path,
     upsampling: str,
+    jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write the gallery.npz of every method that `score_methods` just scored.
+    """Write the gallery.npz of every method that `score_methods` or `score_baselines` just scored.
 
     Args:
         release: the truth.
-        predictions: what was scored.
+        predictions: what was scored; None: baselines, which are predicted again.
         tables: what it returned.
         out: its folder for the results.
         upsampling: the convention that it scored with.
-        progress: called with (pairs done, pairs in all) for each method in turn.
+        jobs: number of processes for baselines.
+        progress: called with (pairs done, pairs in all); of predictions for each method in turn.
     """
+    if predictions is None:
+        for table, cells in zip(
+            tables, baseline_cells(release, tables, upsampling, jobs, progress), strict=True
+        ):
+            write_gallery(cells, out / table.method / SCORES_JSON)
+        return
     folders = split_methods(predictions, release.targets).values()
     for table, folder in zip(tables, folders, strict=True):
         cells = gallery_cells(release, folder, table, upsampling, progress)

@@ -89,12 +89,20 @@ def count_job(job: Job) -> PairResult | str:
 
 def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None) -> PairResult:
     """Count a prediction in memory; `threshold` is for the surface metrics, None leaves them out."""
-    side, protocols = len(prediction), counting.protocols
+    side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
-    surface: Mapping[str, SurfaceMetrics] = {}
-    if counting.surface and threshold is not None:
-        surface = surface_metrics(occupied(prediction, threshold, counting.upsampling), truth, protocols)
+    surface = surfaces(prediction, truth, counting, threshold)
     return PairResult(tally(prediction, truth, counting.upsampling), side, reached, surface, None)
+
+
+def surfaces(
+    prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None
+) -> Mapping[str, SurfaceMetrics]:
+    """The surface metrics under each protocol; none without a threshold, or if they were not asked for."""
+    if not counting.surface or threshold is None:
+        return {}
+    packed = occupied(prediction, threshold, counting.upsampling)
+    return surface_metrics(packed, truth, counting.protocols)
 
 
 def ceilings(truth: Truth, side: int, counting: Counting) -> Mapping[str, float]:

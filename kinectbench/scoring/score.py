@@ -240,7 +240,7 @@ def score_methods(
 
 
 def check_request(
-    predictions: Path,
+    predictions: Path | None,
     protocols: Sequence[str] | None,
     thresholds_file: Path | None,
     missing: str,
@@ -248,13 +248,16 @@ def check_request(
 ) -> Missing:
     """Refuse what can be told to be wrong without the release; arguments and errors as of `score_methods`.
 
+    `predictions` is None where baselines are scored.
+
     Returns:
         What is to be done with a missing prediction.
     """
     if missing not in get_args(Missing):
         raise SettingsError(f"--missing {missing}: choose error or empty")
     check_words(protocols or tuple(PROTOCOLS), upsampling)
-    check_folder(predictions)
+    if predictions is not None:
+        check_folder(predictions)
     if thresholds_file is not None:
         read_thresholds(thresholds_file, (), frozenset())
     return "empty" if missing == "empty" else "error"

@@ -150,7 +150,7 @@ def write_trajectory(folder: Path, left_out: list[int]) -> None:
     health = {
         "source": "tracked",
         "verdict": "usable: the frames agree",
-        "grade": "10 mm",
+        "grade": "fair",
         "warnings": ["2 frames disagree with the rest"],
         "frames": N_FRAMES,
         "tracked": N_FRAMES - len(left_out),

@@ -119,10 +119,10 @@ def test_the_health_in_words() -> None:
         4, verdict="They will do.", arc_rad=np.pi, rejected=rejected, keyframes=range(7), median_shift_m=None
     )
     figures = words.health_figures(health)
-    assert (figures.verdict, figures.grade, figures.tone) == ("They will do.", "good at 5 mm", "good")
+    assert (figures.verdict, figures.grade, figures.tone) == ("They will do.", "good", "good")
     assert figures.warnings == ()
     rows = dict(figures.rows)
-    assert rows["grade"] == "5 mm" and rows["arc (deg)"] == "180" and rows["median shift (mm)"] == "–"
+    assert rows["grade"] == "good" and rows["arc (deg)"] == "180" and rows["median shift (mm)"] == "–"
     assert rows["rejected"] == "2" and rows["keyframes"] == "7 entries" and rows["ties · loop"] == "0"
 
 
@@ -138,9 +138,9 @@ def test_the_colour_does_not_depend_on_words(tmp_path: Path, verdict: str) -> No
         return figures.tone
 
     assert set(words.TONES) == set(GRADES)
-    for grade, expected in (("5 mm", "good"), ("10 mm", "good"), ("not good", "bad")):
+    for grade, expected in (("good", "good"), ("fair", "good"), ("not good", "bad")):
         assert of_health(grade) == expected
-    assert of_health("5 mm", "2 frames disagree") == "warn"
+    assert of_health("good", "2 frames disagree") == "warn"
     assert of_health("not good", "2 frames disagree") == "bad"
     assert of_quality() == "plain" and of_quality(warnings=[]) == "good"
     assert of_quality(warnings=["few frames"]) == "warn"

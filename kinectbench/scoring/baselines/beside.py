@@ -3,25 +3,19 @@
 Voxel metrics only: a table needs no more to show what a method is worth, and surfaces take most of the time.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
 from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
-from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
-from kinectbench.scoring.pair_result import Counting, ceilings, count
-from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.thresholds import searched_thresholds
-from kinectbench.scoring.truth import read_truth
-from kinectbench.scoring.workers import run_tasks
+from kinectbench.scoring.assemble import describe
+from kinectbench.scoring.baselines.counted import counted_baselines
+from kinectbench.scoring.baselines.predict import possible_baselines
+from kinectbench.scoring.pair_result import Counting
 
 
 def baselines_beside(
@@ -60,9 +54,10 @@ def baselines_beside(
     tables = {name: table for name, table in kept.items() if table is not None}
     wanted = tuple(name for name in names if name not in tables)
     if wanted:
-        for table in _made(release, counting, wanted, jobs, progress):
-            table.write(folder / table.method)
-            tables[table.method] = table
+        for table in counted_baselines(release, wanted, counting, jobs=jobs, progress=progress):
+            update = {"baseline": True, "settings": _settings(counting)}
+            tables[table.method] = table.model_copy(update=update)
+            tables[table.method].write(folder / table.method)
     return [tables[name] for name in names]
 
 
@@ -80,35 +75,3 @@ def _kept(folder: Path, name: str, release: Release, counting: Counting) -> Scor
 def _settings(counting: Counting) -> ScoreSettings:
     """What the numbers of a baseline depend on, with the versions of what made them."""
     return describe(counting, "error").model_copy(update={"baseline_version": VERSIONS["baselines"]})
-
-
-def _made(
-    release: Release, counting: Counting, names: tuple[str, ...], jobs: int, progress: Progress | None
-) -> list[ScoreTable]:
-    """Predict and count every pair."""
-    tasks = baseline_tasks(release, names, jobs)
-    counted = run_tasks(partial(_count, counting), tasks, jobs, progress)
-    rates = base_rates(release, jobs)
-    tables = []
-    for name in names:
-        results = {task.target: of[name] for task, of in zip(tasks, counted, strict=True)}
-        tallies = {t: result.tally for t, result in results.items() if t.split == "validation"}
-        thresholds = searched_thresholds(release.targets, tallies)
-        table = make_table(release, name, results, thresholds, rates, {}, _settings(counting))
-        tables.append(table.model_copy(update={"baseline": True}))
-    return tables
-
-
-def _count(counting: Counting, task: BaselineTask) -> dict[str, PairResult]:
-    """Every baseline's counts of one pair."""
-    truth = read_truth(task.release.pair_path(task.target), task.target.sha256)
-    reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
-    results = {}
-    for name, prediction in predicted(task):
-        result = count(prediction, truth, counting, None)
-        if task.target.split == "test":
-            if result.cells not in reached:
-                reached[result.cells] = ceilings(truth, result.cells, counting)
-            result = replace(result, ceilings=reached[result.cells])
-        results[name] = result
-    return results

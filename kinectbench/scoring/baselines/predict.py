@@ -1,7 +1,7 @@
 """Which baselines a release allows, their predictions pair by pair, and their files."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import replaced_file
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import read_input
 from kinectbench.release.release import Release, Target
@@ -20,7 +21,7 @@ from kinectbench.scoring.baselines.registry import BASE_RATE, BASELINES, LEARNED
 from kinectbench.scoring.references import SOURCES, base_rates
 from kinectbench.scoring.workers import run_tasks
 
-SPLITS = ("test", "validation")
+SPLITS: tuple[Split, ...] = ("test", "validation")
 
 
 @dataclass(frozen=True)
@@ -53,16 +54,17 @@ def possible_baselines(release: Release) -> tuple[str, ...]:
     return tuple(name for name in BASELINES if name not in blind)
 
 
-def baseline_tasks(release: Release, names: Sequence[str], jobs: int = 1) -> list[BaselineTask]:
-    """A task for every test and validation pair.
-
-    Raises:
-        ReleaseError: a pair file is missing or changed.
-    """
-    rates = {category: rate.value for category, rate in base_rates(release, jobs).items()}
+def baseline_tasks(
+    release: Release,
+    names: Sequence[str],
+    rates: Mapping[str, BaseRate],
+    splits: Sequence[Split] = SPLITS,
+) -> list[BaselineTask]:
+    """A task for every pair of some splits; `rates` are the base rates of the categories that have one."""
+    values = {category: rate.value for category, rate in rates.items()}
     return [
-        BaselineTask(release, target, rates.get(target.category, math.nan), tuple(names))
-        for split in SPLITS
+        BaselineTask(release, target, values.get(target.category, math.nan), tuple(names))
+        for split in splits
         for target in release.split(split)
     ]
 
@@ -117,7 +119,9 @@ def write_baselines(
         raise SettingsError(f"{BASE_RATE}: needs truth of every category, and it is held back; leave it out")
     if blind:
         raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
-    run_tasks(partial(_write, out), baseline_tasks(release, chosen, jobs), jobs, progress)
+    run_tasks(
+        partial(_write, out), baseline_tasks(release, chosen, base_rates(release, jobs)), jobs, progress
+    )
     return chosen
 
 

@@ -1,5 +1,6 @@
 """The baselines: hulls against every half-space, files that the scorer accepts, figures that can be known."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import Pair, pack, read_pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.release import Release
+from kinectbench.report.run import write_galleries
 from kinectbench.scoring.baselines.beside import baselines_beside
+from kinectbench.scoring.baselines.counted import score_baselines
 from kinectbench.scoring.baselines.hull import extruded, filled_hull, silhouette
 from kinectbench.scoring.baselines.inputs import Inputs, Training, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
@@ -22,7 +25,7 @@ from kinectbench.scoring.baselines.predict import BaselineTask, possible_baselin
 from kinectbench.scoring.baselines.registry import BASELINES, constant, empty, mean_shape, nearest, partial
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import check, split_methods
-from kinectbench.scoring.score import score
+from kinectbench.scoring.score import score, score_methods
 
 PAIR = synthetic_pair(0, "chair")
 UP = np.array([0.0, -1.0, 0.0])
@@ -272,6 +275,37 @@ def test_baselines_beside_are_what_their_files_score(
         assert table.model_copy(update=same) == expected.model_copy(update={"hashes": {}})
         found_by = table.settings.model_copy(update={"baseline_version": None})
         assert found_by == expected.settings
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_baselines_scored_in_memory_have_the_rows_of_their_files(
+    release: Release, tmp_path: Path, fixed: bool
+) -> None:
+    """Voxel and surface metrics, thresholds, averages, CSV and gallery are the same to the byte."""
+    file = tmp_path / "thresholds.json"
+    file.write_text('{"thresholds": {"chair": 0.3, "table": 0.7}}')
+    settings = {"protocols": ["known", "paper"], "thresholds_file": file if fixed else None}
+    names = write_baselines(release, tmp_path / "predictions")
+    done: list[tuple[int, int]] = []
+    found = score_baselines(release, tmp_path / "a", **settings, progress=lambda *step: done.append(step))
+    expected = score_methods(release, tmp_path / "predictions", tmp_path / "b", **settings)
+    assert {table.method for table in found} == {*names} == {table.method for table in expected}
+    pairs = len(release.split("test")) + (0 if fixed else len(release.split("validation")))
+    assert done == [(n + 1, pairs) for n in range(pairs)]
+    write_galleries(release, None, found, tmp_path / "a", "half-pixel")
+    write_galleries(release, tmp_path / "predictions", expected, tmp_path / "b", "half-pixel")
+    of_files = {table.method: table for table in expected}
+    for table in found:
+        ours, theirs = (tmp_path / root / table.method for root in "ab")
+        assert (ours / "scores.csv").read_bytes() == (theirs / "scores.csv").read_bytes()
+        told, written = (json.loads((folder / "scores.json").read_text()) for folder in (ours, theirs))
+        hashes = told.pop("hashes"), written.pop("hashes")
+        assert told == written
+        assert [{**of, "prediction": None} for of in hashes[1].values()] == [*hashes[0].values()]
+        galleries = [np.load(folder / "gallery.npz") for folder in (ours, theirs)]
+        for key in ("pairs", "cells"):
+            np.testing.assert_array_equal(galleries[0][key], galleries[1][key])
+        assert table.rows[0].chamfer_mm is not None and of_files[table.method].rows == table.rows
 
 
 def test_baselines_beside_are_kept(release: Release, tmp_path: Path) -> None:

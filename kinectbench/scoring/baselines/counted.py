@@ -1,0 +1,145 @@
+"""Baselines counted pair by pair in memory: the tables that their files would get, and no files."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.types import Progress, Split
+from kinectbench.core.voxels.resample import HALF_PIXEL
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
+from kinectbench.scoring.counts import PROTOCOLS
+from kinectbench.scoring.pair_result import Counting, ceilings, count, surfaces
+from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.score import check_words, pairs_to_score
+from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
+from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.workers import run_tasks
+
+# {name of a baseline: its counts} of a pair
+Counts = dict[str, PairResult]
+
+
+def score_baselines(
+    release: Release,
+    out: Path,
+    *,
+    protocols: Sequence[str] | None = None,
+    thresholds_file: Path | None = None,
+    upsampling: str = HALF_PIXEL,
+    surface: bool = True,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[ScoreTable]:
+    """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
+
+    The tables are those that `write_baselines` and `score_methods` would give, but for the hashes of files
+    that are not there.
+
+    Args:
+        release: what is predicted.
+        out: folder for the results.
+        protocols: default: all.
+        thresholds_file: see `read_thresholds`; it wins over the validation split.
+        upsampling: "half-pixel" or "corner-aligned".
+        surface: whether surface metrics are computed.
+        jobs: number of processes; the result does not depend on it.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read, there is no test pair, or its truth is held back.
+        SettingsError: an unknown protocol or an unusable threshold file.
+        StorageError: the disk is full or read-only.
+    """
+    check_words(protocols or tuple(PROTOCOLS), upsampling)
+    check_splits(release.targets, str(release.folder))
+    pairs_to_score(release, thresholds_file)
+    counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
+    names = possible_baselines(release)
+    tables = counted_baselines(
+        release, names, counting, thresholds_file=thresholds_file, jobs=jobs, progress=progress
+    )
+    for table in tables:
+        table.write(out / table.method)
+    return tables
+
+
+def counted_baselines(
+    release: Release,
+    names: Sequence[str],
+    counting: Counting,
+    *,
+    thresholds_file: Path | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[ScoreTable]:
+    """The table of each of some baselines, in the order of `names`.
+
+    Args:
+        release: what is predicted.
+        names: baselines that it allows (`possible_baselines`).
+        counting: how pairs are counted; surface metrics on the test split only.
+        thresholds_file: see `read_thresholds`; default: thresholds are found on the validation split for each
+            baseline, else they are 0.5.
+        jobs: number of processes.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+        SettingsError: an unusable threshold file.
+    """
+    rates = base_rates(release, jobs)
+    fixed = None if thresholds_file is None else thresholds_for(thresholds_file, release.split("test"))
+    splits: tuple[Split, ...] = ("validation", "test") if fixed is None else ("test",)
+    # Thresholds decide nothing but surfaces: without those one round will do, and one start of processes.
+    rounds = [(split,) for split in splits] if counting.surface else [splits]
+    pairs = sum(len(release.split(split)) for split in splits)
+    thresholds = {} if fixed is None else dict.fromkeys(names, fixed)
+    counted: dict[Target, Counts] = {}
+    for together in rounds:
+        tasks = baseline_tasks(release, names, rates, together)
+        tell = None if progress is None else partial(_tell, progress, len(counted), pairs)
+        found = run_tasks(partial(_count, counting, thresholds), tasks, jobs, tell)
+        counted |= {task.target: of for task, of in zip(tasks, found, strict=True)}
+        if "validation" in together:
+            thresholds = {name: _searched(release, name, counted) for name in names}
+    settings = describe(counting, "error")
+    return [
+        make_table(
+            release, name, {t: of[name] for t, of in counted.items()}, thresholds[name], rates, {}, settings
+        )
+        for name in names
+    ]
+
+
+def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
+    """One progress over both rounds."""
+    progress(before + done, pairs)
+
+
+def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> Thresholds:
+    """The thresholds of a baseline, from its counts of the validation split."""
+    tallies = {t: of[name].tally for t, of in counted.items() if t.split == "validation"}
+    return searched_thresholds(release.targets, tallies)
+
+
+def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
+    """Every baseline's counts of one pair; a pair of the validation split only chooses the thresholds."""
+    truth = read_truth(task.release.pair_path(task.target), task.target.sha256)
+    reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
+    results = {}
+    for name, prediction in predicted(task):
+        result = count(prediction, truth, counting, None)
+        if task.target.split == "test":
+            if result.cells not in reached:
+                reached[result.cells] = ceilings(truth, result.cells, counting)
+            threshold = thresholds[name].of[task.target.category] if counting.surface else None
+            surface = surfaces(prediction, truth, counting, threshold)
+            result = replace(result, ceilings=reached[result.cells], surface=surface)
+        results[name] = result
+    return results
