@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Everything that `make demo` and `make test` need: system libraries and .venv with the pinned packages.
+# Everything that `make demo` and `make test` need: system libraries, .venv with the pinned packages, compiled kernels.
 # Does nothing when all of it is there. A setup that was killed is done again from the start.
 set -eu -o pipefail
 cd "$(dirname "$0")/.."
@@ -92,5 +92,7 @@ tell_time 9>&- &
 trap "kill $! 2>/dev/null || true" EXIT
 .venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev,docs]' ||
   fail "the packages could not be installed; pip's reason is above"
+say "compiling the kernels (a minute or two)"
+.venv/bin/python scripts/compile_kernels.py || say "not all kernels were compiled, as said above; the first build does it"
 printf '%s\n%s\n' "$place" "$wanted" >"$stamp"
 say "done"

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import RecordingSummary
     from kinectbench.release.release import Release
 
+STILL_FAILS = (
+    "failed before, and nothing that it depends on has changed: left out; `kinectbench build {id}` says why, "
+    "`--force` tries again"
+)
+
 
 def _command(name: str, text: str) -> Command:
     def stage(common: Common, ids: Ids = None) -> int:
@@ -77,14 +82,24 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 
 def build_recordings(
-    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = ()
+    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, told: bool = False
 ) -> "list[RecordingSummary]":
-    """Build, tell warnings and errors, and return a summary of each recording, with its `error` or None."""
-    return build_jobs(chosen_jobs(common, ids), upto, common.workers, force, wait=common.wait)
+    """Build, tell warnings and errors, and return a summary of each recording, with its `error` or None.
+
+    With `told`, the reason of a failure that is not tried again, as nothing has changed, is left to `build`.
+    """
+    chosen = chosen_jobs(common, ids)
+    return build_jobs(chosen, upto, common.workers, force, wait=common.wait, told=told)
 
 
 def build_jobs(
-    chosen: "Sequence[Job]", upto: str, processes: int, force: Sequence[str] = (), *, wait: bool = True
+    chosen: "Sequence[Job]",
+    upto: str,
+    processes: int,
+    force: Sequence[str] = (),
+    *,
+    wait: bool = True,
+    told: bool = False,
 ) -> "list[RecordingSummary]":
     """`build_recordings` of jobs that are known already, on so many processes."""
     from kinectbench.cli import console
@@ -101,7 +116,8 @@ def build_jobs(
         row = found.model_copy(update={"warnings": (*found.warnings, *unused)})
         rows.append(row)
         console.recording_lines(row.recording, "warning", row.warnings if row.made else unused, "yellow")
-        console.recording_lines(row.recording, "error", [row.error] if row.error else [], "red")
+        reason = STILL_FAILS.format(id=row.recording) if told and outcome.repeated else row.error
+        console.recording_lines(row.recording, "error", [reason] if reason else [], "red")
     return rows
 
 
@@ -161,7 +177,7 @@ def find_release(common: Common) -> "tuple[Release, list[RecordingSummary]]":
 
     if common.benchmark is not None:
         return open_release(common.benchmark), []
-    rows = build_recordings(common, None, "pairs")
+    rows = build_recordings(common, None, "pairs", told=True)
     waiting = partial(console.waiting, "publish")
     published = publish_if_stale(common.settings, common.root, need_some(rows), waiting=waiting)
     return open_release(published.scoring), rows

@@ -44,7 +44,7 @@ def publish(
     if packed:
         refuse_unstated(settings, ids)
     tell_unknown_categories(common, ids)
-    rows = build_recordings(common, ids, "pairs")
+    rows = build_recordings(common, ids, "pairs", told=True)
     tell = partial(console.waiting, "publish")
     summary = publish_if_stale(
         settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell

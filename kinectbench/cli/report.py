@@ -31,7 +31,7 @@ def report(
         for path in find_scores(scores or ()):
             read_named(path)
     release = None if common.benchmark is None else open_release(common.benchmark)
-    rows = [] if release else build_recordings(common, ids, "pairs")
+    rows = [] if release else build_recordings(common, ids, "pairs", told=True)
     page = write_page(common, release, scores or common.beside("scores"), out, baselines)
     common.tell_written(page.resolve())
     return exit_status(rows)

@@ -1,16 +1,17 @@
 """The commands `score` and `compare`."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from kinectbench.cli.build import exit_status, find_release
-from kinectbench.cli.common import SOME_FAILED, Baselines, Common, Predictions, takes
+from kinectbench.cli.common import SOME_FAILED, Baselines, Common, takes
 from kinectbench.cli.report import write_page
+from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.scores import ScoreTable
@@ -23,7 +24,12 @@ SHOWN_FAILURES = 20
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def score(
     common: Common,
-    predictions: Predictions,
+    predictions: Annotated[
+        Path | None,
+        typer.Argument(
+            help="one method's folder, or a folder of methods; without it, the baselines are scored"
+        ),
+    ] = None,
     method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
     protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
@@ -39,34 +45,32 @@ def score(
     gallery: Annotated[bool, typer.Option(help="keep some predictions for the page, small")] = True,
     out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
 ) -> int:
-    """Score predictions; thresholds come from the validation split or a file."""
+    """Score predictions; thresholds come from the validation split or a file.
+
+    Without a folder of predictions, all baselines are scored as methods; no prediction is written.
+    """
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
-    from kinectbench.scoring.score import check_request, score_methods
+    from kinectbench.scoring.score import check_request
     from kinectbench.scoring.terminal import score_table
 
+    if predictions is None:
+        _refuse({"--method": method, "--save-thresholds": save_thresholds})
     if common.benchmark is None:  # before the benchmark is built
         check_request(predictions, protocol, thresholds, missing, upsampling)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
-    with console.bar("score") as progress:
-        tables = score_methods(
-            release,
-            predictions,
-            folder,
-            method=method,
-            protocols=protocol,
-            thresholds_file=thresholds,
-            save_thresholds=save_thresholds,
-            missing=missing,
-            upsampling=upsampling,
-            surface=surface,
-            jobs=common.workers,
-            progress=progress,
-        )
+    known = {
+        "protocols": protocol,
+        "thresholds_file": thresholds,
+        "upsampling": upsampling,
+        "surface": surface,
+    }
+    of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing}
+    tables = _tables(release, predictions, folder, common.workers, known, of_one)
     if gallery:
         with console.bar("gallery") as progress:
-            write_galleries(release, predictions, tables, folder, upsampling, progress)
+            write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
     _tell_problems(tables)
     beside = _beside(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
@@ -76,6 +80,32 @@ def score(
         console.out.print(score_table([*tables, *beside], published=True))
         typer.echo(f"page: {page.resolve()}")
     return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
+
+
+def _tables(
+    release: "Release",
+    predictions: Path | None,
+    folder: Path,
+    jobs: int,
+    known: Mapping[str, Any],
+    of_one: Mapping[str, Any],
+) -> "list[ScoreTable]":
+    """Score the predictions, or without them the baselines; `of_one` are options of one method."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.baselines.counted import score_baselines
+    from kinectbench.scoring.score import score_methods
+
+    with console.bar("score") as progress:
+        if predictions is None:
+            return score_baselines(release, folder, jobs=jobs, progress=progress, **known)
+        return score_methods(release, predictions, folder, jobs=jobs, progress=progress, **known, **of_one)
+
+
+def _refuse(options: Mapping[str, object]) -> None:
+    """Refuse options of one method where no predictions are named."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise SettingsError(f"{', '.join(given)}: of one method; name its folder of predictions")
 
 
 def _beside(

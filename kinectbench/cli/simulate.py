@@ -10,7 +10,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.lab.simulate import Format
 
 
-@takes("overrides", "as_json")
+@takes("overrides", "jobs", "as_json")
 def simulate(
     common: Common,
     out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
@@ -59,6 +59,7 @@ def simulate(
             samples,
             demo,
             lambda name, *done: progress(name, "simulate", *done),
+            common.workers,
         )
     if mesh is not None:
         console.lines(

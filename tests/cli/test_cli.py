@@ -257,6 +257,19 @@ def test_several_methods_and_one(command: Command, scored: Path, tmp_path: Path)
     assert (tmp_path / "all" / "hull" / "scores.json").read_bytes() == alone
 
 
+def test_baselines_are_scored_without_predictions(command: Command, scored: Path, tmp_path: Path) -> None:
+    """The rows of their written predictions, as methods of their own on the page."""
+    of = ["--benchmark", str(scored / "benchmark"), "--jobs", "1", "--no-surface"]
+    assert command(tmp_path, "score", *of, "--out", "memory", "--json").status == 0
+    assert command(tmp_path, "score", str(scored / "predictions"), *of, "--out", "files").status == 0
+    for name in METHODS:
+        rows = [(tmp_path / out / name / "scores.csv").read_bytes() for out in ("memory", "files")]
+        assert rows[0] == rows[1]
+    assert not (tmp_path / "predictions").exists() and not (tmp_path / "memory" / "baselines").exists()
+    page = (tmp_path / "memory" / "index.html").read_text()
+    assert "silhouette" in page and ">baseline</span>" not in page
+
+
 def test_the_baselines_stand_beside_a_method(command: Command, release: Release, tmp_path: Path) -> None:
     predict(tmp_path / "mine", release)
     score = ["score", "mine", "--benchmark", str(release.folder), "--jobs", "1", "--no-surface"]

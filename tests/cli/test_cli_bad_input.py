@@ -208,7 +208,9 @@ def test_a_recording_that_fails_does_not_stop_the_others(
     assert check_line(run, 3, "chair: error: |cut off after")
     assert json.loads(run.out)["recordings"] == ["table"]
     score = command(root, "baseline", "empty", "--set", "views.seed=3", "--jobs", "1")
-    assert check_line(score, 3, "chair: error: |cut off after")
+    assert check_line(score, 3, "chair: error: failed before|nothing that it depends on has changed")
+    build = command(root, "build", "chair", "--set", "views.seed=3", "--jobs", "1")
+    assert check_line(build, 1, "chair: error: |cut off after")
 
 
 def test_both_recordings_fail(command: Command, small: Path, tmp_path: Path) -> None:
@@ -356,7 +358,8 @@ BAD_USAGE = {
     "jobs many": (["build", "--jobs", "many"], "--jobs|build --help"),
     "unknown option": (["build", "--nope"], "--nope|build --help"),
     "unknown command": (["biuld"], "'biuld'|build|--help"),
-    "no argument": (["score"], "Missing argument|score --help"),
+    "no argument": (["check"], "Missing argument|check --help"),
+    "method without predictions": (["score", "--method", "mine"], "--method: of one method|its folder"),
     "unknown baseline": (["baseline", "hul"], "no baseline 'hul'|hull"),
     "unknown protocol": (["score", "predictions", "--protocol", "papre"], "no protocol 'papre'|paper"),
     "unknown way with missing": (["score", "predictions", "--missing", "zero"], "--missing zero|empty"),

@@ -12,6 +12,12 @@ WRONG = {
     "score no folder": (["score", "nowhere"], 1, "nowhere: no such folder of predictions"),
     "check no folder": (["check", "nowhere"], 1, "nowhere: no such folder of predictions"),
     "protocol": (["score", "mine", "--protocol", "papre"], 2, "no protocol 'papre'"),
+    "protocol of baselines": (["score", "--protocol", "papre"], 2, "no protocol 'papre'"),
+    "thresholds saved of baselines": (
+        ["score", "--save-thresholds", "t.json"],
+        2,
+        "--save-thresholds: of one",
+    ),
     "missing": (["score", "mine", "--missing", "zero"], 2, "--missing zero"),
     "upsampling": (["score", "mine", "--upsampling", "corners"], 2, "no upsampling 'corners'"),
     "thresholds": (["score", "mine", "--thresholds", "benchmark.yaml"], 2, "benchmark.yaml: cannot be read"),

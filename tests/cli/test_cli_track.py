@@ -99,7 +99,7 @@ def test_the_table_and_the_artefact(command: Command, here: Path, given: GivenTr
     assert "picture: build/chair/compare.png" in run.out
     _, line = [line for line in run.out.splitlines() if "chair" in line and "│" in line]
     assert line.split("│")[1:5] == [" chair     ", f"{4:>8} ", f"{'100.0':>10} ", f"{'0.00':>12} "]
-    assert "left out ┃ lost ┃" in run.out and "\nchair: good for ground truth at " in run.out
+    assert "left out ┃ lost ┃" in run.out and "\nchair: good for ground truth: " in run.out
     after = hashes(here / "build")
     assert after.pop("chair/compare.png") and after == before
     # What was compared is still up to date.

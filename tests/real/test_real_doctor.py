@@ -32,6 +32,13 @@ def test_no_alarm_on_right_recordings(name: str, settings: CameraSettings | None
     assert diagnosis.facts["poses_read_as"] == "as given"
 
 
+def test_a_phone_that_looks_down_76_degrees_sees_the_floor() -> None:
+    diagnosis, _ = inspect(ROOT / "phone_looking_down")
+    assert "no_floor" not in {found.name for found in diagnosis.findings} and not diagnosis.stops
+    # ARKit's poses say how high it was held; the boards lie on the floor.
+    assert diagnosis.facts["camera_height_m"] == pytest.approx(0.51, abs=0.05)
+
+
 @pytest.mark.parametrize("name", sorted(set(WRONG) - NOT_HERE))
 def test_wrong_copies_of_the_cabinet_are_named(name: str, tmp_path: Path) -> None:
     _, finding, words = WRONG[name]
