@@ -28,7 +28,7 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 # What a layout cannot hold: no stated pose; colour as a video.
-WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip"}
+WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip", "azure_kinect"}
 COLOR = {
     "7scenes": "pixels",
     "wildrgbd": "pixels",

@@ -22,6 +22,7 @@ from kinectbench.stages.fuse.depth_range import grid_range_m
 from kinectbench.stages.segment.choose import segment
 from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.grids import floor_layers, object_grid, usual_ray_width_m
+from kinectbench.stages.segment.resolution import USUAL_VOXEL_M
 
 SPLITS = {"looked-at": LOOKED_AT, "reported-only": REPORTED_ONLY, "all": (*LOOKED_AT, *REPORTED_ONLY)}
 
@@ -69,10 +70,11 @@ def observed(root: Path, recordings: Path, families: Sequence[str]) -> Iterator[
 
 def _observed(build: Path, recording: Path, family: str) -> Observed:
     sequence, trajectory = read_tracked(build)[:2]
-    fusion, segmentation = FusionSettings(), SegmentationSettings()
+    # Rules are chosen for these voxels (`stages.segment.resolution`).
+    fusion, segmentation = FusionSettings(voxel_size_m=USUAL_VOXEL_M), SegmentationSettings()
     scene = read_ply(build / "reconstruction" / "mesh.ply")
     chosen = segment(scene, trajectory, None, segmentation)
-    grid = object_grid(chosen.box, chosen.floor, fusion.voxel_size_m)
+    grid = object_grid(chosen.box, chosen.floor, USUAL_VOXEL_M)
     frames = trajectory.good_frames
     reach_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": reach_m})
@@ -89,8 +91,10 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
         halves=(odd, even),
         whole=merge(odd, even),
         excluded=chosen.excluded(grid),
-        layers=floor_layers(chosen.floor, segmentation, fusion.voxel_size_m),
-        ray_width_m=usual_ray_width_m(sequence.camera, trajectory, grid),
+        layers=floor_layers(chosen.floor, segmentation, USUAL_VOXEL_M),
+        ray_width_m=usual_ray_width_m(
+            sequence.camera, trajectory, transform_points(grid.T_world_grid, grid.size_m / 2)
+        ),
         true=mesh_occupancy(truth.mesh_world, in_truth),
         distance_m=distance_m.reshape(grid.shape),
     )

@@ -71,6 +71,8 @@ SIMULATED: dict[str, tuple[str, dict[str, Bar]]] = {
     "jolt": ("jolt-v1", HARDER),
     "drop": ("drop-v1", HARDER),
     "arc": ("arc-v1", {OURS: Bar(10, 0.99)}),
+    # At most five of 700 frames lost.
+    "turns": ("turns-v1", {OURS: Bar(10, 0.9928)}),
 }
 REAL = ("kitchen", "cabinet", "refine")
 TIME = "time"

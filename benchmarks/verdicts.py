@@ -1,0 +1,130 @@
+"""What the verdict on a trajectory is worth: its grades, beside the error that simulated recordings tell.
+
+Limits may be chosen on the families that may be looked at; the hit rates of the others are what is reported.
+A grade hits if `good` poses are within 10 mm (ATE, root mean square), and `not good` ones are not. Poses are
+tracked without a given trajectory, or given ones that drift or jump are trusted.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from builds import CORES, run_on_build
+from figures import Figure, arguments, at_least, told
+
+from kinectbench.core.artefacts.trajectory import Grade
+from kinectbench.core.errors import TrackingError
+from kinectbench.core.trajectory.compare import compare_poses
+from kinectbench.engine.processes import submit_all, worker_pool
+from kinectbench.lab.simulate.presets import preset_spec
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.truth import read_truth, truth_folder
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.track import track
+
+FAMILIES = {"looked at": ("chair", "table", "couch"), "reported": ("sideboard", "stool", "bed")}
+PRESETS = (
+    "orbit-v1", "arc-v1", "half-v1", "stride3-v1", "blur-v1", "jolt-v1", "outdoor-v1", "cluttered-v1",
+    "steep-v1", "far-v1", "azure-v1", "phone-v1", "turns-v1", "drift-v1", "jump-v1",
+)  # fmt: skip
+GIVEN = ("drift-v1", "jump-v1")
+FRAMES, SIZE_PX = 150, {"width": 320, "height": 240}
+GOOD_M = 0.010
+# Of the good ones, and of those that are not.
+LEAST_HITS = 0.9
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One recording: its grade, and the error of its poses in metres, rms; NaN without any."""
+
+    group: str
+    name: str
+    grade: Grade
+    ate_m: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """One recording to simulate into a folder, and to track."""
+
+    group: str
+    family: str
+    preset: str
+    folder: Path
+
+
+def judged(task: Task) -> Judged:
+    changes = {
+        "object": f"{task.family}:seed=7",
+        "seed": 7,
+        "save_depth": False,
+        "path": {"frames": FRAMES},
+        "sensor": {} if task.preset in ("azure-v1", "phone-v1") else SIZE_PX,
+    }
+    if task.preset not in GIVEN:
+        changes["given"] = {"trajectory": "none"}
+    recording = task.folder / f"{task.family}-{task.preset}"
+    simulate(preset_spec(task.preset, changes), recording)
+    folder = recording.with_name(f"{recording.name}.sequence")
+    folder.mkdir()
+    write_sequence(open_recording(recording), folder)
+    sequence, truth = read_sequence(folder), read_truth(truth_folder(recording))
+    true = truth.T_world_camera[np.searchsorted(truth.stamps_ns, sequence.stamps_ns)]
+    name = f"{task.family} {task.preset}"
+    try:
+        found = track(sequence, "trust" if task.preset in GIVEN else "ignore", TrackingSettings())
+    except TrackingError:
+        return Judged(task.group, name, "not good", np.nan)
+    assert found.health is not None
+    both = np.isfinite(found.T_world_camera[:, 0, 0]) & np.isfinite(true[:, 0, 0])
+    ate_m = compare_poses(found.T_world_camera[both], true[both]).ate_m.rmse
+    return Judged(task.group, name, found.health.grade, float(ate_m))
+
+
+def rows(found: list[Judged], group: str) -> Iterator[Figure]:
+    """How each grade of a group did, and its hit rates."""
+    own = [each for each in found if each.group == group]
+    for grade in ("good", "fair", "not good"):
+        errors_mm = np.array([1000 * each.ate_m for each in own if each.grade == grade])
+        if not len(errors_mm):
+            yield told(f"{group}: {grade}", "none")
+            continue
+        known_mm = errors_mm[np.isfinite(errors_mm)]
+        text = f"{len(errors_mm)} recordings"
+        if len(known_mm):
+            middle, most = np.median(known_mm), known_mm.max()
+            within = (known_mm <= 1000 * GOOD_M).mean()
+            text += f", ATE median {middle:.1f} mm, largest {most:.1f} mm, {within:.0%} within 10 mm"
+        yield told(f"{group}: {grade}", text)
+    good = [each.ate_m for each in own if each.grade == "good"]
+    bad = [each.ate_m for each in own if each.grade == "not good"]
+    if good:
+        hits = float(np.mean([ate_m <= GOOD_M for ate_m in good]))
+        yield at_least(f"{group}: good, and within 10 mm", hits, LEAST_HITS)
+    if bad:
+        misses = float(np.mean([not ate_m <= GOOD_M for ate_m in bad]))
+        yield told(f"{group}: not good, and beyond 10 mm", round(misses, 3))
+
+
+def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
+    tasks = [
+        Task(group, family, preset, root)
+        for group, families in FAMILIES.items()
+        for family in families
+        for preset in options.presets or PRESETS
+    ]
+    with worker_pool(CORES) as pool:
+        found = [future.result() for future in submit_all(pool, judged, tasks)]
+    figures = [told(each.name, f"{each.grade}, ATE {1000 * each.ate_m:.1f} mm") for each in found]
+    return [*figures, *(figure for group in FAMILIES for figure in rows(found, group))]
+
+
+if __name__ == "__main__":
+    parser = arguments(__doc__)
+    parser.add_argument("--presets", nargs="*", default=[], metavar="NAME", help="only these")
+    run_on_build(parser, measure)
