@@ -65,4 +65,4 @@ def stage_seconds(job: Job) -> dict[str, float]:
 
 def read_json(path: Path) -> Any:
     """The content of a JSON file."""
-    return json.loads(path.read_text())
+    return json.loads(path.read_text(encoding="utf-8"))

@@ -370,9 +370,9 @@ def empty_full(path: Path) -> None:
 
 
 def add_poses(path: Path) -> None:
-    content = json.loads(path.read_text())
+    content = json.loads(path.read_text(encoding="utf-8"))
     content["views"][0]["T_world_camera"] = np.eye(4).tolist()
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content), encoding="utf-8")
 
 
 def edit_lines(release: Path, change: Callable[[list[str]], list[str]]) -> None:

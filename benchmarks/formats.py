@@ -87,7 +87,7 @@ def ingest_one(path: Path, folder: Path, camera: str) -> None:
     write_sequence(open_recording(path, settings), folder)
     seconds = time.process_time() - started
     # Unlike getrusage, this does not count what the process that started this one had.
-    status = Path("/proc/self/status").read_text().splitlines()
+    status = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     peak_kb = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
     print(json.dumps([seconds, peak_kb / 1024]))
 

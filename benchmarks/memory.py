@@ -47,7 +47,7 @@ def watched_workers() -> Iterator[dict[int, float]]:
 def _status_mb(process: str) -> float | None:
     """What Linux knows of a process; None elsewhere, or if it has ended."""
     try:
-        text = Path(f"/proc/{process}/status").read_text()
+        text = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
     except OSError:
         return None
     lines = dict(line.split(":", 1) for line in text.splitlines())

@@ -1,11 +1,15 @@
 """The size of the package's rooms, files and functions: what keeps it readable in the large."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "kinectbench"
-FILES = {path.relative_to(PACKAGE).as_posix(): path.read_text() for path in sorted(PACKAGE.rglob("*.py"))}
+FILES = {
+    path.relative_to(PACKAGE).as_posix(): path.read_text(encoding="utf-8")
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
 # Of what numba compiles; a kernel cannot be cut up freely without losing speed.
 COMPILED = ("njit", "jit", "vectorize", "guvectorize")
 
@@ -108,6 +112,35 @@ def test_a_file_is_read_and_written_by_its_owner_only() -> None:
     raw = {name for name, text in FILES.items() if raw_calls(text) and not name.startswith("core/artefacts/")}
     assert {name for name in raw if not name.startswith(tuple(RAW))} == set()
     assert [place for place in RAW if not any(name.startswith(place) for name in raw)] == []
+
+
+MODE_OF_TEXT = re.compile("[rwax][+t]*")
+
+
+def without_encoding(text: str) -> list[str]:
+    """Calls that open a text in the locale's encoding; `open` is told by its mode: archives have one, too."""
+    found = []
+    for call in ast.walk(ast.parse(text)):
+        if not isinstance(call, ast.Call) or any(word.arg == "encoding" for word in call.keywords):
+            continue
+        name = call.func.attr if isinstance(call.func, ast.Attribute) else ""
+        values = [arg.value for arg in call.args if isinstance(arg, ast.Constant)]
+        text_mode = any(isinstance(value, str) and MODE_OF_TEXT.fullmatch(value) for value in values)
+        reads = name == "read_text" and not call.args
+        if reads or name == "write_text" or (name == "open" and text_mode and len(call.args) == 1):
+            found.append(ast.unparse(call))
+    return found
+
+
+def test_text_is_utf_8_whatever_the_locale() -> None:
+    """Ruff's PLW1514 finds what it knows to be a path; here any call of these names counts."""
+    assert [(name, found) for name, text in FILES.items() if (found := without_encoding(text))] == []
+
+
+def test_calls_without_an_encoding_are_found() -> None:
+    bad = 'a.read_text(errors="replace")\n(b / c).write_text(text)\nb.open("a+")\n'
+    good = 'a.read_text(encoding="utf-8")\nread_text(a)\na.open("rb")\nav.open(str(a), "w")\n'
+    assert len(without_encoding(bad)) == 3 and without_encoding(good) == []
 
 
 def test_raw_calls_are_found() -> None:

@@ -1,6 +1,7 @@
 """The command line: all commands in one app, and what becomes of their errors."""
 
 import gc
+import io
 import os
 import sys
 from collections.abc import Mapping
@@ -88,6 +89,7 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 
 def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
+    _show_what_can_be_shown()
     with interrupts_remembered():
         status, message = _run()
     if status == INTERRUPTED:
@@ -108,6 +110,13 @@ def main() -> None:
         sys.stderr.flush()
         os._exit(interrupted_status())
     sys.exit(status)
+
+
+def _show_what_can_be_shown() -> None:
+    """A `?` for each character that the terminal's encoding lacks; Python would end with an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _run() -> tuple[int, str]:

@@ -81,7 +81,7 @@ def publish_options(
     test = [recording for recording in settings.recordings if recording.split == "test"]
     categories = sorted({recording.category for recording in test})
     read_thresholds(thresholds, categories, frozenset(recording.object_name for recording in test))
-    return PublishOptions(hold_back=hidden, thresholds=thresholds.read_text())
+    return PublishOptions(hold_back=hidden, thresholds=thresholds.read_text(encoding="utf-8"))
 
 
 def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> None:

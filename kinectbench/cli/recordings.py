@@ -42,7 +42,7 @@ def init(
     found = [(path.relative_to(folder).as_posix(), name) for path, name in find_recordings(folder)]
     text = init_benchmark(folder, found, name_suffixes())
     with replaced_file(target) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, encoding="utf-8")
     count = f"{len(found)} recording{'s' * (len(found) != 1)}"
     advice = f"{count}: fill in category and object of each, license and source, then run `kinectbench build`"
     common.tell([str(target)], [f"wrote {target}", advice])

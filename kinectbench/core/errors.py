@@ -46,6 +46,13 @@ class StorageError(KinectBenchError):
 
 
 def internal_error(error: BaseException) -> str:
-    """One line about an error that nobody foresaw."""
+    """One line about an error that nobody foresaw; for some there is advice."""
     text = " ".join(str(error).split())
+    if isinstance(error, UnicodeEncodeError) and error.encoding.startswith("utf"):
+        return f"{error.object[:80]!a}: a name that is not UTF-8; rename the file or folder"
+    if isinstance(error, UnicodeEncodeError):
+        return (
+            f"{error.object[:80]!a}: cannot be a file's name where the locale's encoding is "
+            f"{error.encoding}; set LC_ALL=C.UTF-8"
+        )
     return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"

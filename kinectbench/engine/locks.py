@@ -44,7 +44,7 @@ def locked(
     """
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / LOCK).open("a+")
+        lock = (folder / LOCK).open("a+", encoding="utf-8", errors="replace")
     with lock:
         if not _taken(lock, folder, fcntl.LOCK_EX | fcntl.LOCK_NB):
             holder = _holder(folder / LOCK)
@@ -95,7 +95,7 @@ def _taken(lock: IO[str], folder: Path, how: int) -> bool:
 
 def _holder(file: Path) -> str:
     end = time.monotonic() + SIGNING_S
-    while not (text := file.read_text(errors="replace").strip()) and time.monotonic() < end:
+    while not (text := file.read_text(errors="replace", encoding="utf-8").strip()) and time.monotonic() < end:
         time.sleep(0.01)
     return text or "another run of kinectbench"
 

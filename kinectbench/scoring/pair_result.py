@@ -150,7 +150,7 @@ class Journal:
             return
         with storage_errors(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("a") as file:
+            with self._path.open("a", encoding="utf-8") as file:
                 file.write(counted.line())
 
     def remove(self) -> None:
@@ -163,7 +163,7 @@ def _read(path: Path) -> dict[str, CountedPair]:
     """The pairs by name; lines that were not written whole are left out."""
     found = {}
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
     for line in lines:

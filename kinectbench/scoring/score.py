@@ -288,4 +288,4 @@ def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
         benchmark_sha256=release.benchmark_sha256,
     )
     with replaced_file(path) as temporary:
-        temporary.write_text(frozen.text())
+        temporary.write_text(frozen.text(), encoding="utf-8")

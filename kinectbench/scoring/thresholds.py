@@ -76,7 +76,7 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
             or it was found on an object of the test split.
     """
     try:
-        file = ThresholdsFile.parse(path.read_text(), str(path))
+        file = ThresholdsFile.parse(path.read_text(encoding="utf-8"), str(path))
     except FileNotFoundError as error:
         raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError, ReleaseError) as error:

@@ -1,5 +1,7 @@
 """YAML as nodes that know their file and line, and as plain values; one clear line for every error."""
 
+import contextlib
+import os
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -46,6 +48,10 @@ def compose(text: str, source: str) -> yaml.Node:
     Raises:
         SettingsError: not YAML, more than one document, or a control character.
     """
+    if source.startswith(OVERRIDE):
+        # An argument is decoded by the locale's encoding, which may be ASCII; people type UTF-8.
+        with contextlib.suppress(UnicodeError):
+            text = os.fsencode(text).decode()
     try:
         loader = _Loader(text)
         loader.name = source

@@ -50,7 +50,7 @@ def given(here: Path) -> GivenTrajectory:
 
 
 def write(path: Path, stamps_ns: np.ndarray, T_world_camera: np.ndarray) -> None:
-    path.write_text(trajectory_text(GivenTrajectory(stamps_ns, T_world_camera)))
+    path.write_text(trajectory_text(GivenTrajectory(stamps_ns, T_world_camera)), encoding="utf-8")
 
 
 def test_the_same_path_in_another_world(command: Command, here: Path, given: GivenTrajectory) -> None:

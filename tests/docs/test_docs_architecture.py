@@ -60,6 +60,6 @@ def test_every_stored_file_has_its_line() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_paths_that_a_page_names_are_there(page: Path) -> None:
     """In code and in commands; a path with a placeholder is none."""
-    quoted = re.findall(r"`([^`\n]+)`", page.read_text())
+    quoted = re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8"))
     paths = [word for text in quoted for word in text.split() if PATH.fullmatch(word)]
     assert [path for path in paths if not (ROOT / path).exists()] == []

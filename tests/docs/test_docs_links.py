@@ -13,7 +13,7 @@ LINK = re.compile(r"(?<!`)\]\(([^)\s]+)\)")
 
 def text_of(page: Path) -> str:
     """A page without its blocks of code."""
-    return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
+    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
 
 
 def anchors(page: Path) -> set[str]:

@@ -83,28 +83,28 @@ def other_json(key: str, add: float) -> Callable[[Path], None]:
     """One number is another."""
 
     def change(path: Path) -> None:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         content[key] += add
-        path.write_text(pretty_json(content))
+        path.write_text(pretty_json(content), encoding="utf-8")
 
     return change
 
 
 def other_shifts(path: Path) -> None:
     """Each frame's shift, which sets its weight in fusion, is 5 percent larger."""
-    content = json.loads(path.read_text())
+    content = json.loads(path.read_text(encoding="utf-8"))
     for row in content["per_frame"]:
         row["shift_mm"] *= 1.05
-    path.write_text(pretty_json(content))
+    path.write_text(pretty_json(content), encoding="utf-8")
 
 
 def other_pose(path: Path) -> None:
     """One frame lies 5 mm elsewhere."""
-    rows = path.read_text().splitlines()
+    rows = path.read_text(encoding="utf-8").splitlines()
     values = rows[3].split()
     values[1] = str(float(values[1]) + 0.005)
     rows[3] = " ".join(values)
-    path.write_text("\n".join(rows) + "\n")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def on_small_disk(tmp_path: Path, before: Path, room_kb: int, *command: str) -> 
         [*UNSHARE, SCRIPT, "bash", disk, str(size_kb), before, *command], capture_output=True, text=True
     )
     assert ran.returncode == 0 or ran.stdout, ran.stderr
-    return ran.stdout.splitlines(), Path(f"{disk}.err").read_text().splitlines()
+    return ran.stdout.splitlines(), Path(f"{disk}.err").read_text(encoding="utf-8").splitlines()
 
 
 @pytest.mark.parametrize("layout", ["recgan", "bop", "webdataset"])

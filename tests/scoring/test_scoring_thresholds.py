@@ -65,7 +65,7 @@ def test_fixed(has: bool, why: str) -> None:
 
 
 def write(path: Path, content: object) -> Path:
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content), encoding="utf-8")
     return path
 
 

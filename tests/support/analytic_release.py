@@ -137,5 +137,5 @@ def publish_analytic(root: Path) -> PublishSummary:
 
 
 def _update(path: Path, values: dict[str, object]) -> None:
-    content = json.loads(path.read_text()) if path.is_file() else {}
-    path.write_text(json.dumps(content | values))
+    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    path.write_text(json.dumps(content | values), encoding="utf-8")

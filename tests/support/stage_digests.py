@@ -89,12 +89,12 @@ def file_digest(path: Path) -> Digest:
         case ".ply":
             return mesh_digest(path)
         case ".json":
-            return json_digest(json.loads(path.read_text()))
+            return json_digest(json.loads(path.read_text(encoding="utf-8")))
         case ".txt":
             rows = np.loadtxt(path, ndmin=2)
             return {f"column {index}": array_digest(column, "poses") for index, column in enumerate(rows.T)}
         case _:
-            return json_digest(path.read_text().splitlines())
+            return json_digest(path.read_text(encoding="utf-8").splitlines())
 
 
 def array_digest(values: NDArray[Any], kind: str | None = None) -> Part:

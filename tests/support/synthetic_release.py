@@ -136,7 +136,7 @@ def write_images(views: Path, view: str) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content), encoding="utf-8")
 
 
 def publish_synthetic(root: Path, wanted: Recordings = RECORDINGS) -> PublishSummary:

@@ -71,7 +71,7 @@ def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
     """
     good = trajectory.good_frames
     posed = GivenTrajectory(trajectory.stamps_ns[good], trajectory.T_world_camera[good])
-    (folder / TRAJECTORY_TXT).write_text(trajectory_text(posed))
+    (folder / TRAJECTORY_TXT).write_text(trajectory_text(posed), encoding="utf-8")
     if trajectory.health is not None:
         trajectory.health.write(folder)
     coefficients_per_m = trajectory.depth_calibration.coefficients_per_m.tolist()

@@ -99,7 +99,7 @@ def truth_folder(recording: Path) -> Path:
 def is_truth(folder: Path) -> bool:
     """Whether a folder holds the truth of a simulated recording, of whatever format version."""
     try:
-        record = json.loads((folder / "truth.json").read_text())
+        record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         return {"format_version", "package_version", "T_world_object", "spec"} <= set(record)
     except (OSError, ValueError, TypeError):
         return False
@@ -130,12 +130,14 @@ def write_truth(truth: Truth, spec: dict[str, Any]) -> None:
         "spec": spec,
     }
     folder = truth.folder
-    (folder / "truth.json").write_text(pretty_json(record))
+    (folder / "truth.json").write_text(pretty_json(record), encoding="utf-8")
     frames = {"stamps_ns": truth.stamps_ns, "T_world_camera": truth.T_world_camera}
     (folder / "frames.npz").write_bytes(npz_bytes(frames))
     posed = GivenTrajectory(truth.stamps_ns[known], truth.T_world_camera[known])
-    (folder / "trajectory.txt").write_text(trajectory_text(posed))
-    (folder / "floor.json").write_text(pretty_json({"plane_world": truth.floor_plane_world.tolist()}))
+    (folder / "trajectory.txt").write_text(trajectory_text(posed), encoding="utf-8")
+    (folder / "floor.json").write_text(
+        pretty_json({"plane_world": truth.floor_plane_world.tolist()}), encoding="utf-8"
+    )
     write_ply(truth.mesh_world, folder / "object.ply")
     surface: dict[str, NDArray[Any]] = {
         "points_world": truth.surface.points_world.astype(np.float32),
@@ -156,7 +158,7 @@ def read_truth(folder: Path) -> Truth:
 
     path = folder / "truth.json"
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
         if record["format_version"] != FORMAT_VERSION:
             raise RecordingError(
                 f"{path}: format version {record['format_version']}; this package reads {FORMAT_VERSION}; "

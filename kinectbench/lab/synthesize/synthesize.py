@@ -82,7 +82,7 @@ def assemble(
             content["models"] = {
                 task.model.name: row.json_value() for task, row in zip(tasks, made, strict=True)
             }
-            (folder / SYNTHESIS_JSON).write_text(pretty_json(content))
+            (folder / SYNTHESIS_JSON).write_text(pretty_json(content), encoding="utf-8")
             return pairs, ""
         return pairs, _complete(tasks, made, settings, folder, lines)
 

@@ -109,12 +109,12 @@ def _write_dataset_files(
         for image in scene["images"]
     ]
     nominal = {key: getattr(camera, key) for key in ("cx", "cy", "fx", "fy", "height", "width")}
-    (folder / "models" / "models_info.json").write_text(pretty_json(infos))
-    (folder / "test_targets_bop19.json").write_text(pretty_json(targets))
-    (folder / "camera.json").write_text(pretty_json({**nominal, "depth_scale": 1.0}))
+    (folder / "models" / "models_info.json").write_text(pretty_json(infos), encoding="utf-8")
+    (folder / "test_targets_bop19.json").write_text(pretty_json(targets), encoding="utf-8")
+    (folder / "camera.json").write_text(pretty_json({**nominal, "depth_scale": 1.0}), encoding="utf-8")
     info = release.metadata
     text = DATASET_INFO.format(name=info.name, identity=release.benchmark_sha256, license=info.license)
-    (folder / "dataset_info.md").write_text(text)
+    (folder / "dataset_info.md").write_text(text, encoding="utf-8")
     write_export_json(folder, release, {"layout": "bop", "scenes": scenes})
 
 
@@ -170,10 +170,10 @@ def write_scene(
                 write_below(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
         if progress:
             progress(done, len(release.targets))
-    (folder / "scene_camera.json").write_text(pretty_json(cameras))
+    (folder / "scene_camera.json").write_text(pretty_json(cameras), encoding="utf-8")
     if model is not None:
-        (folder / "scene_gt.json").write_text(pretty_json(poses))
-        (folder / "scene_gt_info.json").write_text(pretty_json(infos))
+        (folder / "scene_gt.json").write_text(pretty_json(poses), encoding="utf-8")
+        (folder / "scene_gt_info.json").write_text(pretty_json(infos), encoding="utf-8")
     return camera
 
 

@@ -62,7 +62,7 @@ def write_export_json(folder: Path, release: Release, rows: Mapping[str, Any]) -
         "name": release.metadata.name,
         "license": release.metadata.license,
     }
-    (folder / EXPORT_JSON).write_text(pretty_json(content | dict(rows)))
+    (folder / EXPORT_JSON).write_text(pretty_json(content | dict(rows)), encoding="utf-8")
 
 
 def synset_of(category: str) -> str:

@@ -79,7 +79,7 @@ def write_archive(release: Path, out: Path) -> Path:
                 _add(archive, release / name, f"{stem}/{name}")
         sha256 = sha256_file(temporary)
     with replaced_file(path.with_name(f"{path.name}.sha256")) as temporary:
-        temporary.write_text(f"{sha256}  {path.name}\n")
+        temporary.write_text(f"{sha256}  {path.name}\n", encoding="utf-8")
     return path
 
 

@@ -97,7 +97,7 @@ def card(
     """
     example = next((t for t in targets if t.split not in info.held_back), targets[0])
     hidden = example.split in info.held_back
-    body = Template(TEMPLATE.read_text()).substitute(
+    body = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         name=info.name,
         source=texts.source,
         beside=texts.beside,
@@ -205,7 +205,7 @@ def reading(targets: Sequence[Target], held_back: Sequence[str]) -> str:
     open_targets = [target for target in targets if target.split not in held_back]
     keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))
     hidden = f"\nPairs of the split {', '.join(held_back)} do not have {keys}: their truth is held back.\n"
-    return Template(READING_TEMPLATE.read_text()).substitute(
+    return Template(READING_TEMPLATE.read_text(encoding="utf-8")).substitute(
         example=(open_targets or targets)[0].file,
         truth=TRUTH if open_targets else NO_TRUTH,
         held_back=hidden if held_back else "",

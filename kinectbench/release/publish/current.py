@@ -57,7 +57,9 @@ def publish_if_stale(
             summary = publish(settings, build, out, recordings, asked)
             with replaced_file(build / PublishStamp.FILE) as temporary:
                 facts = {key: fact for key, fact in vars(summary).items() if key not in ("folder", "private")}
-                temporary.write_text(PublishStamp(fingerprint=wanted, options=asked, **facts).text())
+                temporary.write_text(
+                    PublishStamp(fingerprint=wanted, options=asked, **facts).text(), encoding="utf-8"
+                )
     return summary
 
 

@@ -57,7 +57,7 @@ def datasheet(
     """
     answers = {key: value or NOT_STATED for key, value in settings.publish.datasheet.model_dump().items()}
     refused = sum(info.refused for info in infos.values())
-    return Template(TEMPLATE.read_text()).substitute(
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         answers,
         name=settings.name,
         package_version=__version__,

@@ -190,8 +190,10 @@ def _write_texts(
     """Write datasheet, changelog, lineage and thresholds."""
     infos = {name: published.info for name, published in made.items()}
     sheet = datasheet(settings, targets, infos, _color(settings, made), warnings, options.hold_back)
-    (folder / DATASHEET).write_text(sheet)
-    (folder / CHANGELOG).write_text(changelog_text(settings.publish.changelog, settings.name))
+    (folder / DATASHEET).write_text(sheet, encoding="utf-8")
+    (folder / CHANGELOG).write_text(
+        changelog_text(settings.publish.changelog, settings.name), encoding="utf-8"
+    )
     Lineage(
         format_version=1,
         package_version=__version__,

@@ -132,5 +132,7 @@ def _pair() -> dict[str, Any]:
 
 if __name__ == "__main__":
     for file_name, file_text in schema_texts().items():
-        (Path(__file__).with_name(SCHEMAS) / file_name).write_text(file_text)
-    (Path(__file__).parents[3] / "docs" / SCORES_SCHEMA).write_text(schema_texts()[SCORES_SCHEMA])
+        (Path(__file__).with_name(SCHEMAS) / file_name).write_text(file_text, encoding="utf-8")
+    (Path(__file__).parents[3] / "docs" / SCORES_SCHEMA).write_text(
+        schema_texts()[SCORES_SCHEMA], encoding="utf-8"
+    )

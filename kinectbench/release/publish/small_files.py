@@ -98,14 +98,14 @@ def write_small_files(
     info = _info(head, infos)
     license = common_license(infos, head.license)
     _write_targets(folder, targets)
-    (folder / READING).write_text(reading(targets, head.held_back))
-    (folder / LICENSE).write_text(license_text(head.name, license, infos))
-    (folder / CITATION).write_text(citation_text(head.citation, head.name, license))
+    (folder / READING).write_text(reading(targets, head.held_back), encoding="utf-8")
+    (folder / LICENSE).write_text(license_text(head.name, license, infos), encoding="utf-8")
+    (folder / CITATION).write_text(citation_text(head.citation, head.name, license), encoding="utf-8")
     write_schemas(folder)
     about = f"A benchmark for single-depth-view shape completion from {head.texts.source}."
     metadata = croissant(head.name, license, about, head.citation, folder)
-    (folder / CROISSANT).write_text(pretty_json(metadata))
-    (folder / CARD).write_text(card(info, targets, warnings, license, head.texts))
+    (folder / CROISSANT).write_text(pretty_json(metadata), encoding="utf-8")
+    (folder / CARD).write_text(card(info, targets, warnings, license, head.texts), encoding="utf-8")
     return _seal(folder, info)
 
 
@@ -113,8 +113,10 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
     """Give keys of benchmark.json of a finished release their values; its identity stays the same."""
     ReleaseInfo.read(folder).model_copy(update=more).write(folder)
     path = folder / SHA256SUMS
-    sums = parse_sums(path.read_text(), str(path)) | {BENCHMARK_JSON: sha256_file(folder / BENCHMARK_JSON)}
-    path.write_text(sums_text(sums))
+    sums = parse_sums(path.read_text(encoding="utf-8"), str(path)) | {
+        BENCHMARK_JSON: sha256_file(folder / BENCHMARK_JSON)
+    }
+    path.write_text(sums_text(sums), encoding="utf-8")
 
 
 def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
@@ -146,12 +148,12 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
 
 def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
     """targets.csv, a table of each split that has any, and splits.json."""
-    (folder / TARGETS_CSV).write_text(targets_text(targets))
+    (folder / TARGETS_CSV).write_text(targets_text(targets), encoding="utf-8")
     (folder / SPLIT_TARGETS).mkdir()
     for split in SPLITS:
         here = tuple(target for target in targets if target.split == split)
         if here:
-            (folder / SPLIT_TARGETS / f"{split}.csv").write_text(targets_text(here))
+            (folder / SPLIT_TARGETS / f"{split}.csv").write_text(targets_text(here), encoding="utf-8")
     Splits.of(targets).write(folder)
 
 
@@ -161,7 +163,7 @@ def _seal(folder: Path, info: ReleaseInfo) -> str:
     identity = benchmark_sha256(sums_text(sums))
     info.model_copy(update={"benchmark_sha256": identity}).write(folder)
     sums[BENCHMARK_JSON] = sha256_file(folder / BENCHMARK_JSON)
-    (folder / SHA256SUMS).write_text(sums_text(sums))
+    (folder / SHA256SUMS).write_text(sums_text(sums), encoding="utf-8")
     return identity
 
 

@@ -110,7 +110,7 @@ def write_sequence(
         head.write(folder)
         FramesFile(rows=tuple(rows)).write(folder)
         if recording.given_trajectory is not None and not problem:
-            (folder / TRAJECTORY).write_text(trajectory_text(recording.given_trajectory))
+            (folder / TRAJECTORY).write_text(trajectory_text(recording.given_trajectory), encoding="utf-8")
     return warnings
 
 

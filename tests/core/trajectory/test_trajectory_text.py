@@ -41,7 +41,7 @@ def test_first_by_stamp() -> None:
 
 
 def write(path: Path, *rows: str) -> Path:
-    path.write_text("\n".join(rows))
+    path.write_text("\n".join(rows), encoding="utf-8")
     return path
 
 

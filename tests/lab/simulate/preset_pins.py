@@ -29,7 +29,11 @@ def machine() -> str:
     cpu = platform.processor()
     info = Path("/proc/cpuinfo")
     if info.is_file():
-        lines = [line for line in info.read_text().splitlines() if line.startswith(("model name", "flags"))]
+        lines = [
+            line
+            for line in info.read_text(encoding="utf-8").splitlines()
+            if line.startswith(("model name", "flags"))
+        ]
         cpu = "\n".join(sorted(set(lines)))
     return sha256_text(canonical_json([cpu, [version(name) for name in PACKAGES]]))[:16]
 

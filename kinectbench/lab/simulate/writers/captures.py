@@ -44,7 +44,7 @@ def write_nerfstudio(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) ->
         "depth_unit_scale_factor": 1 / DEPTH_SCALE,
         "frames": rows,
     }
-    (folder / "transforms.json").write_text(pretty_json(said))
+    (folder / "transforms.json").write_text(pretty_json(said), encoding="utf-8")
 
 
 def write_polycam(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -73,4 +73,4 @@ def write_polycam(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> No
             T = (frame.T_world_camera @ OPENGL_FROM_OPTICAL).tolist()
             pose = {f"t_{row}{column}": T[row][column] for row in range(3) for column in range(4)}
         text = pretty_json(said | pose | {"timestamp": frame.stamp_ns // 1000})
-        (inside / "corrected_cameras" / f"{stem}.json").write_text(text)
+        (inside / "corrected_cameras" / f"{stem}.json").write_text(text, encoding="utf-8")

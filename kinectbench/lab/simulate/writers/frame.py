@@ -128,4 +128,4 @@ def make_folders(folder: Path, *names: str) -> None:
 
 def write_lines(path: Path, lines: Sequence[str]) -> None:
     """Write a text file of lines."""
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -53,7 +53,7 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     for name, lines in rows.items():
         write_lines(folder / f"{name}.txt", lines)
     camera = asdict(rig.depth) | {"depth_scale": TUM_DEPTH_SCALE} | color_json(rig)
-    (folder / "camera.json").write_text(pretty_json(camera))
+    (folder / "camera.json").write_text(pretty_json(camera), encoding="utf-8")
 
 
 def write_seven_scenes(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -98,7 +98,7 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
         "intrinsic_matrix": rig.depth.K.T.ravel().tolist(),
         "depth_scale": DEPTH_SCALE,
     }
-    (folder / "camera_intrinsic.json").write_text(pretty_json(camera | color_json(rig)))
+    (folder / "camera_intrinsic.json").write_text(pretty_json(camera | color_json(rig)), encoding="utf-8")
 
 
 def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -116,7 +116,7 @@ def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> No
         log += _log_rows(index, frame)
     if log:
         write_lines(folder / "scan.log", log)
-    (folder / "camera.json").write_text(pretty_json(asdict(rig.depth) | color_json(rig)))
+    (folder / "camera.json").write_text(pretty_json(asdict(rig.depth) | color_json(rig)), encoding="utf-8")
 
 
 def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -142,9 +142,9 @@ def write_bop(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
         frame.add_mask(folder / "mask_visib" / f"{index:06d}_000000.png")
         if frame.mask is not None:
             objects[str(index)] = [{"obj_id": 1}]
-    (folder / "scene_camera.json").write_text(pretty_json(cameras))
+    (folder / "scene_camera.json").write_text(pretty_json(cameras), encoding="utf-8")
     if objects:
-        (folder / "scene_gt.json").write_text(pretty_json(objects))
+        (folder / "scene_gt.json").write_text(pretty_json(objects), encoding="utf-8")
 
 
 def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
@@ -164,7 +164,7 @@ def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> N
         frame.add_mask(folder / "masks" / f"{index:05d}.png")
     write_lines(folder / "cam_poses.txt", rows)
     K = {"w": rig.depth.width, "h": rig.depth.height, "K": rig.depth.K.T.ravel().tolist()}
-    (folder / "metadata").write_text(pretty_json(K))
+    (folder / "metadata").write_text(pretty_json(K), encoding="utf-8")
 
 
 def seconds(stamp_ns: int) -> str:

@@ -68,7 +68,7 @@ def write_scanner_app(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -
         }
         if frame.T_world_camera is not None:
             said["cameraPoseARFrame"] = (frame.T_world_camera @ OPENGL_FROM_OPTICAL).ravel().tolist()
-        (folder / f"frame_{index:05d}.json").write_text(json.dumps(said) + "\n")
+        (folder / f"frame_{index:05d}.json").write_text(json.dumps(said) + "\n", encoding="utf-8")
         if rig.color_registered:
             (folder / f"frame_{index:05d}.jpg").write_bytes(frame.color_jpeg())
 
