@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test lint types docs docs-format docs-pictures docs-architecture samples clean
+.PHONY: help setup demo test fuzz lint types docs docs-format docs-pictures docs-architecture samples clean
 
 BIN := .venv/bin
 # The demo's commands run inside demo/.
@@ -24,6 +24,11 @@ demo: setup ## a whole benchmark from a real and simulated recordings: build, pu
 
 test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2
+
+MINUTES ?= 20
+fuzz: setup ## damage recordings, releases, predictions and tables at random, 20 minutes each, two at a time
+	@printf '%s\n' recordings releases predictions tables | \
+	  xargs -P 2 -I{} $(BIN)/python benchmarks/fuzzing.py {} --minutes $(MINUTES)
 
 lint: setup ## style, formatting, and which room of the package imports which
 	@$(BIN)/ruff check

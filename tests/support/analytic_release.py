@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from analytic_scenes import box, depth_of, sphere
 from numpy.typing import NDArray
-from synthetic_release import RECORDINGS, synthetic_settings, write_build
+from synthetic_release import RECORDINGS, Recordings, synthetic_settings, write_build
 
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.geometry.mesh import read_ply, write_ply
@@ -101,10 +101,10 @@ def true_pair(category: str, index: int, view: int, mesh: TriangleMesh) -> Pair:
     )
 
 
-def write_analytic_build(build: Path) -> None:
+def write_analytic_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
     """What publish reads, true to each other."""
-    write_build(build)
-    for index, (name, category, _, _, count) in enumerate(RECORDINGS):
+    write_build(build, wanted)
+    for index, (name, category, _, _, count) in enumerate(wanted):
         folder = build / name
         write_ply(true_mesh(category, index), folder / "object" / "mesh.ply")
         mesh = read_ply(folder / "object" / "mesh.ply")  # of float32, as the stages have it
