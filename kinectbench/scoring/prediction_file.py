@@ -5,21 +5,21 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
-from io import BufferedIOBase
 from pathlib import Path
-from typing import cast
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import PredictionError
+from kinectbench.core.untrusted import open_plain
+from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
+from kinectbench.core.voxels.npz import open_npz
 from kinectbench.core.voxels.resample import MAX_CELLS
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES, MESHES, voxelised
-from kinectbench.scoring.npy_header import NpyHeader, read_npy_header
 
 MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # the largest array, its header, and what a zip adds
-CHUNK_BYTES = 1 << 20
 HALF_ONE = 0x3C00
 HALF_MINUS_ZERO = 0x8000
 ACCEPTED = "save float16 or float32 in [0, 1], or bool"
@@ -47,10 +47,12 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
                 raise PredictionError("a mesh; it needs the voxel size of its pair")
             return voxelised(path, voxel_size_m)
         with _open(path) as (file, size):
-            array = _read(file, size)
+            array = read_npy(file, size, _check_claims)
         return _checked(array)
     except PredictionError as error:
         raise PredictionError(f"{name or path}: {error}") from None
+    except NpyError as error:
+        raise PredictionError(f"{name or path}: {error}; write it with np.save or np.savez") from None
     except OSError as error:
         raise PredictionError(f"{name or path}: cannot be read ({error.strerror or error})") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
@@ -72,17 +74,19 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
 
 
 @contextlib.contextmanager
-def _open(path: Path) -> Iterator[tuple[BufferedIOBase, int]]:
+def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
     """Yield the npy stream of a file and the number of bytes in it."""
     size = _checked_size(path, MAX_BYTES)
     if path.suffix == ".npy":
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             yield file, size
         return
-    with zipfile.ZipFile(path) as archive:
-        entry = _only_entry(archive)
-        with archive.open(entry) as stream:
-            yield cast(BufferedIOBase, stream), entry.file_size
+    with open_plain(path) as file, open_npz(file, MAX_BYTES) as archive:
+        entries = archive.infolist()
+        if len(entries) != 1:
+            raise PredictionError(f"{len(entries)} arrays in the npz: it must hold exactly one")
+        with archive.open(entries[0]) as stream:
+            yield stream, entries[0].file_size
 
 
 def _checked_size(path: Path, most: int) -> int:
@@ -95,46 +99,6 @@ def _checked_size(path: Path, most: int) -> int:
     if state.st_size == 0:
         raise PredictionError("the file is empty")
     return state.st_size
-
-
-def _only_entry(archive: zipfile.ZipFile) -> zipfile.ZipInfo:
-    """The one array of an npz. Its name is never used as a path."""
-    entries = archive.infolist()
-    if len(entries) != 1:
-        raise PredictionError(f"{len(entries)} arrays in the npz: it must hold exactly one")
-    entry = entries[0]
-    if not entry.filename.endswith(".npy"):
-        raise PredictionError("its only entry is not an array; write it with np.savez")
-    if entry.flag_bits & 1:
-        raise PredictionError("the npz is encrypted; write it with np.savez")
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise PredictionError("an uncommon compression; write it with np.savez_compressed")
-    if entry.file_size > MAX_BYTES:
-        raise PredictionError(
-            f"claims to unpack to {entry.file_size} bytes; {MAX_BYTES} is the most accepted"
-        )
-    return entry
-
-
-def _read(file: BufferedIOBase, size: int) -> NDArray[np.generic]:
-    """Read an npy stream whose length must be what its header claims."""
-    header = read_npy_header(file)
-    _check_claims(header)
-    count = int(np.prod(header.shape))
-    claimed = header.data_offset + count * header.dtype.itemsize
-    if size != claimed:
-        what = "cut short" if size < claimed else "longer than it claims"
-        raise PredictionError(f"{what}: {size} bytes where its header claims {claimed}; write it again")
-    data = np.empty(count, header.dtype)
-    raw, done = data.view(np.uint8).data, 0
-    while done < len(raw):
-        read = file.readinto(raw[done : done + CHUNK_BYTES])
-        if not read:
-            raise PredictionError(f"cut short: {done} bytes of data, {len(raw)} are claimed; write it again")
-        done += read
-    if file.read(1):  # reaching the end also checks the archive's CRC
-        raise PredictionError("longer than it claims; write it again")
-    return data.reshape(header.shape, order="F" if header.fortran_order else "C")
 
 
 def _check_claims(header: NpyHeader) -> None:

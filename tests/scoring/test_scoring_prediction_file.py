@@ -93,7 +93,8 @@ HOSTILE: dict[str, tuple[str, bytes, str]] = {
     "truncated npz": ("npz", zip_bytes({"a.npy": npy_bytes(GOOD)})[:-30], "damaged npz"),
     "no array": ("npz", zip_bytes({}), "0 arrays in the npz"),
     "two arrays": ("npz", zip_bytes({"a.npy": npy_bytes(GOOD), "b.npy": b""}), "2 arrays in the npz"),
-    "not an array": ("npz", zip_bytes({"a.txt": b"hello"}), "its only entry is not an array"),
+    "not an array": ("npz", zip_bytes({"a.txt": b"hello"}), "its entry 'a.txt' is not an array"),
+    "a path in it": ("npz", zip_bytes({"../../out.npy": npy_bytes(GOOD)}), "'../../out.npy' is not an array"),
     "other compression": (
         "npz",
         zip_bytes({"a.npy": b""}, zipfile.ZIP_LZMA),
@@ -185,7 +186,7 @@ def test_accepted_files(suffix: str, dtype: str, order: str, tmp_path: Path) -> 
     values = np.round(GOOD) if dtype in ("|b1", "|u1") else GOOD
     array = np.asarray(values.astype(dtype), order=order)  # type: ignore[call-overload]
     path = tmp_path / f"000.{suffix}"
-    path.write_bytes(npy_bytes(array) if suffix == "npy" else zip_bytes({"../../out.npy": npy_bytes(array)}))
+    path.write_bytes(npy_bytes(array) if suffix == "npy" else zip_bytes({"out.npy": npy_bytes(array)}))
     loaded = load_prediction(path)
     assert loaded.flags.c_contiguous and loaded.dtype.isnative
     assert loaded.dtype == (np.bool_ if dtype == "|u1" else np.dtype(dtype).newbyteorder("="))

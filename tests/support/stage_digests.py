@@ -4,7 +4,6 @@ A hash of rounded values would differ wherever a value lies beside a rounding bo
 over all values instead, and these are compared with a tolerance.
 """
 
-import io
 import json
 import re
 from collections import defaultdict
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from kinectbench._version import __version__
 from kinectbench.core.geometry.mesh import read_ply
 from kinectbench.core.storage import sha256_text
-from kinectbench.core.voxels.npz import arrays_of
+from kinectbench.core.voxels.npz import load_arrays
 from kinectbench.release.publish.small_files import package_versions
 from kinectbench.stages.ingest.depth_code import decode_depth
 
@@ -78,7 +77,7 @@ def file_digest(path: Path) -> Digest:
     """Digest of one file, by its suffix."""
     match path.suffix:
         case ".npz":
-            arrays = arrays_of(io.BytesIO(path.read_bytes()))
+            arrays = load_arrays(path)
             return {name: array_digest(values) for name, values in arrays.items()}
         case ".kbd":
             return {"depth": array_digest(decode_depth(path.read_bytes()))}

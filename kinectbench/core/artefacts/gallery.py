@@ -1,6 +1,5 @@
 """gallery.npz beside scores.json: some predictions of a method at 64^3, for the page to turn in 3-D."""
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -59,10 +58,7 @@ def read_gallery(scores: Path) -> Gallery | None:
     if not path.is_file():
         return None
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > MAX_BYTES:
-                raise ValueError("larger than a gallery can be")
-        values = load_arrays(path)
+        values = load_arrays(path, MAX_BYTES)
         pairs, cells = values["pairs"], values["cells"]
         if values["format_version"].shape != () or values["format_version"].item() != FORMAT_VERSION:
             raise ValueError("another format version")

@@ -17,18 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import StorageError
+from kinectbench.core.untrusted import open_plain, printable
+from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy
+from kinectbench.core.zip_files import open_zip
 
-# What numpy and zipfile raise for damaged files; an unknown compression is a NotImplementedError.
+# What is raised of damaged files; NotImplementedError: an unknown compression; RuntimeError: encrypted.
 UNREADABLE = (
     OSError,
     ValueError,
     EOFError,
     KeyError,
     NotImplementedError,
+    RuntimeError,
     MemoryError,
     zipfile.BadZipFile,
     zlib.error,
 )
+# No npz of ours holds more than twenty arrays (own choice).
+MOST_ARRAYS = 64
+# Of an npz of a build: the largest is the TSDF of a scene, 12 bytes a voxel (own choice).
+BUILD_BYTES = 8 << 30
+NPY = ".npy"
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
@@ -51,27 +60,73 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
     return buffer.getvalue()
 
 
-def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an npz; no pickles.
+def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -> zipfile.ZipFile:
+    """Open an npz that may come from anybody; every entry is known to be one that may be unpacked.
+
+    Entries are plain `<name>.npy`, stored or deflated, not encrypted, none twice, and together within bounds.
+    To be read by `read_npy`, with the entry's `file_size`.
+
+    Args:
+        file: open to read; it stays open.
+        most_bytes: that its arrays may claim together, unpacked.
+        most_arrays: that it may hold; their number is known from the archive's last bytes.
 
     Raises:
-        UNREADABLE: one of these exceptions, if the file is missing, damaged, or no npz.
+        NpyError: one of this is not so; the message says which.
+        zipfile.BadZipFile: it is no npz, or damaged.
     """
-    # Opened here, because numpy leaves a damaged archive open.
-    with path.open("rb") as file:
-        return arrays_of(file)
+    if file.read(len(MAGIC)) == MAGIC:
+        raise NpyError("a single array, not an npz")
+    try:
+        archive = open_zip(file, most_arrays, most_bytes)
+    except ValueError as error:
+        raise NpyError(str(error)) from error
+    names = set[str]()
+    for entry in archive.infolist():
+        name = entry.filename
+        if not name.endswith(NPY) or any(sign in name for sign in "/\\:") or not name.isprintable():
+            raise NpyError(f"its entry '{printable(name)}' is not an array")
+        if name in names:
+            raise NpyError(f"its entry '{printable(name)}' is there twice")
+        names.add(name)
+        if entry.flag_bits & 1:
+            raise NpyError("encrypted")
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise NpyError("an uncommon compression")
+    return archive
 
 
-def arrays_of(file: IO[bytes], names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+def load_arrays(path: Path, most_bytes: int = BUILD_BYTES) -> dict[str, NDArray[Any]]:
+    """Read all arrays of an npz; no pickles.
+
+    Args:
+        path: the file.
+        most_bytes: that its arrays may take together, unpacked; a larger file is not read either.
+
+    Raises:
+        UNREADABLE: one of these exceptions, if the file is missing, damaged, no npz, or larger.
+    """
+    with open_plain(path) as file:
+        return arrays_of(file, most_bytes)
+
+
+def arrays_of(
+    file: IO[bytes], most_bytes: int, names: Collection[str] | None = None
+) -> dict[str, NDArray[Any]]:
     """Read the named arrays of an open npz, by default all, in C order; no pickles.
 
     Raises:
-        UNREADABLE: one of these exceptions, if it is damaged or no npz.
+        UNREADABLE: one of these exceptions, if it is damaged, no npz, or lacks one of the arrays.
     """
-    archive = np.load(file, allow_pickle=False)
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise ValueError("it is a single array, not an npz")
-    return {name: np.asarray(archive[name], order="C") for name in names or archive.files}
+    with open_npz(file, most_bytes) as archive:
+        entries = {entry.filename.removesuffix(NPY): entry for entry in archive.infolist()}
+        if missing := [name for name in names or () if name not in entries]:
+            raise NpyError(f"it holds no '{missing[0]}'")
+        arrays = {}
+        for name in names or entries:
+            with archive.open(entries[name]) as stream:
+                arrays[name] = np.asarray(read_npy(stream, entries[name].file_size), order="C")
+        return arrays
 
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:

@@ -1,8 +1,10 @@
 """One file of the paper's authors: a grid of cells in their axes."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.errors import PairError
 from kinectbench.core.types import Bools
@@ -12,6 +14,8 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS
 KEY = "arr_0"
 LEVEL = 1
 MAX_CELLS = 512
+# A grid of 512 a side as bytes, or one of 256 as doubles, and the npy header.
+MAX_BYTES = MAX_CELLS**3 + (64 << 10)
 
 
 def recgan_file_bytes(cells: Bools) -> bytes:
@@ -33,18 +37,23 @@ def read_recgan_file(path: Path) -> Bools:
         PairError: missing, damaged, or not such a file.
     """
     try:
-        arrays = load_arrays(path)
+        arrays = load_arrays(path, MAX_BYTES)
     except UNREADABLE as error:
         raise PairError(f"{path}: cannot be read as an npz ({error}); get the file again") from error
     cells = arrays.get(KEY)
     if cells is None or cells.ndim != 4 or cells.shape[3] != 1 or not 0 < min(cells.shape) <= MAX_CELLS:
         raise PairError(f"{path}: holds no grid '{KEY}' of (x, y, z, 1) cells; is it of this layout?")
-    if max(cells.shape) > MAX_CELLS or cells.dtype.kind not in "biuf" or not np.isin(cells, (0, 1)).all():
+    if max(cells.shape) > MAX_CELLS or cells.dtype.kind not in "biuf" or not _is_binary(cells):
         raise PairError(f"{path}: '{KEY}' must hold 0 and 1 only, at most {MAX_CELLS} cells a side")
     centred = np.zeros((FULL_CELLS,) * 3, dtype=bool)
     source, target = zip(*(_centring(count) for count in cells.shape[:3]), strict=True)
     centred[target] = cells[..., 0][source] > 0
     return np.ascontiguousarray(centred[::-1, ::-1, :])
+
+
+def _is_binary(cells: NDArray[Any]) -> bool:
+    """Whether a grid holds 0 and 1 only; slab by slab, as what is compared takes memory, too."""
+    return all(bool(((slab == 0) | (slab == 1)).all()) for slab in cells)
 
 
 def _centring(count: int) -> tuple[slice, slice]:

@@ -1,6 +1,5 @@
 """Re-make a release's pairs from its recordings: the settings to do it with, and what differs."""
 
-import io
 import json
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,10 +15,9 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, parse_targets
-from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.voxels.morphology import packed_count
-from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
-from kinectbench.core.voxels.pair_file import PACKED_SHAPES
+from kinectbench.core.voxels.pair_file import PACKED_SHAPES, pair_values
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.publish.small_files import package_versions
@@ -228,9 +226,9 @@ def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator
     if published == again:
         return
     try:
-        old, new = arrays_of(io.BytesIO(published)), arrays_of(io.BytesIO(again))
-    except UNREADABLE as error:
-        yield f"{target.file}: cannot be read as a pair file ({error})"
+        old, new = pair_values(published, target.file), pair_values(again, str(made))
+    except PairError as error:
+        yield str(error)
         return
     words = [
         word

@@ -213,7 +213,7 @@ def test_parts_of_a_pair_are_checked_like_the_whole(pair: Pair) -> None:
     K, partial = pair_parts(content, ("K", "partial"))
     np.testing.assert_array_equal(K, pair.K)
     np.testing.assert_array_equal(partial, pair.partial)
-    with pytest.raises(KeyError):
+    with pytest.raises(ValueError, match="it holds no 'depth'"):
         pair_parts(content, ("depth",))
     with pytest.raises(ValueError, match="'K' is not a finite 3x3 matrix"):
         pair_parts(npz_bytes({"K": np.full((3, 3), np.nan)}), ("K",))

@@ -1,0 +1,143 @@
+"""Read an untrusted npy stream: nothing that it claims is believed or allocated before it is checked.
+
+Written against NumPy's format page (NEP 1). NumPy's own reader would accept object arrays, structured types
+and any shape, allocates what a header claims, and raises half a dozen kinds of error.
+"""
+
+import ast
+import math
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"\x93NUMPY"
+MAX_HEADER_BYTES = 10_000
+PLAIN_TYPE = re.compile(r"[<>|=]?(?:[?bBiufcO][0-9]{0,2}|U[1-9][0-9]{0,5})")
+CHUNK_BYTES = 1 << 20
+
+
+class NpyError(ValueError):
+    """An npy stream cannot be read; the message says why, without the file's name."""
+
+
+@dataclass(frozen=True)
+class NpyHeader:
+    """What an npy file claims to hold.
+
+    Attributes:
+        dtype: a plain dtype without objects or fields; byte order as in the file.
+        shape: as claimed.
+        fortran_order: the first index runs fastest.
+        data_offset: bytes before the data.
+    """
+
+    dtype: np.dtype[np.generic]
+    shape: tuple[int, ...]
+    fortran_order: bool
+    data_offset: int
+
+    @property
+    def data_bytes(self) -> int:
+        """Bytes of the data, as claimed."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | None = None) -> NDArray[Any]:
+    """Read an npy stream whose length must be what its header claims.
+
+    Args:
+        file: at its start; a zip's entry, for example.
+        size: bytes in it, as far as is known: the most that is allocated.
+        check: looks at the header before anything is allocated; what it raises goes through.
+
+    Returns:
+        A new array, in the shape, byte order and dtype that the header says.
+
+    Raises:
+        NpyError: not an npy stream, pickled objects, cut short, or longer than it claims.
+        OSError, EOFError, zlib.error, zipfile.BadZipFile: as the stream's own reader says.
+    """
+    header = read_npy_header(file)
+    if check is not None:
+        check(header)
+    claimed = header.data_offset + header.data_bytes
+    if size != claimed:
+        what = "cut short" if size < claimed else "longer than it claims"
+        raise NpyError(f"{what}: {size} bytes where its header claims {claimed}")
+    data = np.empty(math.prod(header.shape), header.dtype)
+    if data.nbytes:
+        raw, done = data.view(np.uint8).data, 0
+        while done < len(raw):
+            part = file.read(min(CHUNK_BYTES, len(raw) - done))
+            if not part:
+                raise NpyError(f"cut short: {done} bytes of data, {len(raw)} are claimed")
+            raw[done : done + len(part)] = part
+            done += len(part)
+    if file.read(1):  # reaching the end also checks an archive's checksum
+        raise NpyError("longer than it claims")
+    return data.reshape(header.shape, order="F" if header.fortran_order else "C")
+
+
+def read_npy_header(file: IO[bytes]) -> NpyHeader:
+    """Read a header and leave the stream at the first byte of data.
+
+    Raises:
+        NpyError: not an npy stream, cut short, pickled objects, or a malformed header.
+    """
+    start = file.read(8)
+    if not start:
+        raise NpyError("the file is empty")
+    if start[:6] != MAGIC:
+        raise NpyError(
+            "it is a pickle, which is never loaded" if start[:1] == b"\x80" else "not an npy array"
+        )
+    width = {1: "<H", 2: "<I", 3: "<I"}.get(start[6] if len(start) == 8 else 0)
+    if width is None:
+        raise NpyError("an unknown version of the npy format")
+    length_bytes = file.read(struct.calcsize(width))
+    if len(length_bytes) < struct.calcsize(width):
+        raise NpyError("cut short in its header")
+    (length,) = struct.unpack(width, length_bytes)
+    if length > MAX_HEADER_BYTES:
+        raise NpyError(f"a header of {length} bytes: no plain array needs that")
+    text = file.read(length)
+    if len(text) < length:
+        raise NpyError("cut short in its header")
+    return _parse(text, 8 + len(length_bytes) + length)
+
+
+def _parse(text: bytes, data_offset: int) -> NpyHeader:
+    """Parse the header's dictionary."""
+    malformed = NpyError("a malformed npy header")
+    try:
+        claims = ast.literal_eval(text.decode("latin-1").strip())
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+        raise malformed from None
+    if not isinstance(claims, dict) or set(claims) != {"descr", "fortran_order", "shape"}:
+        raise malformed
+    descr, fortran_order, shape = claims["descr"], claims["fortran_order"], claims["shape"]
+    if not isinstance(fortran_order, bool) or not isinstance(shape, tuple):
+        raise malformed
+    if not all(type(n) is int and n >= 0 for n in shape):
+        raise malformed
+    return NpyHeader(_dtype(descr), shape, fortran_order, data_offset)
+
+
+def _dtype(descr: object) -> np.dtype[np.generic]:
+    """The dtype of a plain type string."""
+    if not isinstance(descr, str):
+        raise NpyError("a structured array, not a plain one")
+    if not PLAIN_TYPE.fullmatch(descr):
+        raise NpyError(f"dtype {descr[:40]!r} is not accepted")
+    try:
+        dtype: np.dtype[np.generic] = np.dtype(descr)
+    except TypeError:
+        raise NpyError(f"dtype {descr!r} is not known") from None
+    if dtype.hasobject:
+        raise NpyError("pickled Python objects, which are never loaded")
+    return dtype

@@ -1,0 +1,33 @@
+"""What reading a stranger's file may cost: a block that takes longer, or more memory, fails."""
+
+import signal
+import tracemalloc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def within(seconds: int, megabytes: int) -> Iterator[None]:
+    """Fail where the block takes more seconds of the processor, or allocates more, through Python or numpy.
+
+    What waits for ever ends after ten times as long. tracemalloc makes some loops three times slower: choose
+    the bounds with that in mind.
+    """
+
+    def too_long(*_: object) -> None:
+        raise AssertionError(f"not done after {seconds} s")
+
+    signals = {signal.SIGALRM: signal.ITIMER_REAL, signal.SIGPROF: signal.ITIMER_PROF}
+    before = {number: signal.signal(number, too_long) for number in signals}
+    signal.setitimer(signal.ITIMER_REAL, 10 * seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    tracemalloc.start()
+    try:
+        yield
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+        for number, timer in signals.items():
+            signal.setitimer(timer, 0)
+            signal.signal(number, before[number])
+    assert peak < megabytes << 20, f"{peak >> 20} MB at once"
