@@ -105,7 +105,7 @@ def _run(folder: Path, arguments: tuple[str, ...], told: Path, call: Call) -> Ra
         os.ftruncate(descriptor, 0)
     _long.clear()
     os.chdir(folder)
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # the peak starts anew
     before_kb = _memory_kb("VmRSS")
     status, fault, detail = _called(call, arguments)
     used_mb = (_memory_kb("VmHWM") - before_kb) / 1024
@@ -183,5 +183,5 @@ def _judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
 
 
 def _memory_kb(name: str) -> int:
-    lines = Path("/proc/self/status").read_text().splitlines()
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
