@@ -129,7 +129,8 @@ class Worker:
 
     def said(self) -> str:
         """The beginning of what the last command printed."""
-        return repr("".join((Path(self._told.name) / name).read_text() for name in (OUT, ERR))[:300])
+        said = b"".join((Path(self._told.name) / name).read_bytes() for name in (OUT, ERR))
+        return repr(said.decode(errors="replace")[:300])
 
     def end(self) -> None:
         """Stop the process, whatever it does."""
@@ -199,7 +200,7 @@ class Worker:
         with suppress(ProcessLookupError):
             os.kill(self._process.pid, signal.SIGUSR1)
         time.sleep(0.5)
-        with stack.open() as file:
+        with stack.open(encoding="utf-8") as file:
             file.seek(told)
             frames = re.findall(r'/kinectbench/([\w/]+\.py)", line (\d+) in (\w+)', file.read())
         self.end()
@@ -312,7 +313,8 @@ def kept(case: Path, finding: Finding, archive: Path) -> None:
         return
     archive.parent.mkdir(parents=True, exist_ok=True)
     words = {"arguments": finding.command.arguments, "fault": finding.fault, "detail": finding.detail}
-    (case / "case.json").write_text(json.dumps({**words, "story": finding.story}, indent=1))
+    text = json.dumps({**words, "story": finding.story}, indent=1)
+    (case / "case.json").write_text(text, encoding="utf-8")
     with tarfile.open(archive, "w:gz") as file:
         file.add(case, "case")
 
@@ -322,7 +324,7 @@ def again(archive: Path, worker: Worker, folder: Path) -> Ran:
     with tarfile.open(archive) as file:
         file.extractall(folder, filter="fully_trusted")
     case = folder / "case"
-    words = json.loads((case / "case.json").read_text())
+    words = json.loads((case / "case.json").read_text(encoding="utf-8"))
     ran = worker.run(case, Command(tuple(words["arguments"])))
     remove(case)
     return ran

@@ -46,7 +46,8 @@ def make(folder: Path) -> None:
             path.mkdir()
         write(path, rig, frames())
         said = asdict(SAID[name]) if name in SAID else {}
-        (path.parent / "benchmark.yaml").write_text(YAML.format(name=path.name, camera=json.dumps(said)))
+        text = YAML.format(name=path.name, camera=json.dumps(said))
+        (path.parent / "benchmark.yaml").write_text(text, encoding="utf-8")
     _packed(folder / "ros2_sqlite", folder / "ros2_zstd")
 
 
@@ -57,7 +58,8 @@ def _packed(bag: Path, to: Path) -> None:
     to.mkdir()
     file = next(bag.rglob("*.db3"))
     (to / f"{RECORDING}.db3.zstd").write_bytes(zstandard.compress(file.read_bytes()))
-    (to / "benchmark.yaml").write_text(YAML.format(name=f"{RECORDING}.db3.zstd", camera="{}"))
+    text = YAML.format(name=f"{RECORDING}.db3.zstd", camera="{}")
+    (to / "benchmark.yaml").write_text(text, encoding="utf-8")
 
 
 def _recording(case: Path) -> Path:

@@ -58,7 +58,7 @@ def make(folder: Path) -> None:
             save_thresholds=case / THRESHOLDS,
         )
         write_galleries(release, case / PREDICTIONS, tables, out, "half-pixel")
-    (case / YAML).write_text(SETTINGS)
+    (case / YAML).write_text(SETTINGS, encoding="utf-8")
 
 
 def whole(case: Path) -> list[Command]:

@@ -58,7 +58,7 @@ def serve(connection: Connection, told: Path, call: Call) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ["KINECTBENCH_DEBUG"] = "1"
     os.environ["TMPDIR"] = str(told)
-    stack = (told / STACK).open("w")
+    stack = (told / STACK).open("w", encoding="utf-8")
     faulthandler.register(signal.SIGUSR1, file=stack, all_threads=False)
     for name, descriptor in ((OUT, 1), (ERR, 2)):
         os.dup2(os.open(told / name, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND), descriptor)
