@@ -1,6 +1,7 @@
 """Matroska files of Azure Kinect, written here by PyAV as the sensor's SDK lays them out."""
 
 import copy
+import io
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.readers.azure_calibration import AzureCalibration
+from kinectbench.stages.ingest.readers.azure_kinect import AzureKinectRecording
 from kinectbench.stages.ingest.recording import Recording
 
 av = pytest.importorskip("av", reason="needs kinectbench[azure]")
@@ -55,6 +57,7 @@ def write(
     mode: str = "MJPG",
     frames: int = 4,
     tracks: tuple[str, str] = ("DEPTH", "COLOR"),
+    color_px: tuple[int, int] = (64, 48),
 ) -> Path:
     with av.open(str(path), "w", format="matroska", options={"allow_raw_vfw": "1"}) as out:
         depth = out.add_stream("rawvideo", rate=30)
@@ -64,7 +67,7 @@ def write(
             "BGRA": ("rawvideo", "bgra"),
         }[mode]  # fmt: skip
         color = out.add_stream(codec, rate=30)
-        color.width, color.height, color.pix_fmt = 64, 48, pixels
+        color.width, color.height, color.pix_fmt = *color_px, pixels
         for track, name in zip((depth, color), tracks, strict=True):
             track.metadata["title"], track.time_base = name, Fraction(1, 1000)
         color.metadata["K4A_COLOR_MODE"] = f"{mode}_48P"
@@ -103,6 +106,14 @@ def stored(index: int, mode: str) -> bytes:
     packed = np.empty((48, 64, 2), np.uint8)
     packed[..., 0], packed[:, 0::2, 1], packed[:, 1::2, 1] = y, u, v
     return packed.tobytes()
+
+
+def rational(location: str, p1: float, p2: float) -> dict[str, Any]:
+    """A camera of the other model of lenses, at a place of the file."""
+    said = camera(location, REAL_COLOR, (4096, 3072))
+    said["Intrinsics"]["ModelType"] = "CALIBRATION_LensDistortionModelRational6KT"
+    said["Intrinsics"]["ModelParameters"][12:] = [p2, p1]
+    return said
 
 
 def in_pixels(camera: Camera) -> tuple[float, ...]:
@@ -209,6 +220,8 @@ def changed(**depth_camera: Any) -> dict[str, Any]:
         (changed(Intrinsics={"ModelType": MODEL, "ModelParameters": [1, 2]}), "must hold 14 numbers"),
         (changed(Intrinsics=None), "needs Intrinsics and Rt"),
         (changed(Rt={"Rotation": [0] * 9, "Translation": [0] * 3}), "Rt must hold"),
+        (changed(**rational("D0", 1e-4, 0)), "the tangential terms of .*Rational6KT are not read; undistort"),
+        (calibration(**rational("PV0", 0, -5e-5)), "camera PV0: the tangential terms of .* are not read"),
         (changed(SensorWidth="wide"), "SensorWidth must be a number"),
         (changed(SensorWidth=1e9), "pixels is none"),
     ],
@@ -217,6 +230,55 @@ def test_a_wrong_calibration(tmp_path: Path, said: dict[str, Any] | bytes | None
     with pytest.raises(RecordingError, match=why) as error:
         open_recording(write(tmp_path / "r.mkv", said))
     assert "\n" not in str(error.value)
+
+
+def test_a_rational_lens_without_tangential_terms_is_browns() -> None:
+    found = AzureCalibration.of(changed(**rational("D0", 0, 0)), Path("r.mkv"))
+    assert found.of_depth.distortion == (*REAL_DISTORTION[:2], 0, 0, *REAL_DISTORTION[2:])
+
+
+@pytest.mark.parametrize("name", ["photo.jpg", "scan.bin", "video.mkv"])
+def test_of_files_of_other_kinds_hardly_anything_is_read(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"\xff\xd8\xff" + b"b16g" * (1 << 18))
+    asked: list[int] = []
+
+    class Counted(io.FileIO):
+        def read(self, size: int = -1, /) -> bytes:
+            asked.append(size)
+            return super().read(size)
+
+    monkeypatch.setattr(Path, "open", lambda path, mode: Counted(path, "r"))
+    assert not AzureKinectRecording.recognises(path)
+    assert 0 < sum(asked) <= 16 and min(asked) > 0
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "r.mkv", calibration())
+    recording = open_recording(path)
+    with path.open("r+b") as file:
+        file.truncate(recording.places[2].depth.start + 1000)
+    assert recording.frame(1).depth.any()
+    with pytest.raises(DamagedImageError, match="its depth has 1000 bytes, not 2 a pixel"):
+        recording.frame(2)
+
+
+def test_colour_without_its_camera_is_left_out_and_told(tmp_path: Path) -> None:
+    said = calibration()
+    del said["CalibrationInformation"]["Cameras"][1]
+    recording = open_recording(write(tmp_path / "r.mkv", said))
+    assert recording.frame(0).color is None and recording.frame(0).depth.any()
+    (warning,) = recording.warnings
+    assert "its colour is left out" in warning and "no camera at CALIBRATION_CameraLocationPV0" in warning
+
+
+@pytest.mark.parametrize("size_px", [(20_000, 48), (64, 60_000)])
+def test_a_track_of_impossible_size_is_refused(tmp_path: Path, size_px: tuple[int, int]) -> None:
+    path = write(tmp_path / "r.mkv", calibration(), mode="BGRA", color_px=size_px)
+    with pytest.raises(RecordingError, match=f"a track of {size_px[0]}x{size_px[1]} pixels is of no camera"):
+        open_recording(path)
 
 
 def test_a_file_that_was_cut_off_is_read_to_its_end(tmp_path: Path) -> None:

@@ -15,7 +15,11 @@ from kinectbench.stages.ingest.recording import ColorCalibration
 
 CALIBRATION_FILE = "calibration.json"
 DEPTH_LOCATION, COLOR_LOCATION = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
-MODELS = ("CALIBRATION_LensDistortionModelBrownConrady", "CALIBRATION_LensDistortionModelRational6KT")
+# The SDK's intrinsic_transformation.c: both are Brown's model with six radial terms, as OpenCV has it, but
+# for the cross terms of tangential distortion, which Rational6KT takes half as large.
+BROWN_CONRADY = "CALIBRATION_LensDistortionModelBrownConrady"
+RATIONAL = "CALIBRATION_LensDistortionModelRational6KT"
+UNDISTORT = "undistort its images, and bring them in another format (`kinectbench formats`)"
 PARAMETERS = 14
 # Depth modes by the size of their images: side of the sensor's image once it is binned, and what is cropped
 # on the left and above (the SDK's mode_specific_calibration.c).
@@ -126,14 +130,17 @@ def _camera(raw: dict[str, Any], where: str) -> AzureCamera:
     intrinsics, place = raw.get("Intrinsics"), raw.get("Rt")
     if not isinstance(intrinsics, dict) or not isinstance(place, dict):
         raise RecordingError(f"{where} needs Intrinsics and Rt")
-    if intrinsics.get("ModelType") not in MODELS:
-        raise RecordingError(f"{where}: the model {intrinsics.get('ModelType')!r:.60} of lenses is not read")
+    model = intrinsics.get("ModelType")
+    if model not in (BROWN_CONRADY, RATIONAL):
+        raise RecordingError(f"{where}: the model {model!r:.60} of lenses is not read; {UNDISTORT}")
     numbers = numbers_of(intrinsics.get("ModelParameters"))
     if numbers.shape[:1] < (PARAMETERS,) or numbers.ndim != 1 or not np.isfinite(numbers[:PARAMETERS]).all():
         raise RecordingError(f"{where}: ModelParameters must hold {PARAMETERS} numbers")
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = numbers[:PARAMETERS].tolist()
     if codx or cody:
-        raise RecordingError(f"{where}: a centre of distortion beside the axis is not read")
+        raise RecordingError(f"{where}: a centre of distortion beside the axis is not read; {UNDISTORT}")
+    if model == RATIONAL and (p1 or p2):
+        raise RecordingError(f"{where}: the tangential terms of {model} are not read; {UNDISTORT}")
     sensor = [number_of(raw.get(key), f"{where}: {key}") for key in ("SensorWidth", "SensorHeight")]
     if not 16 <= min(sensor) <= max(sensor) <= 1 << 14:
         raise RecordingError(f"{where}: a sensor of {sensor[0]:g}x{sensor[1]:g} pixels is none")

@@ -21,7 +21,11 @@ from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
 from kinectbench.stages.ingest.intrinsics import object_of
-from kinectbench.stages.ingest.readers.azure_calibration import CALIBRATION_FILE, AzureCalibration
+from kinectbench.stages.ingest.readers.azure_calibration import (
+    CALIBRATION_FILE,
+    COLOR_LOCATION,
+    AzureCalibration,
+)
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.registration import Undistortion
 
@@ -41,6 +45,8 @@ SEGMENT = b"\x18\x53\x80\x67"
 UNKNOWN_SIZE = (1 << 56) - 1
 # An image's bytes begin this far behind where its block begins, at most (Matroska: id, size, track, time).
 BLOCK_HEAD_BYTES = 64
+# Twice the widest images of these sensors, 4096x3072 (Microsoft's hardware specification).
+LARGEST_SIDE_PX = 8192
 # What OpenCV calls the formats that are not JPEG.
 RAW_COLOR = {"NV12": "COLOR_YUV2BGR_NV12", "YUY2": "COLOR_YUV2BGR_YUY2", "BGRA": "COLOR_BGRA2BGR"}
 RAW_BYTES_A_PIXEL = {"NV12": 1.5, "YUY2": 2.0, "BGRA": 4.0}
@@ -87,9 +93,13 @@ class AzureKinectRecording(Recording):
         if not path.is_file():
             return False
         with path.open("rb") as file:
+            # Of a file of another kind no more is read: folders hold thousands of them.
+            if file.read(len(EBML_MAGIC)) != EBML_MAGIC:
+                return False
+            if path.suffix.lower() in cls.suffixes:
+                return True
             head = file.read(HEAD_BYTES)
-        named = path.suffix.lower() in cls.suffixes or any(mark in head for mark in MARKS)
-        return named and head.startswith(EBML_MAGIC)
+        return any(mark in head for mark in MARKS)
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -103,8 +113,8 @@ class AzureKinectRecording(Recording):
                     "with a depth mode other than OFF and PASSIVE_IR"
                 )
             calibration = AzureCalibration.of(_attached(container, path), path)
-            depth_px = _size_px(depth_track)
-            color_px = None if color_track is None else _size_px(color_track)
+            depth_px = _size_px(depth_track, path)
+            color_px = None if color_track is None else _size_px(color_track, path)
             mode = "" if color_track is None else _color_mode(color_track)
             indices = {track.index: name for name, track in tracks.items()}
             found, trouble = _find_images(container, indices, path)
@@ -123,6 +133,11 @@ class AzureKinectRecording(Recording):
         intrinsics = said.overridden_by(settings)
         camera = intrinsics.camera(depth_px, path)
         rig = None if color_px is None else calibration.color(color_px, path)
+        if color and rig is None:
+            warnings.append(
+                f"{path}: its colour is left out: {CALIBRATION_FILE} has no camera at {COLOR_LOCATION}, "
+                "which is colour's"
+            )
         registered = rig is not None and rig.lies_on(camera)
         return cls(
             path=path,
@@ -143,11 +158,10 @@ class AzureKinectRecording(Recording):
         place = self.places[index]
         name = f"{self.path}: the frame at byte {place.depth.start}"
         shape = self.camera.height, self.camera.width
-        if place.depth.length != 2 * shape[0] * shape[1]:
-            raise DamagedImageError(
-                f"{name}: its depth has {place.depth.length} bytes, not 2 a pixel: it is damaged"
-            )
-        stored = np.frombuffer(self._bytes(place.depth), ">u2").reshape(shape).astype(np.uint16)
+        data = self._bytes(place.depth)
+        if len(data) != 2 * shape[0] * shape[1]:
+            raise DamagedImageError(f"{name}: its depth has {len(data)} bytes, not 2 a pixel: it is damaged")
+        stored = np.frombuffer(data, ">u2").reshape(shape).astype(np.uint16)
         if self.undistortion is not None:
             stored = self.undistortion.depth(stored)
             stored[self.calibration.beyond_radius(self.camera)] = 0
@@ -197,7 +211,17 @@ def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
     return {name: track for name, track in found.items() if track is not None}
 
 
-def _size_px(track: "VideoStream") -> tuple[int, int]:
+def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
+    """Width and height of the track's images.
+
+    Raises:
+        RecordingError: no camera takes such images; memory is asked for by their size.
+    """
+    if not 0 < min(track.width, track.height) <= max(track.width, track.height) <= LARGEST_SIDE_PX:
+        raise RecordingError(
+            f"{path}: a track of {track.width}x{track.height} pixels is of no camera; the file is damaged, "
+            "copy it again"
+        )
     return track.width, track.height
 
 
@@ -269,8 +293,8 @@ def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
         if region.startswith(data, skipped):
             return position + skipped
     raise RecordingError(
-        f"{path}: its images are packed by Matroska's own compression; copy it with `mkvmerge --compression "
-        "-1:none`"
+        f"{path}: its images are packed by Matroska's own compression; unpack them with `mkvmerge -o NEW.mkv "
+        f"--compression -1:none {path.name}`"
     )
 
 

@@ -37,7 +37,7 @@ def without_depth(path: Path) -> str | None:
         )
     if images < LEAST_IMAGES:
         return None
-    return f"{path}: holds {images} colour images, but no depth (16-bit PNG): {RECORD}"
+    return f"{path}: holds {images} colour images, but no depth that is read (16-bit PNG): {RECORD}"
 
 
 def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:

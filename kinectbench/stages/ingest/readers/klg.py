@@ -103,10 +103,8 @@ class KlgRecording(PackedRecording):
             )
         size_px = (settings.width or SIZE_PX[0], settings.height or SIZE_PX[1])
         frames, trouble = _find_frames(path, size_px)
-        frames, why = timed(frames)
-        warnings += (
-            [f"{path}: its stamps are no times ({why}); its frames are counted instead"] if why else []
-        )
+        frames, untimed = timed(frames, path)
+        warnings += untimed
         order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
         if repeated:
             warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
@@ -136,12 +134,13 @@ class KlgRecording(PackedRecording):
         return ".png", encode_png(np.ascontiguousarray(bgr[..., ::-1]))
 
 
-def timed(frames: list[PackedFrame]) -> tuple[list[PackedFrame], str]:
-    """The frames with stamps that are times, or else counted; and why these are no times, or ""."""
+def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[str]]:
+    """The frames with stamps that are times, or else counted, and then a warning that says why."""
     why = no_times([frame.stamp_ns for frame in frames])
     if not why:
-        return frames, ""
-    return [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)], why
+        return frames, []
+    counted = [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)]
+    return counted, [f"{path}: its stamps are no times ({why}); its frames are counted instead"]
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:

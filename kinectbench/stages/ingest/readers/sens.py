@@ -98,10 +98,8 @@ class SensRecording(PackedRecording):
         if len({frame.stamp_ns for frame in frames}) == 1 or max(f.stamp_ns for f in frames) > LATEST_NS:
             # Some files have no stamps: then the frames count seconds.
             frames = [frame._replace(stamp_ns=index * NS_PER_S) for index, frame in enumerate(frames)]
-        frames, why = timed(frames)
-        warnings += (
-            [f"{path}: its stamps are no times ({why}); its frames are counted instead"] if why else []
-        )
+        frames, untimed = timed(frames, path)
+        warnings += untimed
         order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
         if repeated:
             warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
