@@ -24,12 +24,12 @@ from kinectbench.stages.segment.grids import (
     surround_grid,
     usual_ray_width_m,
 )
+from kinectbench.stages.segment.near import enlarged_transform
 from kinectbench.stages.segment.object_model import ObjectModel, object_model, usual_pose_error
 from kinectbench.stages.segment.quality import surface_sigma_m
 from kinectbench.stages.segment.resolution import (
     USUAL_VOXEL_M,
     enlarged_observation,
-    enlarged_transform,
     object_voxel_size_m,
     restored_frontier,
     restored_shape,

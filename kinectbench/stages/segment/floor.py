@@ -11,8 +11,8 @@ from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import SegmentationSettings
-from kinectbench.stages.segment.near import enlarged, near_scale
-from kinectbench.stages.segment.support import Surface, carries_what_is_looked_at
+from kinectbench.stages.segment.near import enlarged_transform, near_scale
+from kinectbench.stages.segment.support import FLAT_COSINE, Surface, carries_what_is_looked_at
 from kinectbench.stages.segment.up import NOTHING_KNOWN, Facing, FloorHint, facings
 
 CANDIDATES = 6
@@ -23,7 +23,8 @@ MAX_BELOW_SHARE = 0.05
 # What lies farther below a plane than so many times the distance of its inliers (50 mm) is below it.
 BELOW_INLIERS = 2.5
 BELOW_M = 0.05
-MIN_INLIER_SHARE = 0.01
+# A plane has this share of the points, and so many: of fewer its normal says little (own choices).
+MIN_INLIER_SHARE, MIN_PLANE_POINTS = 0.01, 50
 FOCUS_M = 1.2
 MIN_NEAR_POINTS = 100
 # Clutter that a plane happens to cut spreads evenly about it (30 mm); a real floor does not.
@@ -128,7 +129,8 @@ def find_floor(
     if hint.plane_world is not None:
         given = _given_floor(hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2)
         return replace(given, scale=scale)
-    larger = points_world / scale, normals_world, enlarged(T_world_camera, scale), focus_world / scale
+    T_larger_camera = enlarged_transform(T_world_camera, scale)
+    larger = points_world / scale, normals_world, T_larger_camera, focus_world / scale
     floor = _find_floor(*larger, seed, hint.up_world, INLIER_M * scale)
     plane = floor.plane_world * [1, 1, 1, scale]
     return replace(
@@ -189,7 +191,8 @@ def _refined_near(
     plane: Float64, points_world: Float64, normals_world: Float64, focus_world: Float64, inlier_m: float
 ) -> tuple[Float64, float]:
     """A plane refined near the focus, and the surface's noise about it, metres."""
-    flat = (np.linalg.norm(points_world - focus_world, axis=1) < FOCUS_M) & (normals_world @ plane[:3] > 0.9)
+    along = normals_world @ plane[:3] > FLAT_COSINE
+    flat = along & (np.linalg.norm(points_world - focus_world, axis=1) < FOCUS_M)
     near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * BELOW_M)]
     if len(near) < MIN_NEAR_POINTS:
         return plane, _noise_m(plane, points_world, inlier_m)
@@ -265,7 +268,7 @@ def _qualifying_planes(
     planes: list[Plane] = []
     for _ in range(CANDIDATES):
         indices = np.flatnonzero(left)
-        if len(indices) < max(50, MIN_INLIER_SHARE * len(points_world)):
+        if len(indices) < max(MIN_PLANE_POINTS, MIN_INLIER_SHARE * len(points_world)):
             break
         plane = _ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
         plane = _refine(points_world[indices], plane, 2 * inlier_m, inlier_m)

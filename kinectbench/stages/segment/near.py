@@ -48,8 +48,8 @@ def enlarged_box(box: OrientedBox, factor: float) -> OrientedBox:
     return OrientedBox((x, y, z), (a, b, c), box.yaw_rad)
 
 
-def enlarged(T_world_camera: Float64, scale: float) -> Float64:
-    """Poses (n, 4, 4) in a world that is 1 / scale times as large."""
-    larger = T_world_camera.copy()
-    larger[:, :3, 3] /= scale
+def enlarged_transform(T: Float64, scale: float) -> Float64:
+    """A rigid transform, or poses, (..., 4, 4), between worlds that are 1 / scale times as large."""
+    larger = T.copy()
+    larger[..., :3, 3] /= scale
     return larger

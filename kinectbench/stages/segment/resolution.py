@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh
-from kinectbench.core.types import Float64
 from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation
 from kinectbench.stages.segment.frontiers import Frontier
+from kinectbench.stages.segment.near import enlarged_transform
 from kinectbench.stages.segment.solid import SolidShape
 
 # What the rules were chosen with; larger voxels are taken only where a person says so.
@@ -47,13 +47,6 @@ def enlarged_observation(seen: Observation, scale: float) -> Observation:
 def enlarged_grid(grid: Grid, scale: float) -> Grid:
     """A grid in a world that is 1 / scale times as large."""
     return Grid(grid.shape, grid.voxel_size_m / scale, enlarged_transform(grid.T_world_grid, scale))
-
-
-def enlarged_transform(T: Float64, scale: float) -> Float64:
-    """A rigid transform (4, 4) between worlds that are 1 / scale times as large."""
-    larger = T.copy()
-    larger[:3, 3] /= scale
-    return larger
 
 
 def restored_shape(shape: SolidShape, grid: Grid, scale: float) -> SolidShape:

@@ -1,6 +1,7 @@
 """Whether what the cameras look at stands on a higher plane than the floor: a table, a shelf, a counter."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,10 @@ MAX_SHARE_OF_PLANE = 0.5
 MAX_BESIDE = 0.5
 # Points lie so many times their usual distance apart at most (own choice): cells of that edge touch.
 SPACINGS = 2.0
+# Of the points so many have a neighbour as near as is usual.
+USUAL_SHARE = 0.9
+# Surface lies along a plane if its normal is within 26 degrees of the plane's (own choice): fused depth is
+# as rough as that.
 FLAT_COSINE = 0.9
 
 
@@ -37,6 +42,14 @@ class Surface:
     focus_world: Float64
     inlier_m: float
 
+    @cached_property
+    def spacing_m(self) -> float:
+        """How far a point's nearest neighbour usually is; planes are judged by it one after another."""
+        from scipy.spatial import cKDTree
+
+        points = self.points_world
+        return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], USUAL_SHARE))
+
 
 def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
     """Whether a thing stands on a plane where the cameras look, and the plane is larger than it (own rule).
@@ -55,7 +68,7 @@ def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
     focus = _level(plane) @ surface.focus_world
     local[:, 2] += plane[3]
     focus[2] += plane[3]
-    cell_m = SPACINGS * _spacing_m(surface.points_world)
+    cell_m = SPACINGS * surface.spacing_m
     on_plane = (np.abs(height_m) < 2 * surface.inlier_m) & (surface.normals_world @ plane[:3] > FLAT_COSINE)
     thing = _nearest_piece(local[height_m > CUT_M], focus, cell_m)
     patch = _nearest_piece(local[on_plane] * [1, 1, 0], focus * [1, 1, 0], cell_m)
@@ -86,13 +99,6 @@ def _nearest_piece(points: Float64, focus: Float64, cell_m: float) -> Float64 | 
         return None
     nearest: Bools = label == np.argmin(distance_m)
     return np.asarray(points[nearest])
-
-
-def _spacing_m(points: Float64) -> float:
-    """How far a point's nearest neighbour usually is."""
-    from scipy.spatial import cKDTree
-
-    return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], 0.9))
 
 
 def _level(plane: Float64) -> Float64:

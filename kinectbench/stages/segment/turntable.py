@@ -12,7 +12,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, some_of, watch
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.stages.segment.floor import Floor, find_floor, floor_frame
+from kinectbench.stages.segment.floor import MIN_PLANE_POINTS, Floor, find_floor, floor_frame
 from kinectbench.stages.segment.select import connected
 
 COLUMNS = 160
@@ -27,6 +27,9 @@ ABOVE_SHARE = 0.9
 # A plate's top is level, is looked for within so many radii of what moves (farther out the floor would
 # count), and has so many points; what moves begins at its top, but for so many points (own choices).
 LEVEL_COSINE, PLATE_RATIO, MIN_PLATE_POINTS, LOWEST_SHARE = 0.9, 1.2, 40, 0.05
+# What passes before something is nearer by so many standard deviations of its depth, or so much: two depths
+# differ by noise alone by less in all but a few of a thousand pixels (own choices).
+NEARER_SIGMAS, NEARER_M = 4.0, 0.01
 # What stands begins at the floor, but for what the sensor does not measure there; what is held does not.
 HANGS_M = 0.06
 MOVES = (
@@ -193,7 +196,7 @@ def _before(depth_m: Float32, watched: Watched) -> Bools:
     """Pixels of a frame in which something is clearly nearer than what is seen there at other times."""
     behind_m = watched.behind_m
     far_m = np.where(np.isfinite(behind_m), behind_m, 0)
-    nearer = depth_m < behind_m - np.maximum(4 * depth_sigma_m(far_m), 0.01)
+    nearer = depth_m < behind_m - np.maximum(NEARER_SIGMAS * depth_sigma_m(far_m), NEARER_M)
     return np.asarray((depth_m > 0) & nearer & watched.moving)
 
 
@@ -216,7 +219,7 @@ def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
     surface = camera.backproject(watched.still_m)
     normals = _normals(surface, watched.still_m)
     chosen = np.isfinite(normals).all(axis=-1)
-    if chosen.sum() < 50:
+    if chosen.sum() < MIN_PLANE_POINTS:
         return None
     focus = np.median(moving, axis=0)
     try:
