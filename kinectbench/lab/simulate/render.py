@@ -217,14 +217,15 @@ class Renderer:
             np.array([item.role == "subject" for item in items] + [False]),
         )
 
-    def render(self, camera: Camera, T_room_camera: Float64) -> Rendering:
-        """Render one noise-free frame from a camera at `T_room_camera`, on one thread.
+    def render(self, camera: Camera, T_room_rig: Float64, T_rig_camera: Float64 | None = None) -> Rendering:
+        """Render one noise-free frame of one of the cameras of a rig, on one thread.
 
         Args:
             camera: intrinsics.
-            T_room_camera: (4, 4), or (height, 4, 4): of each row.
+            T_room_rig: (4, 4), or (height, 4, 4): of each row.
+            T_rig_camera: (4, 4), how the camera lies to the rig; None: the rig lies where it does.
         """
-        rays = pixel_rays(camera, T_room_camera)
+        rays = pixel_rays(camera, T_room_rig if T_rig_camera is None else T_room_rig @ T_rig_camera)
         hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)
         hit_m, items = hits["t_hit"].numpy(), hits["geometry_ids"].numpy()
         normals_room = hits["primitive_normals"].numpy()

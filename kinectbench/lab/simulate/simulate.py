@@ -216,7 +216,7 @@ def _color(
     start, middle, end = simulation.path.poses(times_s) @ T_depth_color
     if not sensor.color_registered or sensor.color_delay_s:
         T_room_rows = _poses_of_rows(simulation, simulation.rig.color.height, float(times_s[1]))
-        exact = renderer.render(simulation.rig.color, T_room_rows @ T_depth_color)
+        exact = renderer.render(simulation.rig.color, T_room_rows, T_depth_color)
     if simulation.device is None:
         return exact.color_rgb
     return expose(exact, simulation.rig.color, (start, middle, end), float(simulation.gains[index]), rng)

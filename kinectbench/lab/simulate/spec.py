@@ -1,6 +1,6 @@
 """What to simulate: every choice with its default, range and unit. Same spec, same bytes."""
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -174,6 +174,15 @@ class SimulationSpec(Settings):
     faults: FaultSettings = FaultSettings()
     given: GivenSettings = GivenSettings()
     save_depth: bool = Field(True, description="noise-free depth goes to the truth")
+
+    @model_validator(mode="after")
+    def _blurs_only_what_moves(self) -> Self:
+        """Refuse what would smear a room before which the camera stands still: streaks are of one motion."""
+        if self.path.moves != "camera" and self.sensor.exposure_s > 0:
+            raise ValueError(
+                "sensor.exposure_s must be 0 unless path.moves is camera: it would blur what stands still"
+            )
+        return self
 
     @property
     def camera(self) -> Camera:

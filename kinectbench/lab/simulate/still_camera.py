@@ -36,17 +36,17 @@ class StillRenderer:
     Attributes:
         own: the object, and the arm that holds it.
         around: all else.
-        T_room_still: (4, 4), from where that is seen.
+        T_room_still: (4, 4), where the rig of cameras stands, from which that is seen.
     """
 
     own: Renderer
     around: Renderer
     T_room_still: Float64
 
-    def render(self, camera: Camera, T_room_camera: Float64) -> Rendering:
-        """Render one noise-free frame; `T_room_camera` (4, 4) is how the camera lies to the object."""
-        own = self.own.render(camera, T_room_camera)
-        around = self.around.render(camera, self.T_room_still)
+    def render(self, camera: Camera, T_room_rig: Float64, T_rig_camera: Float64 | None = None) -> Rendering:
+        """As `Renderer.render`; `T_room_rig` is how the rig lies to the object."""
+        own = self.own.render(camera, T_room_rig, T_rig_camera)
+        around = self.around.render(camera, self.T_room_still, T_rig_camera)
         nearer = (own.depth_m > 0) & ((around.depth_m == 0) | (own.depth_m < around.depth_m))
         return Rendering(
             np.where(nearer, own.depth_m, around.depth_m),
