@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from kinectbench.release.release import Release
 
 STILL_FAILS = (
-    "failed before, and nothing that it depends on has changed: left out; `kinectbench build {id}` says why, "
-    "`--force` tries again"
+    "left out: it failed before, and nothing it depends on has changed since; `kinectbench build {id}` says "
+    "why, and `kinectbench build {id} --force` tries again"
 )
 
 

@@ -44,7 +44,10 @@ class Common:
         list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="override a setting")
     ] = None
     jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="processes; default: one per core")
+        int | None,
+        typer.Option(
+            "--jobs", "-j", min=1, help="processes; default: one per core; of one recording 8 threads at most"
+        ),
     ] = None
     force: Annotated[
         bool, typer.Option("--force", help="make it anew even if it is current; build: every stage")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 SHOWN_FAILURES = 20
+ERROR_IF_MISSING = "error"
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
@@ -36,7 +37,7 @@ def score(
     save_thresholds: Annotated[
         Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
     ] = None,
-    missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = "error",
+    missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = ERROR_IF_MISSING,
     upsampling: Annotated[
         str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
     ] = "half-pixel",
@@ -55,7 +56,8 @@ def score(
     from kinectbench.scoring.terminal import score_table
 
     if predictions is None:
-        _refuse({"--method": method, "--save-thresholds": save_thresholds})
+        changed = None if missing == ERROR_IF_MISSING else missing
+        _refuse({"--method": method, "--save-thresholds": save_thresholds, "--missing": changed})
     if common.benchmark is None:  # before the benchmark is built
         check_request(predictions, protocol, thresholds, missing, upsampling)
     release, rows = find_release(common)
@@ -105,7 +107,11 @@ def _refuse(options: Mapping[str, object]) -> None:
     """Refuse options of one method where no predictions are named."""
     given = [name for name, value in options.items() if value is not None]
     if given:
-        raise SettingsError(f"{', '.join(given)}: of one method; name its folder of predictions")
+        verb = "applies" if len(given) == 1 else "apply"
+        raise SettingsError(
+            f"score: {', '.join(given)} {verb} to predictions, and no folder of them is named: "
+            "`kinectbench score PREDICTIONS ...`; without one, only baselines are scored"
+        )
 
 
 def _beside(

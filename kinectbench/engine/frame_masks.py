@@ -27,9 +27,9 @@ def frame_masks(job: Job, sequence: Sequence) -> Masks | None:
         return _of_folder(job.masks, sequence)
     if sequence.masks is None:
         raise SegmentationError(
-            f"{job.source}: `segment_by: masks` asks for masks, but the recording brings none: put a PNG a "
-            "frame (not 0 = object) into a folder, called by the frame's number such as 000012.png, and name "
-            "the folder as `masks`"
+            f"{job.source}: `segment_by: masks` asks for masks, but the recording brings none: put one PNG "
+            "per frame (0 = not the object), named by the frame's number such as 000012.png, into a folder, "
+            "and name that folder as `masks` in benchmark.yaml"
         )
     return sequence.masks
 
@@ -49,7 +49,7 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
     """A person's masks, `<frame>.png`: the frame's number counts from 0, as in frames.json.
 
     Raises:
-        SegmentationError: no file is called by a frame's number; later: one is damaged or of another size.
+        SegmentationError: no file is named by a frame's number; later: one is damaged or of another size.
     """
     given = read_masks(folder)
     numbered = {int(Path(name).stem): name for name in given.names if Path(name).stem.isdecimal()}
@@ -57,8 +57,8 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
     last = len(sequence) - 1
     if not any(number <= last for number in names):
         raise SegmentationError(
-            f"{folder}: holds no mask of a frame; with `segment_by: masks` they are called by the frame's "
-            f"number, 000000.png to {last:06d}.png"
+            f"{folder}: holds no mask of a frame; for `segment_by: masks`, name the mask of each frame by "
+            f"the frame's number, 000000.png to {last:06d}.png"
         )
 
     def mask(index: int) -> Bools | None:

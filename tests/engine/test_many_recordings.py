@@ -1,5 +1,6 @@
 """Many recordings, several runs: none stops the others, one waits for the other, and people are told."""
 
+import contextlib
 import dataclasses
 import errno
 import json
@@ -13,6 +14,7 @@ from small_benchmark import Run, copied, finish, hashes, leftovers, start
 from test_resume import group, wait_for, wait_until_all_ended
 
 from kinectbench.core.storage import replaced_folder
+from kinectbench.engine import parallel
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.parallel import build
 from kinectbench.engine.pipeline import Outcome
@@ -62,6 +64,22 @@ def test_a_recording_that_is_alone_gives_the_same_bytes_with_any_number_of_threa
         assert outcome.error is None and set(outcome.made) == set(STAGES)
         digests.append(hashes(root / "build" / "chair"))
     assert digests[0] == digests[1]
+
+
+def test_a_recording_that_is_alone_takes_no_more_threads_than_memory_is_measured_for(
+    small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = load_benchmark(small / "benchmark.yaml", ())
+    asked: list[int] = []
+
+    def counted(threads: int) -> contextlib.AbstractContextManager[None]:
+        asked.append(threads)
+        return contextlib.nullcontext()
+
+    monkeypatch.setattr(parallel, "using_threads", counted)
+    for workers in (1, 3, 64):
+        parallel.build([Job(settings, settings.recordings[0], small)], workers=workers)
+    assert asked == [1, 3, parallel.MOST_THREADS]
 
 
 # --- killed workers -----------------------------------------------------------------------------------

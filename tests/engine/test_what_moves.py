@@ -185,7 +185,7 @@ def test_a_persons_masks_of_frames_and_what_is_wrong_with_them(
     (tmp_path / "benchmark.yaml").write_text(yaml)
     without = command(tmp_path, "track", "hand")
     assert without.status == 1
-    assert "the recording brings none: put a PNG a frame" in without.err.replace("\n", " ")
+    assert "the recording brings none: put one PNG per frame" in without.err.replace("\n", " ")
     (tmp_path / "benchmark.yaml").write_text(yaml + "    masks: drawn\n")
     assert command(tmp_path, "track", "hand").status == 0
     # Another mask makes the track again.
