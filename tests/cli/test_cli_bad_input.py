@@ -1,7 +1,6 @@
 """Bad input of every kind: the exit status, one clear line, and nothing lost that was made before."""
 
 import json
-import re
 import shutil
 import struct
 from collections.abc import Callable
@@ -10,45 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from small_benchmark import STAGE_FOLDERS, Run, copied, hashes, leftovers, small_spec
+from command_lines import ONE, Command, check_line
+from small_benchmark import STAGE_FOLDERS, copied, hashes, leftovers, small_spec
 
 from kinectbench.lab.simulate.simulate import simulate
 
 pytestmark = pytest.mark.xdist_group("commands")
-
-Command = Callable[..., Run]
-ONE = """\
-name: one
-recordings:
-  - {id: chair, path: recordings/chair, category: chair}
-fusion: {voxel_size_m: 0.01, scene_voxel_size_m: 0.02}
-views: {count: 3, min_pixels: 100}
-tracking: {check_stride_px: 4}
-"""
-
-
-@pytest.fixture
-def one(small: Path, tmp_path: Path) -> Path:
-    """A copy of the chair's recording and of all that was built from it."""
-    root = copied(small, tmp_path / "one", "recordings/chair", "build/chair")
-    (root / "benchmark.yaml").write_text(ONE)
-    return root
-
-
-SAID_TOO = re.compile(r"warning: |^note: |^failed: [0-9]+ of ")
-
-
-def check_line(run: Run, status: int, words: str) -> str:
-    """One error line that holds all the words, and no traceback."""
-    errors = [line for line in run.err.splitlines() if not SAID_TOO.search(line)]
-    assert run.status == status, run
-    assert len(errors) == 1, run.err
-    assert "error: " in errors[0]
-    assert "Traceback" not in run.err and "internal error" not in run.err
-    for word in words.split("|"):
-        assert word in errors[0], (word, errors[0])
-    return errors[0]
-
 
 # --- recordings ---------------------------------------------------------------------------------------
 
@@ -208,7 +174,7 @@ def test_a_recording_that_fails_does_not_stop_the_others(
     assert check_line(run, 3, "chair: error: |cut off after")
     assert json.loads(run.out)["recordings"] == ["table"]
     score = command(root, "baseline", "empty", "--set", "views.seed=3", "--jobs", "1")
-    assert check_line(score, 3, "chair: error: failed before|nothing that it depends on has changed")
+    assert check_line(score, 3, "chair: error: left out: it failed before|`kinectbench build chair --force`")
     build = command(root, "build", "chair", "--set", "views.seed=3", "--jobs", "1")
     assert check_line(build, 1, "chair: error: |cut off after")
 
@@ -341,79 +307,3 @@ def test_a_lost_folder_of_masks_stops_a_build_at_its_start(command: Command, one
         command(one, "build", "--set", "recordings.chair.masks=masks/none"), 1, "no such folder of masks"
     )
     assert not list((one / "build").glob("chair/*/"))
-
-
-# --- settings and usage -------------------------------------------------------------------------------
-
-BAD_USAGE = {
-    "no file": (["build", "-c", "none.yaml"], "none.yaml: no such file|kinectbench init"),
-    "unknown section": (["build", "--set", "fusoin.voxel_size_m=0.01"], "fusoin|did you mean 'fusion'?"),
-    "unknown key": (["build", "--set", "fusion.voxel_size=0.01"], "voxel_size_m"),
-    "wrong type": (["build", "--set", "views.count=many"], "views.count|a whole number from 1 to 1000"),
-    "out of range": (["build", "--set", "views.count=0"], "views.count|from 1 to 1000"),
-    "no equals sign": (["build", "--set", "views.count"], "section.key=value"),
-    "unknown recording": (["build", "chiar"], "no recording 'chiar'|did you mean 'chair'?"),
-    "unknown recording to set": (["build", "--set", "recordings.chiar.split=test"], "did you mean 'chair'?"),
-    "jobs 0": (["build", "--jobs", "0"], "--jobs|build --help"),
-    "jobs many": (["build", "--jobs", "many"], "--jobs|build --help"),
-    "unknown option": (["build", "--nope"], "--nope|build --help"),
-    "unknown command": (["biuld"], "'biuld'|build|--help"),
-    "no argument": (["check"], "Missing argument|check --help"),
-    "method without predictions": (["score", "--method", "mine"], "--method: of one method|its folder"),
-    "unknown baseline": (["baseline", "hul"], "no baseline 'hul'|hull"),
-    "unknown protocol": (["score", "predictions", "--protocol", "papre"], "no protocol 'papre'|paper"),
-    "unknown way with missing": (["score", "predictions", "--missing", "zero"], "--missing zero|empty"),
-    "compare no scores": (["compare", "none.json"], "none.json: no such file or folder"),
-    "compare what is no table": (["compare", "benchmark.yaml"], "benchmark.yaml: not valid JSON"),
-    "report no scores": (["report", "--scores", "none.json"], "none.json: no such file or folder"),
-    "simulate nothing": (["simulate"], "OUT|--samples"),
-    "simulate no furniture": (["simulate", "new", "--object", "chiar:seed=1"], "chiar|chair"),
-    "simulate over a recording": (["simulate", "recordings"], "recordings: exists"),
-    "init of no folder": (["init", "none"], "none: no such folder"),
-    "init over a file": (["init", "."], "benchmark.yaml: is there already|--force"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_USAGE)
-def test_wrong_usage(command: Command, one: Path, name: str) -> None:
-    arguments, words = BAD_USAGE[name]
-    before = hashes(one)
-    if arguments[0] == "score" and len(arguments) > 1:
-        (one / "predictions" / "chair").mkdir(parents=True)
-    check_line(command(one, *arguments), 2, words)
-    after = {name: digest for name, digest in hashes(one).items() if not name.startswith("benchmark/")}
-    assert {name: after.get(name) for name in before} == before
-
-
-BAD_FILES = {
-    "unknown key": (ONE + "veiws: {count: 3}\n", "benchmark.yaml:7|veiws|did you mean 'views'?"),
-    "unknown key deep": (
-        ONE.replace("count: 3", "cuont: 3"),
-        "benchmark.yaml:5|views.cuont|did you mean 'count'?",
-    ),
-    "not YAML": (ONE + "views: {count: [\n", "benchmark.yaml:"),
-    "empty": ("", "benchmark.yaml: holds no settings"),
-    "two recordings with one id": (
-        ONE.replace("fusion:", "  - {id: chair, path: recordings/b, category: chair}\nfusion:"),
-        "benchmark.yaml:4|two recordings have the id 'chair'",
-    ),
-    "an object in two splits": (
-        ONE.replace("fusion:", "  - {id: b, object: chair, split: train, path: b, category: chair}\nfusion:"),
-        "benchmark.yaml:4|object 'chair' is in two splits: 'test' (chair) and 'train' (b)",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD_FILES)
-def test_wrong_benchmark_file(command: Command, one: Path, name: str) -> None:
-    text, words = BAD_FILES[name]
-    (one / "benchmark.yaml").write_text(text)
-    before = hashes(one)
-    check_line(command(one, "build"), 2, words)
-    assert hashes(one) == before
-
-
-def test_init_where_nothing_is(command: Command, tmp_path: Path) -> None:
-    run = command(tmp_path, "init", ".")
-    assert run.status in (1, 2) and len(run.err.splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []

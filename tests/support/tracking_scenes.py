@@ -13,6 +13,7 @@ from analytic_scenes import (
     Surface,
     box,
     depth_of,
+    displaced,
     furniture,
     plane,
     small_spec,
@@ -46,6 +47,8 @@ ROOM: list[Surface] = [
     sphere((0.45, 0.3, 0.18), 0.18),
 ]
 CORNER_VIEW = look_at(np.array([1.1, 0.9, 0.9]), np.array([0.0, 0.0, 0.15]))
+# A small motion from there.
+MOVED = displaced(CORNER_VIEW, (0.02, -0.015, 0.01), 1.2)
 
 
 def waves(points: Float64) -> Float64:
@@ -150,6 +153,18 @@ def noisy_circle() -> Furniture:
 def frame_maps(sequence: Sequence, index: int) -> FrameMaps:
     """What registration knows of one frame of a recording."""
     return MapCache(sequence)[index]
+
+
+def moved_pair() -> tuple[FrameMaps, FrameMaps]:
+    """Two noisy, textured views of a room's corner, a small motion apart; the second is exposed otherwise."""
+    sequence = painted(
+        ROOM,
+        np.stack([CORNER_VIEW, MOVED]),
+        texture=waves,
+        exposures=[(1.0, 0.0), (0.9, 12.0)],
+        noise=np.random.default_rng(3),
+    )
+    return frame_maps(sequence, 0), frame_maps(sequence, 1)
 
 
 def without_color(sequence: Sequence) -> Sequence:

@@ -2,25 +2,37 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from ingest_writers import every_frame
-from numpy.typing import NDArray
+from written_frames import (
+    BAGS,
+    COLOR,
+    DELAY_NS,
+    DEPTH,
+    FOLDERS,
+    SCALE,
+    SETTINGS,
+    START_NS,
+    STEP_NS,
+    T_COLOR_DEPTH,
+    color_rgb,
+    digests,
+    frame,
+    pose,
+    read,
+    rig,
+    write,
+)
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig, cut, stamp_as_read
+from kinectbench.core.geometry import Camera
+from kinectbench.lab.simulate.writers import WRITERS, RecordedFrame, Rig, stamp_as_read
 from kinectbench.lab.simulate.writers.image_folders import seconds
-from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import FORMATS, open_recording
-from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.sequence_folder import write_sequence
 
 READER = {
     "tum": "tum", "7scenes": "7scenes", "folder": "folder", "redwood": "folder",
@@ -32,8 +44,6 @@ READER = {
     "redwood_zip": "redwood_zip", "record3d": "record3d", "scannet": "scannet", "sun3d": "sun3d",
     "azure_kinect": "azure_kinect",
 }  # fmt: skip
-SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0, "record3d": 5000.0}
-BAGS = ["bag", "bag_compressed"]
 # Without stamps, or where they repeat, frames are counted.
 NUMBERED = {
     "7scenes",
@@ -56,66 +66,11 @@ CALIBRATED = {"tum", "folder", "redwood", "ros2_sqlite", "ros2_mcap", "realsense
 CALIBRATED |= {"scannet", "azure_kinect"}
 # Numbers are float32, or text with nine decimals.
 POSE_TOLERANCE = {"sens": 2e-7, "tum": 3e-9, "stray": 3e-9}
-# Their depth images are PNG files.
-FOLDERS = ["tum", "7scenes", "folder", "redwood"]
 # One camera takes both: colour of another is left out.
 ONE_CAMERA = {"klg", "stray", "scanner_app", "bop", "wildrgbd", "nerfstudio", "polycam", "record3d"}
 ONE_CAMERA |= {"sun3d"}
 # Its library refuses stamps that go back.
 IN_ORDER = {"azure_kinect"}
-START_NS = 1_400_000_000_123_456_000
-STEP_NS = 33_333_000
-DELAY_NS = 7_001_000
-DEPTH = Camera(64, 48, 60.0, 61.0, 31.5, 22.25)
-COLOR = Camera(80, 60, 75.0, 76.0, 40.0, 28.5)
-# Their layouts do not say the intrinsics.
-SETTINGS = dict.fromkeys(("klg", "redwood_zip"), CameraSettings(**asdict(DEPTH)))
-T_COLOR_DEPTH = rigid(rotation_from_quaternion_xyzw([0.01, 0, 0, 1]), [-0.025, 0.001, 0])
-
-
-def rig(registered: bool) -> Rig:
-    return Rig(DEPTH, DEPTH, True, np.eye(4)) if registered else Rig(DEPTH, COLOR, False, T_COLOR_DEPTH)
-
-
-def pose(index: int) -> NDArray[np.float64]:
-    """Turned about all axes and moved, differently for each frame."""
-    return rigid(rotation_from_quaternion_xyzw([0.1, 0.02 * index, -0.3, 0.9]), [0.1 * index, 1.25, -1 / 3])
-
-
-def frame(
-    index: int, registered: bool = True, given: bool = True, delay_ns: int = DELAY_NS, stamp_ns: int = -1
-) -> RecordedFrame:
-    """A slanted wall with a hole, colour with a ramp in each direction; different for each frame."""
-    v, u = np.mgrid[: DEPTH.height, : DEPTH.width]
-    depth_m = (1.2345 + (u + 0.1 * v + index) / 200).astype(np.float32)
-    depth_m[:4, :6] = 0
-    camera = rig(registered).color
-    v, u = np.mgrid[: camera.height, : camera.width]
-    color_rgb = np.dstack([2 * u, 3 * v, np.full_like(u, 30 * (index % 8))]).astype(np.uint8)
-    stamp_ns = START_NS + index * STEP_NS if stamp_ns < 0 else stamp_ns
-    return RecordedFrame(stamp_ns, depth_m, stamp_ns + delay_ns, color_rgb, pose(index) if given else None)
-
-
-def write(
-    out: Path, name: str, frames: Sequence[RecordedFrame] | Iterator[RecordedFrame], registered: bool = True
-) -> Path:
-    out = out.with_suffix(SUFFIXES.get(name, ""))
-    if name not in SUFFIXES:
-        out.mkdir()
-    WRITERS[name](out, rig(registered), frames)
-    return out
-
-
-def read(recording: Recording) -> list[RawFrame]:
-    frames = list(every_frame(recording))
-    assert not [f for f in frames if isinstance(f, DamagedImageError)]
-    return [f for f in frames if isinstance(f, RawFrame)]
-
-
-def color_rgb(raw: RawFrame) -> NDArray[np.float64]:
-    assert raw.color is not None
-    decoded = cv2.imdecode(np.frombuffer(raw.color[1], np.uint8), cv2.IMREAD_COLOR)
-    return decoded[..., ::-1].astype(float)
 
 
 def test_every_format_that_is_read_has_a_writer() -> None:
@@ -324,86 +279,9 @@ def test_the_messages_of_a_bag(tmp_path: Path, name: str, registered: bool, dela
         assert len(first[image].data) == 128 * 48
 
 
-def digests(out: Path) -> dict[str, str]:
-    files = [out] if out.is_file() else sorted(f for f in out.rglob("*") if f.is_file())
-    return {str(f.relative_to(out)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
-
-
 @pytest.mark.parametrize("name", WRITERS)
 def test_the_same_frames_give_the_same_bytes(tmp_path: Path, name: str) -> None:
     first = digests(write(tmp_path / "a", name, [frame(i) for i in range(4)]))
     assert digests(write(tmp_path / "b", name, [frame(i) for i in range(4)])) == first
     other = digests(write(tmp_path / "c", name, [frame(i + 1) for i in range(4)]))
     assert other != first
-
-
-@pytest.mark.parametrize("name", FOLDERS)
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.99])
-def test_a_cut_folder_has_a_damaged_last_depth_image(tmp_path: Path, name: str, share: float) -> None:
-    made = [frame(i) for i in range(21)]
-    out = write(tmp_path / "r", name, made)
-    before, sizes = digests(out), {f: f.stat().st_size for f in out.rglob("*") if f.is_file()}
-    cut(out, share)
-    recording = open_recording(out)
-    found = list(every_frame(recording))
-    assert len(found) == 21
-    for raw, one in zip(found[: 20 if share else 21], made, strict=False):
-        assert isinstance(raw, RawFrame)
-        np.testing.assert_array_equal(raw.depth, one.depth_native(SCALE[name]))
-    changed = [file for file, digest in digests(out).items() if digest != before[file]]
-    assert len(changed) == (1 if share else 0)
-    if share:
-        file = out / changed[0]
-        assert file.stat().st_size == round(sizes[file] * (1 - share))
-        assert isinstance(found[-1], DamagedImageError)
-        assert str(found[-1]).startswith(f"{file}: ")
-        assert "\n" not in str(found[-1])
-        # One of 21 frames may be left out.
-        assert write_sequence(recording, tmp_path / "s") == [f"frame left out: {found[-1]}"]
-
-
-@pytest.mark.parametrize("name", FOLDERS)
-def test_a_short_recording_that_is_cut_gives_one_line(tmp_path: Path, name: str) -> None:
-    out = write(tmp_path / "r", name, [frame(i) for i in range(5)])
-    cut(out, 0.5)
-    with pytest.raises(RecordingError, match=r"\.png: the PNG .*\(1 of 5 frames cannot be used") as caught:
-        write_sequence(open_recording(out), tmp_path / "s")
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", BAGS)
-def test_the_whole_chunks_of_a_cut_bag_are_saved(tmp_path: Path, name: str) -> None:
-    rng = np.random.default_rng(5)  # noise does not compress, so that there are several chunks
-    camera = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
-    made = [
-        RecordedFrame(
-            START_NS + i * STEP_NS,
-            rng.integers(1000, 3000, (120, 160)).astype(np.float32) / np.float32(1000),
-            START_NS + i * STEP_NS,
-            np.full((120, 160, 3), i, np.uint8),
-            pose(i),
-        )
-        for i in range(90)
-    ]
-    out = tmp_path / "r.bag"
-    WRITERS[name](out, Rig(camera, camera, True, np.eye(4)), made)
-    whole = out.read_bytes()
-    cut(out, 0.4)
-    assert out.read_bytes() == whole[: round(0.6 * len(whole))]
-    recording = open_recording(out)
-    assert "is cut off or has no index" in recording.warnings[0]
-    found = read(recording)
-    assert 20 <= len(found) <= 54
-    assert recording.given_trajectory is not None
-    for raw, one in zip(found, made, strict=False):
-        assert raw.stamp_ns == one.stamp_ns
-        np.testing.assert_array_equal(raw.depth, one.depth_native(1000))
-    cut(out, 0.9999)
-    with pytest.raises(RecordingError, match="nothing in it can be saved") as caught:
-        open_recording(out)
-    assert "\n" not in str(caught.value)
-
-
-def test_what_has_no_depth_image_is_not_cut(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="has no depth image to cut off"):
-        cut(write(tmp_path / "r", "tum", []), 0.5)
