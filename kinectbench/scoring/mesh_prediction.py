@@ -1,7 +1,5 @@
 """A submitted mesh as occupied voxels. The file is untrusted: what it costs is known before it is spent."""
 
-import io
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +8,12 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid
+from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
+from kinectbench.scoring.mesh_files import read_obj, read_ply
 
 MESHES = (".ply", ".obj")
+READERS = {"ply": read_ply, "obj": read_obj}
 MAX_MESH_BYTES = 64 << 20
 MAX_FAR = 16  # grid sides
 MAX_CROSSINGS = 1 << 24
@@ -30,12 +31,13 @@ def voxelised(path: Path, voxel_size_m: float) -> NDArray[np.bool_]:
         (256, 256, 256) bool. What lies beyond the grid is cut off.
 
     Raises:
+        OSError: it cannot be read, or is no plain file.
         PredictionError: not a readable, closed, evenly oriented mesh, or one that would cost too much;
             without the file's name.
     """
     from kinectbench.core.voxels.solid import voxelize_solid
 
-    content = path.read_bytes()
+    content = read_plain(path, MAX_MESH_BYTES)
     mesh = _parsed(content, path.suffix[1:])
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
     grid = Grid((FULL_CELLS,) * 3, voxel_size_m, np.eye(4))
@@ -47,22 +49,16 @@ def voxelised(path: Path, voxel_size_m: float) -> NDArray[np.bool_]:
 
 
 def _parsed(content: bytes, kind: str) -> Any:
-    """The mesh, by trimesh: no other file is opened."""
+    """The mesh, vertices at the same place made one, as trimesh's."""
     import trimesh
 
     try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            mesh = trimesh.load_mesh(
-                io.BytesIO(content), file_type=kind, process=False, skip_materials=True, resolver=None
-            )
-            faces = len(mesh.faces)
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    except Exception as error:  # whatever a parser says of a stranger's bytes
-        text = " ".join(str(error).split())[:80]
-        raise PredictionError(f"not a readable {kind} mesh ({type(error).__name__}: {text})") from None
-    if not faces:
-        raise PredictionError("a mesh without faces; an empty prediction is a grid of zeros")
+        vertices, triangles = READERS[kind](content)
+    except ValueError as error:
+        raise PredictionError(f"not a readable {kind} mesh: {error}") from None
+    with np.errstate(all="ignore"):
+        mesh = trimesh.Trimesh(vertices, triangles, process=False)
+        mesh.merge_vertices()
     return mesh
 
 

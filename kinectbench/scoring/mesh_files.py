@@ -1,0 +1,293 @@
+"""Read untrusted .obj and .ply meshes in time and memory that grow with the file, and no faster.
+
+Of an .obj only the lines of vertices and faces are looked at, of a .ply only `x`, `y`, `z` and the list of a
+face's corners: materials, groups, textures and colours say nothing of a shape, and libraries that read them
+need time that grows with their square. Written after the formats' descriptions: Wavefront, "Advanced
+Visualizer", appendix B1; G. Turk, "The PLY Polygon File Format", 1994.
+"""
+
+import re
+import warnings
+from array import array
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.untrusted import printable
+
+# The surface of the largest grid has some 400,000 cells (6 sides of 256^2), with two triangles to each.
+MAX_VERTICES = MAX_TRIANGLES = 1 << 20
+# The end of a finely cut cylinder is a polygon of so many corners.
+MAX_CORNERS = 1024
+MAX_HEADER_BYTES = 64 << 10
+MAX_PROPERTIES = 100
+# Rows of a ply file that are looked at together: some 10 MB.
+ROWS = 1 << 16
+
+_SHORT = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_LONG = {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
+TYPES = {**_SHORT, **_LONG, "float": "f4", "float32": "f4", "double": "f8", "float64": "f8"}
+FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+OBJ_LINES = re.compile(rb"^[ \t]*[vf][ \t][^\n]*", re.MULTILINE)
+CORNER_LISTS = ("vertex_index", "vertex_indices")
+
+Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+
+def read_obj(content: bytes) -> Triangles:
+    """The vertices (n, 3) and triangles (m, 3) of an .obj; a polygon is cut into a fan.
+
+    Raises:
+        ValueError: a line of a vertex or of a face is malformed, a face has a corner that is no vertex, or
+            there are too many.
+    """
+    coordinates, corners = array("d"), array("q")
+    # A line that ends in a backslash goes on in the next.
+    text = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    for number, line in enumerate(OBJ_LINES.finditer(text)):
+        words = line[0].split(None, MAX_CORNERS + 1)
+        try:
+            if words[0] == b"v":
+                x, y, z = map(float, words[1:4])
+                coordinates.extend((x, y, z))
+            else:
+                polygon = [_corner(word, len(coordinates) // 3) for word in words[1 : MAX_CORNERS + 1]]
+                for second, third in pairwise(polygon[1:]):
+                    corners.extend((polygon[0], second, third))
+        except (ValueError, OverflowError):
+            raise ValueError(f"the line '{printable(line[0].decode('latin-1'), 40)}'") from None
+        if words[0] == b"f" and len(words) > MAX_CORNERS + 1:
+            raise ValueError(f"a polygon of more than {MAX_CORNERS} corners; cut it into triangles")
+        _refuse_many(number, "lines", MAX_VERTICES + MAX_TRIANGLES)
+        _refuse_many(len(coordinates) // 3, "vertices", MAX_VERTICES)
+        _refuse_many(len(corners) // 3, "triangles", MAX_TRIANGLES)
+    return _checked(np.array(coordinates).reshape(-1, 3), np.array(corners, np.int64).reshape(-1, 3))
+
+
+def _corner(word: bytes, vertices: int) -> int:
+    """The index of a corner such as `7`, `7/2/1` or, counted backwards from the last vertex so far, `-1`."""
+    index = int(word.partition(b"/")[0])
+    return index - 1 if index > 0 else vertices + index if index < 0 else -1
+
+
+def read_ply(content: bytes) -> Triangles:
+    """The vertices (n, 3) and triangles (m, 3) of a .ply in any of its three forms; polygons become fans.
+
+    Raises:
+        ValueError: the header is malformed or claims more than the file holds, an element that is not
+            needed stands before the faces, a face has a corner that is no vertex, or there are too many.
+    """
+    order, elements, offset = _header(content)
+    data = _numbers(content[offset:]) if order == "" else np.frombuffer(content, np.uint8)[offset:]
+    position, vertices = 0, None
+    for element in elements:
+        if element.name == "face" and vertices is not None:
+            return _checked(vertices, _faces(data, position, element))
+        if any(one.count is not None for one in element.properties):
+            raise ValueError(
+                f"lists of '{printable(element.name, 20)}' before the faces; write vertices first"
+            )
+        if position + element.rows * element.width > len(data):
+            raise ValueError(f"cut short in its '{printable(element.name, 20)}'; write it again")
+        rows = data[position : position + element.rows * element.width].reshape(element.rows, element.width)
+        if element.name == "vertex":
+            vertices = np.stack([_column(rows, element, axis) for axis in "xyz"], axis=1)
+        position += rows.size
+    raise ValueError("no faces after its vertices; an empty prediction is a grid of zeros")
+
+
+@dataclass(frozen=True)
+class _Property:
+    """A property of an element: its name, its type, and the type of its count if it is a list.
+
+    A type is None in a text: each number takes one place there, and as many as it has bytes in a binary file.
+    """
+
+    name: str
+    kind: np.dtype[Any]
+    count: np.dtype[Any] | None
+    text: bool
+
+    @property
+    def width(self) -> int:
+        """Places of one number."""
+        return 1 if self.text else self.kind.itemsize
+
+    @property
+    def count_width(self) -> int:
+        """Places of a list's count; 0 if it is no list."""
+        return 0 if self.count is None else 1 if self.text else self.count.itemsize
+
+
+@dataclass(frozen=True)
+class _Element:
+    """An element of the header: its name, how many there are, and what each has."""
+
+    name: str
+    rows: int
+    properties: tuple[_Property, ...]
+
+    @property
+    def width(self) -> int:
+        """Places of a row whose lists are all empty."""
+        return sum(one.width if one.count is None else one.count_width for one in self.properties)
+
+
+def _header(content: bytes) -> tuple[str, list[_Element], int]:
+    """Byte order ("" of a text), elements, and where the data begins; it claims what is there."""
+    malformed = ValueError("a malformed header")
+    end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
+    line_end = content.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16)
+    if end < 0 or line_end < 0:
+        raise malformed
+    order, elements, properties = None, list[tuple[str, int]](), list[list[_Property]]()
+    lines = [line.split() for line in content[:end].decode("latin-1").splitlines()]
+    try:
+        for words in lines[1:]:
+            if words[:1] == ["format"]:
+                order = FORMATS[words[1]]
+            elif words[:1] == ["element"]:
+                elements.append((words[1], int(words[2])))
+                properties.append([])
+            elif words[:1] == ["property"]:
+                count, kind = (words[2], words[3]) if words[1] == "list" else (None, words[1])
+                count_type = None if count is None else np.dtype(f"{order}{TYPES[count]}")
+                kind_type = np.dtype(f"{order}{TYPES[kind]}")
+                properties[-1].append(_Property(words[-1], kind_type, count_type, order == ""))
+    except (IndexError, KeyError, ValueError, TypeError):
+        raise malformed from None
+    if lines[0] != ["ply"] or order is None or sum(map(len, properties)) > MAX_PROPERTIES:
+        raise malformed
+    found = [_Element(*facts, tuple(of)) for facts, of in zip(elements, properties, strict=True)]
+    least = [element.rows * max(element.width, 1) for element in found]
+    # A number of a text takes two bytes at least, with what parts it from the next.
+    if any(rows < 0 for _, rows in elements) or sum(least) > (len(content) - line_end) / (1 + (order == "")):
+        raise ValueError("its header claims more than the file holds; write it again")
+    for element in found:
+        limit = {"vertex": (MAX_VERTICES, "vertices"), "face": (MAX_TRIANGLES, "faces")}.get(element.name)
+        if limit:
+            _refuse_many(element.rows, limit[1], limit[0])
+    return order, found, line_end + 1
+
+
+def _numbers(text: bytes) -> NDArray[Any]:
+    """The numbers of a text."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # a word that is no number
+        try:
+            return np.fromstring(text + b" ", sep=" ")
+        except (ValueError, DeprecationWarning):
+            raise ValueError("a word that is no number") from None
+
+
+def _column(rows: NDArray[Any], element: _Element, name: str) -> NDArray[np.float64]:
+    """A scalar property of all rows."""
+    place = 0
+    for one in element.properties:
+        if one.name == name:
+            values = rows[:, place : place + one.width]
+            return (values if one.text else np.ascontiguousarray(values).view(one.kind))[:, 0].astype(float)
+        place += one.width
+    raise ValueError(f"vertices without {name}")
+
+
+def _faces(data: NDArray[Any], position: int, element: _Element) -> NDArray[np.int64]:
+    """The triangles of the element of faces, which begins at a position."""
+    made, done, triangles = list[NDArray[np.int64]](), 0, 0
+    while done < element.rows:
+        rows = min(ROWS, element.rows - done)
+        starts, sizes, position = _lists(data, position, element, rows)
+        _refuse_many(int(np.maximum(sizes - 2, 0).sum()) + triangles, "triangles", MAX_TRIANGLES)
+        of = next(one for one in element.properties if one.count is not None and one.name in CORNER_LISTS)
+        for size in np.unique(sizes[sizes > 2]):
+            polygons = _gathered(data, starts[sizes == size], int(size), of.kind, of.text).astype(np.int64)
+            firsts = np.repeat(polygons[:, :1], size - 2, axis=1)
+            made.append(np.stack([firsts, polygons[:, 1:-1], polygons[:, 2:]], axis=2).reshape(-1, 3))
+            triangles += len(made[-1])
+        done += rows
+    return np.concatenate(made) if made else np.zeros((0, 3), np.int64)
+
+
+def _lists(
+    data: NDArray[Any], position: int, element: _Element, rows: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Where the corners of each row begin, how many there are, and where the last row ends."""
+    if not any(one.count and one.name in CORNER_LISTS for one in element.properties):
+        raise ValueError("faces without a list vertex_indices")
+    start, size, end = _row(data, position, element)
+    steps = np.arange(rows, dtype=np.int64) * (end - position)
+    if position + rows * (end - position) <= len(data) and _alike(data, position, element, steps):
+        return start + steps, np.full(rows, size, np.int64), position + rows * (end - position)
+    starts, sizes = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
+    for row in range(rows):
+        starts[row], sizes[row], position = _row(data, position, element)
+    return starts, sizes, position
+
+
+def _row(data: NDArray[Any], position: int, element: _Element) -> tuple[int, int, int]:
+    """Where the corners of one row begin, how many there are, and where the row ends."""
+    start = size = 0
+    for one in element.properties:
+        if one.count is None:
+            position += one.width
+            continue
+        count = _count(data, position, one)
+        position += one.count_width
+        if one.name in CORNER_LISTS:
+            start, size = position, count
+        position += count * one.width
+    if position > len(data):
+        raise ValueError("cut short in its faces; write it again")
+    return start, size, position
+
+
+def _count(data: NDArray[Any], position: int, one: _Property) -> int:
+    """How long a list is."""
+    if position + one.count_width > len(data):
+        raise ValueError("cut short in its faces; write it again")
+    assert one.count is not None, "a list"
+    count = float(
+        data[position] if one.text else data[position : position + one.count_width].view(one.count)[0]
+    )
+    if not 0 <= count <= MAX_CORNERS or count != int(count):
+        raise ValueError(f"a polygon of {count:g} corners; 3 to {MAX_CORNERS} can be")
+    return int(count)
+
+
+def _alike(data: NDArray[Any], position: int, element: _Element, steps: NDArray[np.int64]) -> bool:
+    """Whether the lists of all rows are as long as those of the first."""
+    for one in element.properties:
+        if one.count is None:
+            position += one.width
+            continue
+        count = _count(data, position, one)
+        if (_gathered(data, position + steps, 1, one.count, one.text) != count).any():
+            return False
+        position += one.count_width + count * one.width
+    return True
+
+
+def _gathered(
+    data: NDArray[Any], positions: NDArray[np.int64], count: int, kind: np.dtype[Any], text: bool
+) -> NDArray[Any]:
+    """(n, count) numbers, `count` from each position on."""
+    places = 1 if text else kind.itemsize
+    values: NDArray[Any] = data[positions[:, None] + np.arange(count * places)]
+    return values if text else values.view(kind)
+
+
+def _checked(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Triangles:
+    """The mesh, once each corner of a face is a vertex."""
+    if not len(triangles):
+        raise ValueError("a mesh without faces; an empty prediction is a grid of zeros")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise ValueError("a face has a corner that is no vertex; write the mesh again")
+    return vertices, triangles
+
+
+def _refuse_many(count: int, what: str, most: int) -> None:
+    if count > most:
+        raise ValueError(f"more than {most} {what}; simplify the mesh, or submit a grid")
