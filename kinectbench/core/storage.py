@@ -14,8 +14,28 @@ from typing import Any, NoReturn
 
 from kinectbench.core.errors import StorageError
 
-# Names that are safe as those of files.
+# Names that are safe as those of files, and as paths of a release.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+# Recordings and methods name folders that lie beside files and folders of ours: publish.json in build/,
+# scores.json, index.html and baselines/ in a folder of scores. No name is that folder's, or ends as they do.
+OUR_FOLDERS = ("baselines",)
+OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".html", ".lock", ".part", ".old")
+
+
+def name_problem(name: str, also: str = "") -> str | None:
+    """Why a recording, an object or a method cannot have this name, in a few words; None if it can.
+
+    Args:
+        name: as somebody wrote it.
+        also: signs that are accepted besides those of `NAME`, but not at the beginning.
+    """
+    plain = "".join("-" if sign in also and place else sign for place, sign in enumerate(name))
+    if not NAME.fullmatch(plain):
+        signs = ", ".join(f"'{sign}'" for sign in "._-" + also)
+        return f"use letters, digits and {signs} only (at most 80, not starting with '.')"
+    if name.lower() in OUR_FOLDERS or name.lower().endswith(OUR_ENDINGS):
+        return "files and folders of kinectbench have such names; choose another"
+    return None
 
 
 def canonical_json(value: Any) -> str:
@@ -69,9 +89,13 @@ def storage_errors(path: Path) -> Iterator[None]:
             errno.EDQUOT: "the disk quota is used up: free some space and run the command again",
             errno.EROFS: "the disk is read-only: choose a folder that can be written",
             errno.EACCES: "no permission to write there: choose another folder or change its rights",
+            # Said of a write, which names no file; of a read it is another's bound.
+            errno.EFBIG: ""
+            if error.filename
+            else "files may not grow so large here (`ulimit -f`): raise the limit and run the command again",
             errno.EPERM: "no permission to write there: choose another folder or change its rights",
         }.get(error.errno or 0)
-        if advice is None:
+        if not advice:
             raise
         raise StorageError(f"{path}: {advice}; what was there before is untouched") from error
 

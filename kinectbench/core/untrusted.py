@@ -8,10 +8,11 @@ reason, as if the system had refused it: who reports files that cannot be read r
 
 import errno
 import os
+import re
 import stat
 import unicodedata
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 # No format that is read needs more than this to be told by its first bytes (own choice).
 HEAD_BYTES = 64 << 10
@@ -104,6 +105,19 @@ def printable(text: str, most: int = QUOTED) -> str:
     half = most // 2
     short = text if len(text) <= most else f"{text[: half - 1]}…{text[-half:]}"
     return "".join("?" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in short)
+
+
+def cell(value: Any) -> Any:
+    """A value as a cell of a table for people: a text that a spreadsheet would take for a formula is quoted.
+
+    Numbers stay as they are, also those in a text. The signs are those of OWASP's "CSV Injection".
+    """
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) and not _NUMBER(value):
+        return f"'{value}"
+    return value
+
+
+_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?").fullmatch
 
 
 def _refused(path: Path) -> OSError:

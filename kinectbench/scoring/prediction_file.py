@@ -143,7 +143,7 @@ def _checked(array: NDArray[np.generic]) -> Prediction:
     raw = array.view(np.uint8)
     if raw.max() > 1:
         index = _first(raw > 1)
-        kind = "uint8 is accepted" if array.dtype == np.uint8 else "a bool is"
+        kind = "uint8 is accepted" if array.dtype == np.uint8 else "a bool is accepted"
         raise PredictionError(f"{raw[index]} at {index}: {kind} only as 0 and 1; {ACCEPTED}")
     return raw.view(np.bool_)
 

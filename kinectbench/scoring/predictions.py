@@ -1,18 +1,26 @@
 """A folder of submitted predictions: which file answers which target, and what is wrong with them."""
 
-from collections.abc import Iterable
+import contextlib
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.errors import PredictionError
+from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Progress
+from kinectbench.core.untrusted import printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.truth import read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
+# Files of a folder of predictions that are looked at; no release has as many pairs (own choice).
+MOST_FILES = 1_000_000
+# Files that answer no target and are named; of more than that a pattern has gone wrong (own choice).
+NAMED = 20
 
 
 @dataclass(frozen=True)
@@ -44,14 +52,20 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
     """
     if not folder.is_dir():
         raise PredictionError(f"{folder}: no such folder of predictions")
+    with _readable(folder):
+        return _matched(folder, targets)
+
+
+def _matched(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
+    """`find_predictions` in a folder that is there."""
     root = folder.resolve()
     files: dict[Target, Path] = {}
     missing: list[Target] = []
     problems: dict[Target, str] = {}
-    expected: set[Path] = set()
+    expected: set[str] = set()
     for target in targets:
+        expected.update(target.name + suffix for suffix in SUFFIXES)
         candidates = [folder / target.recording / (target.view + suffix) for suffix in SUFFIXES]
-        expected.update(candidates)
         present = [path for path in candidates if path.is_symlink() or path.exists()]
         if not present:
             missing.append(target)
@@ -77,23 +91,53 @@ def _inside(path: Path, root: Path) -> bool:
         return False
 
 
-def _stray(folder: Path, expected: set[Path]) -> tuple[str, ...]:
-    """Files that nothing asks for; what begins with a dot is the system's."""
-    found = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
-    return tuple(
-        str(path.relative_to(folder))
-        for path in found
-        if path not in expected and not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    )
+def _stray(folder: Path, expected: set[str]) -> tuple[str, ...]:
+    """Files that nothing asks for, sorted; what begins with a dot is the system's."""
+    found, waiting, seen = list[str](), [(folder, "")], 0
+    while waiting:
+        inside, way = waiting.pop()
+        with os.scandir(inside) as entries:
+            for entry in entries:
+                seen += 1
+                if seen > MOST_FILES:
+                    raise PredictionError(f"{folder}: more than {MOST_FILES} files; keep predictions only")
+                name = way + entry.name
+                if entry.name.startswith("."):
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append((Path(entry.path), f"{name}/"))
+                elif name not in expected:
+                    found.append(name)
+    return tuple(sorted(found))
 
 
-def stray_line(name: str, targets: Iterable[Target]) -> str:
-    """One line about a file that answers no target, with the name it was perhaps meant to have."""
-    for target in targets:
-        for suffix in SUFFIXES:
-            if name.lower() == f"{target.name}{suffix}".lower():
-                return f"{name}: answers no target of the benchmark; rename it to {target.name}{suffix}"
-    return f"{name}: answers no target of the benchmark; remove it"
+@contextlib.contextmanager
+def _readable(folder: Path) -> Iterator[None]:
+    """Turn what the system says of a folder that cannot be looked into into one clear line."""
+    try:
+        yield
+    except OSError as error:
+        where = printable(str(error.filename or folder))
+        raise PredictionError(f"{where}: cannot be looked into ({error.strerror or error})") from error
+
+
+def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
+    """One line for each of the first files that answer no target, and one for all the rest.
+
+    Args:
+        stray: their names, relative to the method's folder.
+        missing: targets without a file; a name that differs from one's in letter case alone was meant for it.
+    """
+    meant = {
+        f"{target.name}{suffix}".lower(): target.name + suffix for target in missing for suffix in SUFFIXES
+    }
+    lines = []
+    for name in stray[:NAMED]:
+        advice = f"rename it to {meant[name.lower()]}" if name.lower() in meant else "remove it"
+        lines.append(f"{printable(name)}: answers no target of the benchmark; {advice}")
+    if len(stray) > NAMED:
+        lines.append(f"and {len(stray) - NAMED} more files that answer no target of the benchmark")
+    return lines
 
 
 def missing_line(target: Target) -> str:
@@ -108,13 +152,15 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         The folder of each method by name, sorted; a single method is called by its folder's name.
 
     Raises:
-        PredictionError: the folder is missing, holds neither, is a release, or a method is a link out of it.
+        PredictionError: the folder is missing, holds neither, is a release, or a method is a link out of it
+            or has no name that can be that of a folder of results.
     """
     check_folder(folder)
-    recordings = {target.recording for target in targets}
-    if _answers(folder, recordings):
-        return {folder.resolve().name: folder}
-    methods = [path for path in sorted(folder.iterdir()) if path.is_dir() and _answers(path, recordings)]
+    recordings = frozenset(target.recording for target in targets)
+    with _readable(folder):
+        if _answers(folder, recordings):
+            return {folder.resolve().name: folder}
+        methods = [path for path in sorted(folder.iterdir()) if path.is_dir() and _answers(path, recordings)]
     if not methods:
         raise PredictionError(
             f"{folder}: no predictions there; expected <recording>/<view>.npy or .npz, or a folder of these "
@@ -123,6 +169,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
     for path in methods:
         if not _inside(path, folder.resolve()):
             raise PredictionError(f"{path}: a link out of the folder; put the predictions themselves there")
+        check_method(path.name)
     return {path.name: path for path in methods}
 
 
@@ -138,14 +185,27 @@ def check_folder(folder: Path) -> None:
         raise PredictionError(f"{folder}: belongs to a release; give the folder of your predictions")
 
 
-def _answers(folder: Path, recordings: Iterable[str]) -> bool:
+def _answers(folder: Path, recordings: frozenset[str]) -> bool:
     """Whether a folder has a subfolder of a recording's name with anything like a prediction in it."""
-    return any(
-        path.suffix.lower() in SUFFIXES
-        for recording in recordings
-        if (folder / recording).is_dir()
-        for path in (folder / recording).iterdir()
-    )
+    with os.scandir(folder) as entries:
+        named = [entry.path for entry in entries if entry.name in recordings and entry.is_dir()]
+    for path in named:
+        with os.scandir(path) as entries:
+            if any(Path(entry.name).suffix.lower() in SUFFIXES for entry in entries):
+                return True
+    return False
+
+
+def check_method(name: str) -> None:
+    """Refuse what cannot be a method's name: it is that of a folder of results, and a cell of tables.
+
+    Raises:
+        PredictionError: it is not made of letters, digits and a few signs, or is that of a file of ours.
+    """
+    if problem := name_problem(name, also="+"):
+        raise PredictionError(
+            f"'{printable(name)}': no name for a method: {problem}; rename its folder, or say --method NAME"
+        )
 
 
 def check(release: Release, folder: Path, progress: Progress | None = None) -> list[str]:
@@ -175,7 +235,7 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
-    return problems + [stray_line(name, found.missing) for name in found.stray]
+    return problems + stray_lines(found.stray, found.missing)
 
 
 def _file_problem(release: Release, target: Target, path: Path) -> str | None:

@@ -20,9 +20,11 @@ from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
 from kinectbench.scoring.predictions import (
     FoundPredictions,
     check_folder,
+    check_method,
     find_predictions,
     missing_line,
     split_methods,
+    stray_lines,
 )
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import Thresholds, read_thresholds, searched_thresholds, thresholds_for
@@ -73,7 +75,7 @@ def score(
     check_splits(release.targets, str(release.folder))
     test = pairs_to_score(release, thresholds_file)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
-    found = find_predictions(predictions, (*test, *release.split("validation")))
+    found = find_predictions(predictions, release.targets)
     files, failures = _plan(found, missing, with_validation=fixed is None)
     counting, journal = Counting(tuple(protocols), upsampling, surface), Journal(resume_in)
     run = _Run(release, counting, journal, jobs, progress, len(files))
@@ -86,6 +88,8 @@ def score(
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
     rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
     table = make_table(release, method, results, thresholds, rates, failures, describe(counting, missing))
+    stray = stray_lines(found.stray, found.missing)
+    table = table.model_copy(update={"warnings": (*table.warnings, *stray)})
     if table.complete:
         journal.remove()
     return table
@@ -271,7 +275,10 @@ def _methods(
     for option, value in (("--method names", method), ("--save-thresholds is of", save_thresholds)):
         if value is not None and len(methods) > 1:
             raise SettingsError(f"{option} one method, but {predictions} holds {len(methods)}")
-    return methods if method is None else dict(zip([method], methods.values(), strict=True))
+    named = methods if method is None else dict(zip([method], methods.values(), strict=True))
+    for name in named:
+        check_method(name)
+    return named
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path) -> None:

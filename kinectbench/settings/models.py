@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from pydantic_core import PydanticCustomError
 
 from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.storage import NAME
+from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Framing, PartialRule, Split
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
@@ -28,9 +28,9 @@ CITED = {
 
 
 def check_name(value: str) -> str:
-    """Accept names that are safe as file names: letters, digits, `.`, `_`, `-`, at most 80."""
-    if not NAME.fullmatch(value):
-        raise ValueError("use letters, digits, '.', '_' and '-' only (at most 80, not starting with '.')")
+    """Accept what `name_problem` finds no fault with."""
+    if problem := name_problem(value):
+        raise ValueError(problem)
     return value
 
 

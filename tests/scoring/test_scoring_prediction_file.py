@@ -116,7 +116,11 @@ HOSTILE: dict[str, tuple[str, bytes, str]] = {
         npy_bytes(changed(2, np.uint8)),
         r"2 at \(1, 2, 3\): uint8 is .* only as 0 and 1",
     ),
-    "bool of 2": ("npy", header_bytes("'|b1'", "(1, 1, 1)", b"\x02"), r"2 at \(0, 0, 0\): a bool is only"),
+    "bool of 2": (
+        "npy",
+        header_bytes("'|b1'", "(1, 1, 1)", b"\x02"),
+        r"2 at \(0, 0, 0\): a bool is accepted only",
+    ),
     "float64": ("npy", npy_bytes(GOOD.astype(np.float64)), "dtype float64 is not accepted: save float16"),
     "int64": ("npy", npy_bytes(np.ones((2, 2, 2), np.int64)), "dtype int64 is not accepted"),
     "complex": ("npy", npy_bytes(GOOD.astype(np.complex64)), "dtype complex64 is not accepted"),

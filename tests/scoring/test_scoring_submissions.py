@@ -1,8 +1,14 @@
 """Meshes, packed bits, orders of bytes, hostile folders: each is scored, or refused in one line."""
 
+import csv
+import errno
+import io
 import json
+import os
+import socket
+import time
 import tracemalloc
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +24,15 @@ from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
 from kinectbench.scoring.prediction_file import load_prediction
-from kinectbench.scoring.predictions import check
-from kinectbench.scoring.score import score
+from kinectbench.scoring.predictions import (
+    NAMED,
+    check,
+    check_method,
+    find_predictions,
+    split_methods,
+    stray_lines,
+)
+from kinectbench.scoring.score import score, score_methods
 from kinectbench.scoring.truth import read_voxel_size
 
 VOXEL_M = 0.004
@@ -153,7 +166,92 @@ def test_what_is_wrong_with_a_folder_is_told_at_once(release: Release, tmp_path:
         "table_01/000.npy: a folder, not a file",
         "chair_01/000.NPY: answers no target of the benchmark; rename it to chair_01/000.npy",
     ]
-    assert len(problems) == 4 + 10_000
+    assert len(problems) == 3 + NAMED + 1
+    assert problems[-1] == f"and {10_001 - NAMED} more files that answer no target of the benchmark"
+
+
+def test_strays_and_missing_targets_cost_their_sum(release: Release, tmp_path: Path) -> None:
+    one = release.split("test")[0]
+    targets = [replace(one, recording=f"r{n}") for n in range(20_000)]
+    stray = [f"R{n}/{one.view}.NPZ" for n in range(20_000)]
+    started = time.monotonic()
+    lines = stray_lines(stray, targets)
+    assert time.monotonic() - started < 2
+    assert lines[0].endswith(f"rename it to r0/{one.view}.npz") and len(lines) == NAMED + 1
+    (tmp_path / one.recording).mkdir()
+    for n in range(2000):
+        (tmp_path / one.recording / f"{n}.npy").touch()
+    started = time.monotonic()
+    found = find_predictions(tmp_path, targets[:2000])
+    assert len(found.stray) == len(found.missing) == 2000
+    assert len(stray_lines(found.stray, found.missing)) == NAMED + 1
+    assert time.monotonic() - started < 2
+
+
+def test_score_names_strays_too(release: Release, tmp_path: Path) -> None:
+    folder = write_empty(release, tmp_path / "mine")
+    (folder / "notes\x1b[2J\nerror: all well.txt").touch()
+    line = "notes?[2J?error: all well.txt: answers no target of the benchmark; remove it"
+    assert check(release, folder) == [line]
+    table = score(release, folder, method="mine", protocols=["known"], surface=False)
+    assert table.complete and line in table.warnings
+
+
+def test_a_folder_that_cannot_be_looked_into(
+    release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = write_empty(release, tmp_path / "mine")
+    scandir = os.scandir
+
+    def refuse(path: str | Path) -> object:
+        if Path(path).name != "mine":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    for look in (split_methods, find_predictions):
+        with pytest.raises(PredictionError, match=r"_0[0-9]: cannot be looked into \(Permission denied\)"):
+            look(folder, release.targets)
+
+
+@pytest.mark.parametrize("kind", ["npy", "npz", "ply", "obj"])
+@pytest.mark.parametrize("what", ["pipe", "zero", "socket"])
+def test_what_is_no_plain_file_is_not_waited_for(kind: str, what: str, tmp_path: Path) -> None:
+    path = tmp_path / f"000.{kind}"
+    if what == "pipe":
+        os.mkfifo(path)
+    elif what == "zero":
+        path.symlink_to("/dev/zero")
+    else:
+        with socket.socket(socket.AF_UNIX) as bound:
+            bound.bind(os.path.relpath(path))
+    with pytest.raises(PredictionError, match=r"special file|not a plain file"):
+        load_prediction(path, "a/000", VOXEL_M)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["index.html", "Scores.JSON", "scores.csv", "gallery.npz", "baselines", "=cmd|calc", "a\x1b[2J", ".a"],
+)
+def test_names_that_are_not_for_methods(name: str, release: Release, tmp_path: Path) -> None:
+    for method in (name, "other"):
+        write_empty(release, tmp_path / "p" / method)
+    if not name.startswith("."):
+        with pytest.raises(PredictionError, match=r"no name for a method: .*; rename its folder") as refused:
+            split_methods(tmp_path / "p", release.targets)
+        assert "\x1b" not in str(refused.value)
+    with pytest.raises(PredictionError, match="no name for a method"):
+        score_methods(release, tmp_path / "p" / "other", tmp_path / "s", method=name, surface=False)
+    assert not (tmp_path / "s").exists()
+    check_method("3D-RecGAN++")
+
+
+def test_no_cell_is_a_formula(release: Release, tmp_path: Path) -> None:
+    folder = write_empty(release, tmp_path / "mine")
+    table = score(release, folder, method="=cmd|calc", protocols=["known"], surface=False)
+    rows = list(csv.reader(io.StringIO(table.csv())))
+    assert {row[0] for row in rows[1:]} == {"'=cmd|calc"}
+    assert not any(text[:1] in tuple("=+@\t\r") for row in rows for text in row)
 
 
 def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) -> None:

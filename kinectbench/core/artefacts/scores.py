@@ -24,6 +24,7 @@ from kinectbench.core.artefacts.score_figures import (
 )
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.storage import replaced_file
+from kinectbench.core.untrusted import cell
 
 SCORES_JSON = "scores.json"
 SCORES_CSV = "scores.csv"
@@ -258,7 +259,8 @@ class ScoreTable(Stored):
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(["method", *columns])
-        writer.writerows([self.method, *(getattr(row, name) for name in columns)] for row in self.rows)
+        rows = ([self.method, *(getattr(row, name) for name in columns)] for row in self.rows)
+        writer.writerows(map(cell, row) for row in rows)
         return buffer.getvalue()
 
     def write(self, folder: Path) -> None:

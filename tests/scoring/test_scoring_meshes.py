@@ -1,0 +1,131 @@
+"""Meshes of strangers: every form is the same mesh, and what would cost too much is refused in time."""
+
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.scoring.mesh_files import read_obj, read_ply
+from kinectbench.scoring.prediction_file import load_prediction
+
+VOXEL_M = 0.004
+BOX = trimesh.creation.box(bounds=[[0.1, 0.2, 0.3], [0.5, 0.4, 0.9]])
+# The same box with one side as a polygon of four corners.
+SIDES = [[0, 1, 3], [4, 1, 0], [0, 3, 2], [2, 4, 0], [1, 7, 3], [5, 1, 4], [5, 7, 1], [3, 7, 2], [6, 4, 2]]
+SIDES += [[2, 7, 6], [6, 5, 4], [7, 5, 6]]
+POLYGONS = [face for face in SIDES if face not in ([0, 1, 3], [0, 3, 2])] + [[0, 1, 3, 2]]
+CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+GROUPS = CORNERS + b"".join(b"usemtl m%d\nf 1 2 4\n" % n for n in range(100_000))
+LONG = bytes(48) + (10**7).to_bytes(4, "little") + bytes(4 * 10**7)
+
+
+def test_the_box_is_trimeshs() -> None:
+    assert sorted(map(sorted, SIDES)) == sorted(sorted(map(int, face)) for face in BOX.faces)
+
+
+def ply_of(vertices: NDArray[Any], faces: list[list[int]], order: str) -> bytes:
+    """A .ply with more properties than are needed, in bytes of an order, or as text."""
+    form = {"<": "binary_little_endian", ">": "binary_big_endian", " ": "ascii"}[order]
+    header = (
+        f"ply\nformat {form} 1.0\ncomment none\nelement vertex {len(vertices)}\nproperty uchar red\n"
+        "property double x\nproperty float32 y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty short flag\nproperty list uchar float texcoord\n"
+        "property list ushort int vertex_index\nproperty uchar blue\nend_header\n"
+    )
+    rows: list[tuple[str, tuple[Any, ...]]] = [("Bdfd", (7, *map(float, point))) for point in vertices]
+    for face in faces:
+        uv = [0.5] * (2 * len(face))
+        rows.append((f"hB{len(uv)}fH{len(face)}iB", (3, len(uv), *uv, len(face), *face, 9)))
+    if order == " ":
+        return (header + "".join(" ".join(map(str, values)) + "\n" for _, values in rows)).encode()
+    return header.encode() + b"".join(struct.pack(order + code, *values) for code, values in rows)
+
+
+@pytest.mark.parametrize("faces", [SIDES, POLYGONS], ids=["triangles", "polygons"])
+@pytest.mark.parametrize("order", ["<", ">", " "])
+def test_every_ply_is_the_same_mesh(order: str, faces: list[list[int]]) -> None:
+    """Lists before and behind other properties, polygons of several sizes, both orders of bytes, text."""
+    vertices, triangles = read_ply(ply_of(BOX.vertices, faces, order))
+    np.testing.assert_allclose(vertices, BOX.vertices, atol=1e-7)
+    check_box(vertices, triangles)
+
+
+@pytest.mark.parametrize("faces", [SIDES, POLYGONS], ids=["triangles", "polygons"])
+def test_every_obj_is_the_same_mesh(faces: list[list[int]]) -> None:
+    """Colours, textures, materials, corners counted from either end, lines that go on, Windows' line ends."""
+    text = "mtllib a.mtl\r\n" + "".join(f"v\t{x} {y} {z} 0.5 0.5 0.5\r\n" for x, y, z in BOX.vertices)
+    for n, face in enumerate(faces):
+        corners = [f"{c - 8}/1/2" if n % 2 else f"{c + 1}//7" for c in face]
+        text += f"usemtl m{n}\r\nvt 0 0\r\n  f {corners[0]} \\\r\n{' '.join(corners[1:])} \r\n"
+    vertices, triangles = read_obj(text.encode())
+    np.testing.assert_array_equal(vertices, BOX.vertices)
+    check_box(vertices, triangles)
+
+
+def check_box(vertices: NDArray[Any], triangles: NDArray[Any]) -> None:
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    assert len(triangles) == 12 and mesh.is_watertight and mesh.is_winding_consistent
+    assert mesh.volume == pytest.approx(BOX.volume, rel=1e-6)
+
+
+def ply(
+    vertices: int, faces: int, data: bytes, more: str = "", count: str = "uchar", form: str = ""
+) -> bytes:
+    """A header that claims so much, and any data."""
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    of_faces = f"element face {faces}\nproperty list {count} int vertex_indices\n"
+    header = f"ply\nformat {form or 'binary_little_endian'} 1.0\n{more}element vertex {vertices}\n{axes}"
+    return f"{header}{of_faces}end_header\n".encode() + data
+
+
+COSTLY = {
+    "groups": ("obj", GROUPS, "faces across each other"),
+    "polygon": ("obj", CORNERS + b"f " + b"1 " * 2_000_000, "a polygon of more than 1024 corners"),
+    "points of faces": ("obj", CORNERS + b"f 1\n" * 3_000_000, "more than 2097152 lines"),
+    "long number": ("obj", b"v " + b"1" * 10**7, "the line 'v 1111"),
+    "long corner": ("obj", CORNERS + b"f 1 2 " + b"3" * 10**7, "the line 'f 1 2 333"),
+    "empty lines": ("obj", b"\n" * (60 << 20), "a mesh without faces"),
+    "spaces": ("obj", b" " * (60 << 20), "a mesh without faces"),
+    "many vertices": ("obj", b"v 0 0 0\n" * 2_000_000, "more than 1048576 vertices"),
+    "two numbers": ("obj", b"v 0 0\nv 0 1 1\n", "the line 'v 0 0'"),
+    "too large": ("obj", bytes(65 << 20), "67108864 is the most accepted"),
+    "many triangles": ("ply", ply(4, 2_000_000, bytes(48 + 26_000_000)), "more than 1048576 faces"),
+    "claims": ("ply", ply(10**9, 10**9, bytes(99)), "claims more than the file holds"),
+    "nothing claimed": ("ply", ply(3, 1, bytes(99), "element a 1000000000000\n"), "claims more than"),
+    "negative": ("ply", ply(-1, 1, bytes(99)), "claims more than"),
+    "elements": ("ply", ply(3, 1, bytes(99), "element a 0\n" * 6000), "a malformed header"),
+    "long header": ("ply", b"ply\n" + b"comment\n" * 10**6, "a malformed header"),
+    "long polygon": ("ply", ply(4, 1, LONG, count="int"), r"a polygon of 1e\+07 corners"),
+    "no polygon": ("ply", ply(4, 1, bytes(48) + b"\xff" * 99, count="int"), "a polygon of -1 corners"),
+    "cut off": ("ply", ply(4, 9, bytes(48) + b"\x03" * 20), "cut short in its faces"),
+    "corners of no vertex": (
+        "ply",
+        ply(4, 1, bytes(48) + b"\x03" + b"\x09" * 12),
+        "a corner that is no vertex",
+    ),
+    "words": ("ply", ply(4, 1, b"a " * 3_000_000, form="ascii"), "a word that is no number"),
+    "few numbers": ("ply", ply(4, 1, b"1000000 " * 11, form="ascii"), "cut short in its 'vertex'"),
+    "faces first": (
+        "ply",
+        b"ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_index\nend_header\n3 0 0 0\n",
+        "lists of 'face' before the faces",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", COSTLY)
+def test_what_costs_too_much_is_refused_in_time(name: str, tmp_path: Path) -> None:
+    kind, content, message = COSTLY[name]
+    path = tmp_path / f"000.{kind}"
+    path.write_bytes(content)
+    started = time.process_time()
+    with pytest.raises(PredictionError, match=message) as caught:
+        load_prediction(path, "chair_01/000", VOXEL_M)
+    assert time.process_time() - started < 10
+    assert len(str(caught.value)) < 250 and str(caught.value).isprintable()
