@@ -31,8 +31,8 @@ def name_problem(name: str, also: str = "") -> str | None:
     """
     plain = "".join("-" if sign in also and place else sign for place, sign in enumerate(name))
     if not NAME.fullmatch(plain):
-        signs = ", ".join(f"'{sign}'" for sign in "._-" + also)
-        return f"use letters, digits and {signs} only (at most 80, not starting with '.')"
+        signs = ", ".join(f"'{sign}'" for sign in "._" + also)
+        return f"use letters, digits, {signs} and '-' only (at most 80, not starting with '.')"
     if name.lower() in OUR_FOLDERS or name.lower().endswith(OUR_ENDINGS):
         return "files and folders of kinectbench have such names; choose another"
     return None
