@@ -45,15 +45,25 @@ def score(
     baselines: Baselines = True,
     gallery: Annotated[bool, typer.Option(help="keep some predictions for the page, small")] = True,
     out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
+    recheck: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SCORES.JSON", help="score again, compare with this table, and mark it verified"
+        ),
+    ] = None,
 ) -> int:
     """Score predictions; thresholds come from the validation split or a file.
 
     Without a folder of predictions, all baselines are scored as methods; no prediction is written.
     """
+    known: dict[str, Any] = {"protocols": protocol, "thresholds_file": thresholds, "upsampling": upsampling}
+    of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing}
+    if recheck is not None:
+        return _recheck(common, recheck, predictions, known | of_one | {"out": out})
+    known["surface"] = surface
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
     from kinectbench.scoring.score import check_request
-    from kinectbench.scoring.terminal import score_table
 
     if predictions is None:
         changed = None if missing == ERROR_IF_MISSING else missing
@@ -62,13 +72,6 @@ def score(
         check_request(predictions, protocol, thresholds, missing, upsampling)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
-    known = {
-        "protocols": protocol,
-        "thresholds_file": thresholds,
-        "upsampling": upsampling,
-        "surface": surface,
-    }
-    of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing}
     tables = _tables(release, predictions, folder, common.workers, known, of_one)
     if gallery:
         with console.bar("gallery") as progress:
@@ -76,12 +79,64 @@ def score(
     _tell_problems(tables)
     beside = _beside(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
+    _tell(common, tables, beside, page)
+    return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
+
+
+def _tell(common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path) -> None:
+    """The scores: a table for people, or the means over all categories for machines."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.terminal import score_table
+
     if common.as_json:
         typer.echo(json.dumps([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables]))
     else:
         console.out.print(score_table([*tables, *beside], published=True))
         typer.echo(f"page: {page.resolve()}")
-    return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
+
+
+def _recheck(
+    common: Common,
+    scores: Path,
+    predictions: Path | None,
+    options: Mapping[str, Any],
+) -> int:
+    """Score again as a table says that it was scored; only its file of thresholds is an option."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.compare import find_scores, read_named
+    from kinectbench.scoring.recheck import recheck
+
+    thresholds = options["thresholds_file"]
+    given = [
+        "--" + name.replace("_", "-").replace("protocols", "protocol")
+        for name, value in options.items()
+        if name != "thresholds_file" and value not in (None, "error", "half-pixel")
+    ]
+    if given:
+        raise SettingsError(f"{', '.join(given)}: not with --recheck, which takes it from the table")
+    if predictions is None:
+        raise SettingsError(f"--recheck {scores}: name the folder of the predictions, too")
+    paths = find_scores([scores])
+    if len(paths) != 1:
+        raise SettingsError(f"--recheck {scores}: holds {len(paths)} tables; name one")
+    read_named(paths[0])  # before the benchmark is built
+    release, rows = find_release(common)
+    with console.bar("recheck") as progress:
+        differences = recheck(
+            release,
+            paths[0],
+            predictions,
+            thresholds_file=thresholds,
+            jobs=common.workers,
+            progress=progress,
+        )
+    table = read_named(paths[0])
+    shown = differences[:SHOWN_FAILURES]
+    more = [f"and {len(differences) - len(shown)} more differences"] * (len(differences) > len(shown))
+    told = f"{paths[0]}: {'not verified' if differences else table.standing}"
+    common.tell({"standing": table.standing, "differences": differences}, [told])
+    console.lines("error", [*shown, *more], "red")
+    return SOME_FAILED if differences else exit_status(rows)
 
 
 def _tables(

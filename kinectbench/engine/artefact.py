@@ -33,9 +33,9 @@ VERSIONS: dict[str, int] = {
     "sample-views": 1,
     "pairs": 2,
     "suggest": 4,
-    "publish": 11,
+    "publish": 12,
     "synthesize": 2,
-    "score": 3,
+    "score": 4,
     "baselines": 1,
 }
 

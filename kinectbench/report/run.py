@@ -14,6 +14,7 @@ from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells,
 from kinectbench.report.page import Beside, Ranks, write_report
 from kinectbench.scoring.compare import ALL, compare, find_scores, read_named
 from kinectbench.scoring.predictions import split_methods
+from kinectbench.scoring.read_table import read_table
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
 INDEX = "index.html"
@@ -112,7 +113,7 @@ def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
 
 
 def _read(path: Path) -> ScoreFile:
-    return ScoreFile(path, ScoreTable.read_file(path), read_gallery(path))
+    return ScoreFile(path, read_table(path), read_gallery(path))
 
 
 def rank(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> tuple[Ranks, tuple[str, ...]]:

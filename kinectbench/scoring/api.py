@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.artefacts.targets import SPLITS
+from kinectbench.core.artefacts.targets import SPLITS, check_splits
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.pair_file import Pair, PairInput, read_input, read_pair, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
-from kinectbench.scoring.pair_result import Counting, count
+from kinectbench.scoring.pair_result import Counting, Job, count, count_job
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import missing_line
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.score import check_words, pairs_to_score
+from kinectbench.scoring.score import check_missing, check_words, pairs_to_score
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_truth
 
@@ -130,6 +130,7 @@ class Scorer:
         method: str = "method",
         protocols: Sequence[str] = tuple(PROTOCOLS),
         thresholds_file: Path | None = None,
+        missing: str = "error",
         upsampling: str = HALF_PIXEL,
         surface: bool = True,
     ) -> None:
@@ -140,21 +141,26 @@ class Scorer:
             method: name in the result.
             protocols: some of "paper", "known", "occluded".
             thresholds_file: see docs/scoring.md.
+            missing: what a pair without a prediction is: "error" a failure, "empty" an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
             surface: whether surface metrics are computed. They take most of the time: leave them out (null)
                 where a network is scored after every epoch.
 
         Raises:
             ReleaseError: no release there, or its truth is held back.
-            SettingsError: an unknown protocol, or an unusable threshold file.
+            SettingsError: an unknown protocol, an object in two splits, or an unusable threshold file.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
         check_words(protocols, upsampling)
+        self._missing = check_missing(missing)
+        check_splits(release.targets, str(release.folder))
         self._release, self._method = release, method
         self._targets = {target.name: target for target in release.targets if target.split != "train"}
         self._counting = Counting(tuple(protocols), upsampling, surface)
         self._results: dict[Target, PairResult] = {}
+        self._empty: dict[Target, PairResult] = {}
         self._thresholds: Thresholds | None = None
+        self._searched = thresholds_file is None
         test = pairs_to_score(release, thresholds_file)
         if thresholds_file is not None:
             self._thresholds = thresholds_for(thresholds_file, test)
@@ -183,21 +189,47 @@ class Scorer:
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:
-        """The table of what was counted; without averages while test pairs are missing."""
-        missing = [t for t in self._targets.values() if t.split == "test" and t not in self._results]
+        """The table of what was counted, that of `kinectbench score` of the same predictions.
+
+        Without averages while test pairs are missing, or validation pairs where others of them were counted.
+        """
+        thresholds = self._fixed()
+        empty = self._empty | self._as_empty("test", thresholds)
+        missing = [*self._left("validation"), *self._left("test")]
         return make_table(
             self._release,
             self._method,
-            self._results,
-            self._fixed(),
+            self._results | empty,
+            thresholds,
             base_rates(self._release),
-            {target: missing_line(target) for target in missing},
-            describe(self._counting, "error"),
+            {target: missing_line(target) for target in missing if target not in empty},
+            describe(self._counting, self._missing),
+            empty,
         )
+
+    def _left(self, split: str) -> list[Target]:
+        """The pairs of a split that were not updated; of a validation split that is not used none."""
+        if split == "validation" and not (
+            self._searched and any(target.split == split for target in self._results)
+        ):
+            return []
+        return [t for t in self._targets.values() if t.split == split and t not in self._results]
+
+    def _as_empty(self, split: str, thresholds: Thresholds | None) -> dict[Target, PairResult]:
+        """The empty grids of what is left of a split, if that is what a missing pair is."""
+        found = {}
+        for target in self._left(split) if self._missing == "empty" else ():
+            threshold = None if thresholds is None else thresholds.of[target.category]
+            path = self._release.pair_path(target)
+            result = count_job(Job(target, path, None, threshold, self._counting))
+            assert isinstance(result, PairResult)  # there is no file that could be wrong
+            found[target] = result
+        return found
 
     def _fixed(self) -> Thresholds:
         """The thresholds, found on the validation pairs so far where that was not done yet."""
         if self._thresholds is None:
-            tallies = {target: result.tally for target, result in self._results.items()}
+            self._empty = self._as_empty("validation", None)
+            tallies = {target: result.tally for target, result in (self._results | self._empty).items()}
             self._thresholds = searched_thresholds(self._release.targets, tallies)
         return self._thresholds

@@ -1,26 +1,17 @@
 """Put the table of one method together from what was counted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
-from statistics import fmean
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.score_figures import ScoreRow, SurfaceMetrics, VoxelMetrics
+from kinectbench.core.artefacts.score_marks import ValidationUse
 from kinectbench.core.artefacts.scores import BaseRate, Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.averages import (
-    ObjectMeans,
-    ObjectQuality,
-    category_averages,
-    extremes,
-    iou_by_threshold,
-    object_means,
-    overall_averages,
-)
 from kinectbench.scoring.counts import (
     CE_CLIP,
     PRIMARY,
@@ -29,7 +20,9 @@ from kinectbench.scoring.counts import (
     protocol_counts,
     unknown_share,
 )
-from kinectbench.scoring.metrics import constant_cross_entropy, metrics
+from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
 from kinectbench.scoring.thresholds import Thresholds
@@ -44,6 +37,7 @@ def make_table(
     rates: Mapping[str, BaseRate],
     failures: Mapping[Target, str],
     settings: ScoreSettings,
+    empty: Collection[Target] = (),
 ) -> ScoreTable:
     """The table of a method. An average over a part of the pairs would flatter, so there is none.
 
@@ -55,19 +49,13 @@ def make_table(
         rates: base rates.
         failures: why a prediction could not be scored.
         settings: see `describe`.
+        empty: pairs without a prediction that were counted as empty grids.
     """
-    rows = _rows(results, settings.protocols, thresholds, rates)
-    left_out = {name: _left_out(results, name) for name in settings.protocols}
-    means = object_means(rows, left_out)
+    rows = rows_of(results, settings.protocols, thresholds, rates)
     quality = _quality(release, rows)
-    objects = _by_object(rows, quality)
-    by_category = None if failures else category_averages(means, rates, objects)
-    warnings = list(thresholds.warnings)
-    if failures:
-        warnings.append(
-            f"incomplete: {len(failures)} predictions could not be scored, so there are no averages"
-        )
-    return ScoreTable(
+    of_categories = {category: rates[category] for category in thresholds.of}
+    derived = from_rows(rows, settings.protocols, of_categories, quality, not failures)
+    table = ScoreTable(
         method=method,
         benchmark_sha256=release.benchmark_sha256,
         package_version=__version__,
@@ -75,28 +63,55 @@ def make_table(
         complete=not failures,
         thresholds=dict(thresholds.of),
         threshold_source=thresholds.source,
-        base_rate={category: rates[category] for category in thresholds.of},
+        threshold_source_by_category=dict(thresholds.sources),
+        threshold_objects=thresholds.objects,
+        validation=_validation(release, results, thresholds, empty),
+        missing_as_empty=tuple(target.name for target in sorted(empty)),
+        marks=(),
+        base_rate=of_categories,
         rows=rows,
-        by_category=by_category,
-        overall=None if by_category is None else overall_averages(by_category, means),
+        by_category=derived.by_category,
+        overall=derived.overall,
         truth_quality=quality,
-        truth_unknown_share={name: of.unknown_share for name, of in sorted(objects.items())},
-        all_unknown_pairs=left_out,
+        truth_unknown_share=derived.truth_unknown_share,
+        all_unknown_pairs=derived.all_unknown_pairs,
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
-        warnings=tuple(warnings),
-        notes=tuple(_few_objects(rows, means)),
-        extremes=extremes(rows),
-        iou_by_threshold=None if failures else iou_by_threshold(results, settings.protocols),
+        warnings=(*thresholds.warnings, *_warnings(failures, empty)),
+        notes=derived.notes,
+        extremes=derived.extremes,
+        iou_by_threshold=derived.iou_by_threshold,
         hashes={
             target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
             for target in sorted(results)
         },
+        verified=None,
     )
+    return table.model_copy(update={"marks": marks_of(table)})
 
 
-def _rows(
+def _validation(
+    release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
+) -> ValidationUse | None:
+    """How much of the validation split was predicted, if the thresholds are from there."""
+    if thresholds.source != "validation":
+        return None
+    predicted = sum(target.split == "validation" and target not in empty for target in results)
+    return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
+
+
+def _warnings(failures: Mapping[Target, str], empty: Collection[Target]) -> list[str]:
+    """What is to be said of predictions that are not there."""
+    found = []
+    if empty:
+        found.append(f"{len(empty)} predictions are missing and were counted as empty grids")
+    if failures:
+        found.append(f"incomplete: {len(failures)} predictions could not be scored, so there are no averages")
+    return found
+
+
+def rows_of(
     results: Mapping[Target, PairResult],
     protocols: Sequence[str],
     thresholds: Thresholds,
@@ -111,20 +126,15 @@ def _rows(
     )
 
 
-def _left_out(results: Mapping[Target, PairResult], protocol: str) -> tuple[str, ...]:
-    """The test pairs of which a protocol says nothing, by name."""
-    test = sorted(target for target in results if target.split == "test")
-    return tuple(target.name for target in test if is_all_unknown(results[target].tally, protocol))
-
-
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
     """One pair under one protocol."""
     counts, everything = (protocol_counts(result.tally, name) for name in (protocol, "paper"))
-    figures, surface, base_rate_ce = VoxelMetrics(), SurfaceMetrics(), None
+    figures, surface, base_rate_ce, curve = VoxelMetrics(), SurfaceMetrics(), None, None
     if not is_all_unknown(result.tally, protocol):
         figures = metrics(counts, THRESHOLDS.index(threshold))
         surface = result.surface.get(protocol, SurfaceMetrics())
         base_rate_ce = constant_cross_entropy(counts.occupied, counts.voxels, rate)
+        curve = tuple(ious(counts).tolist())
     return ScoreRow(
         recording=target.recording,
         object=target.object,
@@ -140,6 +150,7 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
         ceiling_iou=result.ceilings[protocol],
         **asdict(surface),
         unknown_share=unknown_share(result.tally),
+        iou_by_threshold=curve,
     )
 
 
@@ -148,43 +159,6 @@ def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFil
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})
     return {name: recordings[name].quality for name in names if name in recordings}
-
-
-def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """{object: the figures of its truth that averages show}: means over recordings, and over pairs."""
-    of_object: dict[str, list[ScoreRow]] = {}
-    for row in rows:
-        of_object.setdefault(row.object, []).append(row)
-    found = {}
-    for name, here in of_object.items():
-        parts = [quality.get(recording, QualityFile()) for recording in sorted({r.recording for r in here})]
-        shares = {row.pair: row.unknown_share or 0.0 for row in here}  # every protocol's row says the same
-        found[name] = ObjectQuality(
-            here[0].category,
-            estimated_iou=_mean([part.estimated_iou for part in parts]),
-            estimated_iou_low=_mean([part.estimated_iou_low for part in parts]),
-            estimated_iou_high=_mean([part.estimated_iou_high for part in parts]),
-            repeatability_iou=_mean([part.repeatability_iou for part in parts]),
-            unknown_share=fmean(shares.values()),
-        )
-    return found
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean of a figure; None if one of them is not known."""
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if len(known) == len(values) else None
-
-
-def _few_objects(rows: Sequence[ScoreRow], means: Mapping[str, Mapping[str, ObjectMeans]]) -> list[str]:
-    """A line that names the categories that are too few for an interval, under a protocol at least."""
-    few = []
-    for name in sorted({row.category for row in rows}):
-        least = min(len(of[name].names) if name in of else 0 for of in means.values())
-        few += [f"{name} ({least})"] if least < MIN_OBJECTS else []
-    if not few:
-        return []
-    return [f"no intervals with fewer than {MIN_OBJECTS} objects in a category: {', '.join(few)}"]
 
 
 def describe(counting: Counting, missing: str) -> ScoreSettings:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES, ScoreRow
 from kinectbench.core.artefacts.scores import (
     BaseRate,
@@ -17,9 +16,6 @@ from kinectbench.core.artefacts.scores import (
     OverallAverages,
 )
 from kinectbench.core.types import Float64
-from kinectbench.release.release import Target
-from kinectbench.scoring.counts import THRESHOLDS, is_all_unknown, protocol_counts
-from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
 EXTREMES = 3
@@ -35,7 +31,8 @@ class ObjectQuality:
         estimated_iou_low: likewise, the lower end of its interval.
         estimated_iou_high: likewise, the upper one.
         repeatability_iou: likewise.
-        unknown_share: of its true shape, not known: mean over all its pairs, of which each has all of it.
+        unknown_share: of its true shape, not known: mean over all its pairs, of which each has all of it;
+            None if older rows do not say it.
     """
 
     category: str
@@ -43,7 +40,7 @@ class ObjectQuality:
     estimated_iou_low: float | None
     estimated_iou_high: float | None
     repeatability_iou: float | None
-    unknown_share: float
+    unknown_share: float | None
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ def category_averages(
 
     Args:
         means: see `object_means`.
-        rates: base rate by category.
+        rates: base rate by category; of one without, the source is not known.
         quality: of the truth of each object, also of those that are left out.
     """
     names: dict[str, list[str]] = {}
@@ -117,7 +114,7 @@ def category_averages(
     return {
         protocol: {
             category: _category(
-                categories.get(category), rates[category], [quality[n] for n in names[category]]
+                categories.get(category), rates.get(category), [quality[n] for n in names[category]]
             )
             for category in sorted(names)
         }
@@ -125,7 +122,9 @@ def category_averages(
     }
 
 
-def _category(here: ObjectMeans | None, rate: BaseRate, quality: Sequence[ObjectQuality]) -> CategoryAverages:
+def _category(
+    here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
+) -> CategoryAverages:
     """The averages of one category; of one without a pair that counts only what is known of its truth.
 
     Args:
@@ -140,13 +139,14 @@ def _category(here: ObjectMeans | None, rate: BaseRate, quality: Sequence[Object
         "truth_repeatability_iou": _known_mean([of.repeatability_iou for of in quality]),
         "truth_unknown_share": _known_mean([of.unknown_share for of in quality]),
     }
+    source = None if rate is None else rate.source
     if here is None:
-        return CategoryAverages(base_rate_source=rate.source, intervals=_intervals(None), **of_truth)
+        return CategoryAverages(base_rate_source=source, intervals=_intervals(None), **of_truth)
     return CategoryAverages(
         **_known(here.weights @ here.values / here.weights.sum()),
         pairs=here.pairs,
         objects=len(here.names),
-        base_rate_source=rate.source,
+        base_rate_source=source,
         intervals=_intervals(student_interval(here.values, here.weights)),
         **of_truth,
     )
@@ -217,39 +217,29 @@ def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
     return named
 
 
-def iou_by_threshold(
-    results: Mapping[Target, PairResult], protocols: Sequence[str]
-) -> dict[str, dict[str, list[float]]]:
-    """{protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}} of the test pairs.
+def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict[str, list[float]]] | None:
+    """{protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}}.
 
     Averaged as the scores are (see `object_means`): pair, object, category; `paper` weighs every pair alike,
     and all-unknown pairs are left out.
 
     Args:
-        results: of every pair that was counted; those of other splits are left out.
-        protocols: some of "paper", "known", "occluded".
+        rows: of a table.
+        protocols: that were scored.
+
+    Returns:
+        None if a row that counts has no curve, as those of older tables.
     """
-    found: dict[str, dict[str, list[float]]] = {}
-    for protocol in protocols:
-        counted: dict[str, list[Target]] = {}
-        for target in sorted(results):
-            if target.split == "test" and not is_all_unknown(results[target].tally, protocol):
-                counted.setdefault(target.category, []).append(target)
-        found[protocol] = {name: _mean_curve(counted[name], results, protocol) for name in sorted(counted)}
+    found: dict[str, dict[str, list[float]]] = {name: {} for name in protocols}
+    groups: dict[tuple[str, str], dict[str, list[tuple[float, ...]]]] = {}
+    for row in rows:
+        if row.iou is None:
+            continue
+        if row.iou_by_threshold is None:
+            return None
+        by_object = groups.setdefault((row.protocol, row.category), {})
+        by_object.setdefault("" if row.protocol == "paper" else row.object, []).append(row.iou_by_threshold)
+    for (protocol, category), by_object in sorted(groups.items()):
+        means = [np.mean(pairs, axis=0) for pairs in by_object.values()]
+        found.setdefault(protocol, {})[category] = np.mean(means, axis=0).tolist()
     return found
-
-
-def _mean_curve(
-    targets: Sequence[Target], results: Mapping[Target, PairResult], protocol: str
-) -> list[float]:
-    """The mean of one category."""
-    by_object: dict[str, list[Target]] = {}
-    for target in targets:
-        by_object.setdefault("" if protocol == "paper" else target.object, []).append(target)
-    objects = [
-        np.mean([ious(protocol_counts(results[t].tally, protocol)) for t in group], axis=0)
-        for group in by_object.values()
-    ]
-    curve: list[float] = np.mean(objects, axis=0).tolist()
-    assert len(curve) == len(THRESHOLDS)
-    return curve

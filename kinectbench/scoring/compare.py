@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.uncertainty import MAX_EXACT, holm, sign_flip_ps, smallest_p
 
 ALPHA = 0.05
@@ -147,10 +148,10 @@ def read_named(path: Path) -> ScoreTable:
     """A score table that a person named.
 
     Raises:
-        SettingsError: it is missing or damaged.
+        SettingsError: it is missing or damaged, or states what does not follow from its rows.
     """
     try:
-        return ScoreTable.read_file(path)
+        return read_table(path)
     except StorageError as error:
         raise SettingsError(str(error)) from error
 
@@ -199,6 +200,10 @@ def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: st
     for name, here in zip(names, pairs, strict=True):
         if here != pairs[0]:
             raise SettingsError(f"{name}: other pairs than {names[0]}; score both against one benchmark")
+    for name, table in zip(names, tables, strict=True):
+        left_out, first = (set(t.all_unknown_pairs.get(protocol, ())) for t in (table, tables[0]))
+        if left_out != first:  # the truth alone decides
+            raise SettingsError(f"{name}: leaves out other pairs than {names[0]}; score both again")
 
 
 Weighted = Mapping[str, tuple[float, float]]

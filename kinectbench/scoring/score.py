@@ -87,7 +87,9 @@ def score(
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
     rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
-    table = make_table(release, method, results, thresholds, rates, failures, describe(counting, missing))
+    empty = [target for target, file in files.items() if file is None]
+    settings = describe(counting, missing)
+    table = make_table(release, method, results, thresholds, rates, failures, settings, empty)
     stray = stray_lines(found.stray, found.missing)
     table = table.model_copy(update={"warnings": (*table.warnings, *stray)})
     if table.complete:
@@ -257,13 +259,23 @@ def check_request(
     Returns:
         What is to be done with a missing prediction.
     """
-    if missing not in get_args(Missing):
-        raise SettingsError(f"--missing {missing}: choose error or empty")
+    rule = check_missing(missing)
     check_words(protocols or tuple(PROTOCOLS), upsampling)
     if predictions is not None:
         check_folder(predictions)
     if thresholds_file is not None:
         read_thresholds(thresholds_file, (), frozenset())
+    return rule
+
+
+def check_missing(missing: str) -> Missing:
+    """What is to be done with a missing prediction.
+
+    Raises:
+        SettingsError: neither "error" nor "empty".
+    """
+    if missing not in get_args(Missing):
+        raise SettingsError(f"--missing {missing}: choose error or empty")
     return "empty" if missing == "empty" else "error"
 
 

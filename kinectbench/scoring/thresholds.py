@@ -1,7 +1,7 @@
 """The threshold of each category: searched on validation, read from a file, or fixed at 0.5."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, proto
 from kinectbench.scoring.metrics import ious
 
 FIXED = 0.5
+FROM_FILE = "file:"
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,15 @@ class Thresholds:
         of: threshold by category, each k / 20 with k from 2 to 18.
         source: "validation", "file:<sha256 of the file>" or "fixed".
         warnings: one line each.
+        sources: the same by category: of a validation split without a category it is "fixed" there.
+        objects: those that the thresholds were found on; None if a file does not name them.
     """
 
     of: Mapping[str, float]
     source: str
     warnings: tuple[str, ...] = ()
+    sources: Mapping[str, str] = field(default_factory=dict)
+    objects: tuple[str, ...] | None = ()
 
 
 def best_threshold(tallies: Sequence[Tally]) -> float:
@@ -58,14 +63,24 @@ def searched_thresholds(targets: Sequence[Target], tallies: Mapping[Target, Tall
             if any(target.split == "validation" for target in targets)
             else "the benchmark has no validation split and no threshold file was given"
         )
-        return Thresholds(dict.fromkeys(categories, FIXED), "fixed", (f"threshold fixed at {FIXED}: {why}",))
-    of, warnings = {}, []
+        return _fixed(categories, (f"threshold fixed at {FIXED}: {why}",))
+    of, sources, warnings, objects = {}, {}, [], set()
     for category in categories:
-        here = [tally for target, tally in tallies.items() if target.category == category]
-        of[category] = best_threshold(here) if here else FIXED
+        here = [target for target in tallies if target.category == category]
+        of[category] = best_threshold([tallies[target] for target in here]) if here else FIXED
+        sources[category] = "validation" if here else "fixed"
+        objects |= {target.object for target in here}
         if not here:
             warnings.append(f"threshold of {category} fixed at {FIXED}: no validation prediction of it")
-    return Thresholds(of, "validation", tuple(warnings))
+    if not objects:
+        return _fixed(categories, tuple(warnings))
+    return Thresholds(of, "validation", tuple(warnings), sources, tuple(sorted(objects)))
+
+
+def _fixed(categories: Sequence[str], warnings: tuple[str, ...]) -> Thresholds:
+    """The same threshold for every category, which nothing was searched for."""
+    fixed = dict.fromkeys(categories, "fixed")
+    return Thresholds(dict.fromkeys(categories, FIXED), "fixed", warnings, fixed)
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:
@@ -94,7 +109,18 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
             f"{path}: no threshold for {', '.join(missing)}; add {'it' if len(missing) == 1 else 'them'}"
         )
     of = {category: _step(given[category], f"{path}: threshold of {category}") for category in categories}
-    return Thresholds(of, f"file:{sha256_file(path)}")
+    source = f"{FROM_FILE}{sha256_file(path)}"
+    warning = (
+        "the file of the thresholds does not say on which objects they were found: perhaps on those of the "
+        "test split"
+    )
+    return Thresholds(
+        of,
+        source,
+        () if file.objects else (warning,),
+        dict.fromkeys(categories, source),
+        tuple(sorted(set(file.objects))) or None,
+    )
 
 
 def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:

@@ -156,7 +156,8 @@ def test_best_and_worst_pairs() -> None:
 def put(folder: Path, name: str, sha256: str = "ab" * 32, **more: object) -> Path:
     (folder / name).mkdir(parents=True)
     path = folder / name / "scores.json"
-    path.write_text(json.dumps(score(name, 0.4) | {"benchmark_sha256": sha256} | more))
+    no_rows = {"by_category": None, "overall": None}  # averages without rows are refused
+    path.write_text(json.dumps(score(name, 0.4) | no_rows | {"benchmark_sha256": sha256} | more))
     return path
 
 

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from kinectbench.core.artefacts.counted import PairResult, Tally
+from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.averages import iou_by_threshold
-from kinectbench.scoring.counts import THRESHOLDS
+from kinectbench.scoring.assemble import rows_of
+from kinectbench.scoring.averages import curves as curves_of
+from kinectbench.scoring.counts import PROTOCOLS, THRESHOLDS
 from kinectbench.scoring.score import score
+from kinectbench.scoring.thresholds import Thresholds
 
 
 def result(occupied: int, predicted: int, hit: int) -> PairResult:
@@ -19,7 +22,8 @@ def result(occupied: int, predicted: int, hit: int) -> PairResult:
     voxels[[6, 7]] = 1000 - occupied, occupied
     below = np.array(THRESHOLDS) < 0.5
     above[below, 6], above[below, 7] = predicted - hit, hit
-    return PairResult(Tally(voxels, above, np.zeros(8)), 256, {}, {}, None)
+    ceilings = dict.fromkeys(PROTOCOLS, 1.0)
+    return PairResult(Tally(voxels, above, np.zeros(8)), 256, ceilings, {}, None)
 
 
 def target(name: str, thing: str, view: str, split: str = "test") -> Target:
@@ -33,7 +37,12 @@ def test_means_by_hand() -> None:
         target("b", "blue", "000"): result(10, 0, 0),  # 0
         target("c", "old", "000", "validation"): result(10, 10, 10),
     }
-    curves = iou_by_threshold(results, ("known", "paper", "occluded"))
+    protocols = ("known", "paper", "occluded")
+    thresholds = Thresholds({"chair": 0.5}, "fixed")
+    curves = curves_of(
+        rows_of(results, protocols, thresholds, {"chair": BaseRate(value=0.1, source="train")}), protocols
+    )
+    assert curves is not None
     below = [p < 0.5 for p in THRESHOLDS]
     assert curves["known"]["chair"] == pytest.approx([(2 / 3 + 0) / 2 if low else 0 for low in below])
     assert curves["paper"]["chair"] == pytest.approx([(1 + 1 / 3 + 0) / 3 if low else 0 for low in below])

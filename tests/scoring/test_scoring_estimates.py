@@ -8,8 +8,8 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import LATER, BaseRate, CategoryAverages
 from kinectbench.report.tables import DETAILS
-from kinectbench.scoring.assemble import _by_object
 from kinectbench.scoring.averages import category_averages, object_means, overall_averages
+from kinectbench.scoring.from_rows import _by_object
 
 # Recording, object, category; the red chair was recorded twice.
 RECORDINGS = (

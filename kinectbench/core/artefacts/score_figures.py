@@ -139,7 +139,19 @@ class Unknown:
 
 
 @dataclass(frozen=True, config=FINITE)
-class ScoreRow(Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
+class ByThreshold:
+    """The IoU of a pair at every threshold, whichever was chosen; it is no column of scores.csv."""
+
+    iou_by_threshold: Annotated[
+        tuple[float, ...] | None,
+        Field(
+            json_schema_extra={"minItems": 17, "maxItems": 17, "items": {"type": "number", **IN_UNIT_RANGE}}
+        ),
+    ] = Field(default=None, description="IoU at k / 20, k = 2 to 18; null where all unknown")
+
+
+@dataclass(frozen=True, config=FINITE)
+class ScoreRow(ByThreshold, Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
     """One pair under one protocol; its metrics are null where the protocol leaves it out as all unknown."""
 
     @property

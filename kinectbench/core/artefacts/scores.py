@@ -15,6 +15,7 @@ from kinectbench.core.artefacts.score_figures import (
     IN_UNIT_RANGE,
     SURFACE_METRICS,
     Averages,
+    ByThreshold,
     OptionalUnitRange,
     Resolution,
     ScoreRow,
@@ -22,17 +23,15 @@ from kinectbench.core.artefacts.score_figures import (
     Unknown,
     fields_of,
 )
+from kinectbench.core.artefacts.score_marks import REPORTED, Mark, Sha256, ValidationUse, Verified
 from kinectbench.core.artefacts.stored import Part, Stored
-from kinectbench.core.storage import replaced_file
+from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.core.untrusted import cell
 
 SCORES_JSON = "scores.json"
 SCORES_CSV = "scores.csv"
 OVERALL = "overall"
 BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to every table
-
-Sha256 = Annotated[str, Field(json_schema_extra={"pattern": "^[0-9a-f]{64}$"})]
-
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Intervals = Annotated[
@@ -189,6 +188,20 @@ class ScoreTable(Stored):
         description="validation, fixed or file:<sha256>",
         json_schema_extra={"pattern": "^(validation|fixed|file:[0-9a-f]{64})$"},
     )
+    threshold_source_by_category: dict[str, str] = Field(
+        {},
+        description="category -> where its threshold is from, in the words of threshold_source",
+    )
+    threshold_objects: Lines | None = Field(
+        None, description="objects that the thresholds were found on; null if their file does not name them"
+    )
+    validation: ValidationUse | None = Field(
+        None, description="how much of the validation split was predicted; null if it chose no threshold"
+    )
+    missing_as_empty: Lines = Field(
+        (), description="pairs without a prediction that were scored as empty grids"
+    )
+    marks: tuple[Mark, ...] = Field((), description="what to know before the numbers are believed")
     base_rate: dict[str, BaseRate] = Field(
         {}, description="category -> the constant that CE is compared with, and where it is from"
     )
@@ -219,6 +232,25 @@ class ScoreTable(Stored):
     baseline: bool = Field(
         False, description="whether kinectbench made the predictions itself, to stand beside a method's"
     )
+    verified: Verified | None = Field(
+        None, description="that the predictions were scored again with the same rows; null: reported only"
+    )
+
+    @property
+    def standing(self) -> str:
+        """`verified DATE, kinectbench VERSION`, or `reported`."""
+        return REPORTED if self.verified is None else self.verified.words
+
+    def facts_sha256(self) -> str:
+        """SHA-256 of all that a recheck finds equal: everything but what follows from it, and `verified`."""
+        content = self.json_value()
+        return sha256_text(
+            canonical_json({key: content[key] for key in sorted(content) if key not in NO_FACTS})
+        )
+
+    def predictions_sha256(self) -> str:
+        """SHA-256 of the names of the pairs and the hashes of their predictions."""
+        return sha256_text(canonical_json({name: of.prediction for name, of in self.hashes.items()}))
 
     @property
     def counted_by(self) -> str:
@@ -255,7 +287,7 @@ class ScoreTable(Stored):
 
     def csv(self) -> str:
         """scores.csv as text: the rows, each behind the method's name."""
-        columns = tuple(fields_of(ScoreRow))
+        columns = tuple(name for name in fields_of(ScoreRow) if name not in fields_of(ByThreshold))
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(["method", *columns])
@@ -263,19 +295,33 @@ class ScoreTable(Stored):
         writer.writerows(map(cell, row) for row in rows)
         return buffer.getvalue()
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path, name: str = SCORES_JSON) -> None:
         """Write scores.json and scores.csv into a folder, each whole or not at all.
+
+        Args:
+            folder: made if it is not there.
+            name: of the JSON file, if it is another one; then there is no scores.csv.
 
         Raises:
             StorageError: the disk is full or read-only.
         """
-        for name, text in ((SCORES_CSV, self.csv()), (SCORES_JSON, self.text())):
-            with replaced_file(folder / name) as temporary:
+        files = {SCORES_CSV: self.csv()} if name == SCORES_JSON else {}
+        for file, text in (files | {name: self.text()}).items():
+            with replaced_file(folder / file) as temporary:
                 temporary.write_text(text, encoding="utf-8")
 
 
+# What follows from the rows and the settings, or says nothing of the numbers.
+DERIVED = (
+    *("by_category", "overall", "truth_unknown_share", "all_unknown_pairs", "notes", "extremes"),
+    *("iou_by_threshold", "marks"),
+)
+NO_FACTS = {*DERIVED, "verified"}
+
 # Keys that tables of the first versions lack.
 LATER_KEYS = (
+    *("threshold_source_by_category", "threshold_objects", "validation", "missing_as_empty", "marks"),
+    "verified",
     *("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories"),
     "all_unknown_pairs",
 )
@@ -283,7 +329,8 @@ LATER_AVERAGES = (
     *("base_rate_source", "truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high"),
     *("truth_repeatability_iou", "truth_unknown_share"),
 )
-LATER = {*LATER_KEYS, *LATER_AVERAGES, *SURFACE_METRICS, *fields_of(Resolution), *fields_of(Unknown)}
+LATER_ROWS = (*SURFACE_METRICS, *fields_of(Resolution), *fields_of(Unknown), *fields_of(ByThreshold))
+LATER = {*LATER_KEYS, *LATER_AVERAGES, *LATER_ROWS}
 
 
 def scores_schema() -> dict[str, Any]:

@@ -16,6 +16,7 @@ from kinectbench.scoring.assemble import describe
 from kinectbench.scoring.baselines.counted import counted_baselines
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.pair_result import Counting
+from kinectbench.scoring.read_table import read_table
 
 
 def baselines_beside(
@@ -64,8 +65,8 @@ def baselines_beside(
 def _kept(folder: Path, name: str, release: Release, counting: Counting) -> ScoreTable | None:
     """What was made before, if it would be the same again."""
     try:
-        table = ScoreTable.read(folder)
-    except StorageError:  # none there, or a damaged one
+        table = read_table(folder / ScoreTable.FILE)
+    except StorageError:  # none there, or one that is damaged or does not add up
         return None
     made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
     same = (name, True, release.benchmark_sha256, _settings(counting))

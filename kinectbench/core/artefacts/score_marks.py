@@ -1,0 +1,51 @@
+"""What must be known of a table before its numbers are believed: marks, and whether it was rechecked."""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import Part
+
+Sha256 = Annotated[str, Field(json_schema_extra={"pattern": "^[0-9a-f]{64}$"})]
+
+BASELINE: Final = "baseline"
+MISSING_AS_EMPTY: Final = "missing-as-empty"
+THRESHOLDS_FIXED: Final = "thresholds-fixed"
+THRESHOLDS_UNCHECKED: Final = "thresholds-unchecked"
+VALIDATION_PARTIAL: Final = "validation-partial"
+Kind = Literal[
+    "baseline", "missing-as-empty", "thresholds-fixed", "thresholds-unchecked", "validation-partial"
+]
+REPORTED = "reported"
+
+
+class Mark(Part):
+    """One thing that sets a method's scores apart from those of a complete submission."""
+
+    kind: Kind = Field(description="which of them")
+    words: str = Field(description="in a few words, with the counts")
+
+
+class ValidationUse(Part):
+    """How much of the validation split the thresholds were searched on."""
+
+    pairs: int = Field(description="of the validation split", json_schema_extra={"minimum": 0})
+    predicted: int = Field(description="those that were predicted", json_schema_extra={"minimum": 0})
+
+
+class Verified(Part):
+    """That `score --recheck` scored the predictions again and found the same rows."""
+
+    date: str = Field(
+        description="when, in UTC", json_schema_extra={"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}
+    )
+    package_version: str = Field(description="of the kinectbench that rechecked")
+    table_sha256: Sha256 = Field(
+        description="of all that was found equal: rows, settings, thresholds, hashes of truth and predictions"
+    )
+    predictions_sha256: Sha256 = Field(description="of the names and hashes of the predictions' files")
+
+    @property
+    def words(self) -> str:
+        """`verified 2026-11-25, kinectbench 0.1.0`."""
+        return f"verified {self.date}, kinectbench {self.package_version}"

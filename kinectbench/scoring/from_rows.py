@@ -1,0 +1,117 @@
+"""What follows from the rows of a table: averages, curves, extremes, notes. Nothing else computes them.
+
+`score` fills a table with it, and whatever reads a table computes it anew: what a file states beside its rows
+is held against that, and a file that states something else is refused.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.score_figures import ScoreRow
+from kinectbench.core.artefacts.scores import (
+    BaseRate,
+    CategoryAverages,
+    Extremes,
+    OverallAverages,
+)
+from kinectbench.scoring.averages import (
+    ObjectMeans,
+    ObjectQuality,
+    category_averages,
+    curves,
+    extremes,
+    object_means,
+    overall_averages,
+)
+from kinectbench.scoring.uncertainty import MIN_OBJECTS
+
+
+@dataclass(frozen=True)
+class FromRows:
+    """The fields of a `ScoreTable` that follow from its rows; None where it is not complete."""
+
+    by_category: dict[str, dict[str, CategoryAverages]] | None
+    overall: dict[str, OverallAverages] | None
+    truth_unknown_share: dict[str, float]
+    all_unknown_pairs: dict[str, tuple[str, ...]]
+    notes: tuple[str, ...]
+    extremes: dict[str, Extremes]
+    iou_by_threshold: dict[str, dict[str, list[float]]] | None
+
+
+def from_rows(
+    rows: Sequence[ScoreRow],
+    protocols: Sequence[str],
+    rates: Mapping[str, BaseRate],
+    quality: Mapping[str, QualityFile],
+    complete: bool,
+) -> FromRows:
+    """Compute what follows from the rows.
+
+    An average over a part of the pairs would flatter, so there is none.
+
+    Args:
+        rows: of a table.
+        protocols: that were scored.
+        rates: base rate by category.
+        quality: of the truth of each recording.
+        complete: whether every pair was scored.
+    """
+    left_out = {
+        name: tuple(row.pair for row in rows if row.protocol == name and row.iou is None)
+        for name in dict.fromkeys((*protocols, *(row.protocol for row in rows)))
+    }
+    means = object_means(rows, left_out)
+    objects = _by_object(rows, quality)
+    by_category = category_averages(means, rates, objects) if complete else None
+    return FromRows(
+        by_category=by_category,
+        overall=None if by_category is None else overall_averages(by_category, means),
+        truth_unknown_share={
+            name: of.unknown_share for name, of in sorted(objects.items()) if of.unknown_share is not None
+        },
+        all_unknown_pairs=left_out,
+        notes=tuple(_few_objects(rows, means)),
+        extremes=extremes(rows),
+        iou_by_threshold=curves(rows, protocols) if complete else None,
+    )
+
+
+def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
+    """{object: the figures of its truth that averages show}: means over recordings, and over pairs."""
+    of_object: dict[str, list[ScoreRow]] = {}
+    for row in rows:
+        of_object.setdefault(row.object, []).append(row)
+    found = {}
+    for name, here in of_object.items():
+        parts = [quality.get(recording, QualityFile()) for recording in sorted({r.recording for r in here})]
+        shares = {row.pair: row.unknown_share for row in here}  # every protocol's row says the same
+        known = [share for share in shares.values() if share is not None]
+        found[name] = ObjectQuality(
+            here[0].category,
+            estimated_iou=_mean([part.estimated_iou for part in parts]),
+            estimated_iou_low=_mean([part.estimated_iou_low for part in parts]),
+            estimated_iou_high=_mean([part.estimated_iou_high for part in parts]),
+            repeatability_iou=_mean([part.repeatability_iou for part in parts]),
+            unknown_share=fmean(known) if len(known) == len(shares) else None,
+        )
+    return found
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """The mean of a figure; None if one of them is not known."""
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if len(known) == len(values) else None
+
+
+def _few_objects(rows: Sequence[ScoreRow], means: Mapping[str, Mapping[str, ObjectMeans]]) -> list[str]:
+    """A line that names the categories that are too few for an interval, under a protocol at least."""
+    few = []
+    for name in sorted({row.category for row in rows}):
+        least = min(len(of[name].names) if name in of else 0 for of in means.values())
+        few += [f"{name} ({least})"] if least < MIN_OBJECTS else []
+    if not few:
+        return []
+    return [f"no intervals with fewer than {MIN_OBJECTS} objects in a category: {', '.join(few)}"]

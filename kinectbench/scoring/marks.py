@@ -1,0 +1,67 @@
+"""What to know of a table before its numbers are believed: one short mark for each thing."""
+
+from collections.abc import Sequence
+
+from kinectbench.core.artefacts import score_marks as kinds
+from kinectbench.core.artefacts.score_marks import Mark
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.scoring.references import BASELINE_NAMES
+from kinectbench.scoring.thresholds import FIXED, FROM_FILE
+
+
+def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
+    """The marks that follow from what a table says of its making; older tables say less.
+
+    Args:
+        table: its own `marks` are not looked at.
+    """
+    found: list[tuple[kinds.Kind, str]] = [
+        (kinds.BASELINE, _baseline(table)),
+        (kinds.MISSING_AS_EMPTY, _missing(table)),
+        (kinds.VALIDATION_PARTIAL, _validation(table)),
+        (kinds.THRESHOLDS_FIXED, _fixed(table)),
+        (kinds.THRESHOLDS_UNCHECKED, _unchecked(table)),
+    ]
+    return tuple(Mark(kind=kind, words=words) for kind, words in found if words)
+
+
+def _baseline(table: ScoreTable) -> str:
+    """By its name: the names of the baselines are theirs, so that a file of their predictions is known."""
+    return "baseline" if table.baseline or table.method in BASELINE_NAMES else ""
+
+
+def _missing(table: ScoreTable) -> str:
+    """Test pairs that were not predicted and are scored as empty grids."""
+    test = {row.pair: row.cells for row in table.rows}
+    missing = [name for name, cells in test.items() if not cells]
+    return f"{len(missing)} of {len(test)} missing, scored as empty" if missing else ""
+
+
+def _validation(table: ScoreTable) -> str:
+    """A part of the validation split that was not predicted."""
+    use = table.validation
+    if use is None or use.predicted >= use.pairs:
+        return ""
+    return f"{use.predicted} of {use.pairs} validation pairs predicted"
+
+
+def _fixed(table: ScoreTable) -> str:
+    """Categories whose threshold was neither searched nor given."""
+    sources = table.threshold_source_by_category
+    names = [name for name, source in sorted(sources.items()) if source == "fixed"]
+    if table.threshold_source == "fixed" and len(names) == len(sources):
+        return f"thresholds fixed at {FIXED}"
+    return f"threshold fixed at {FIXED}: {_listed(names)}" if names else ""
+
+
+def _unchecked(table: ScoreTable) -> str:
+    """Thresholds of a file that cannot be held against the test split."""
+    if not table.threshold_source.startswith(FROM_FILE) or table.threshold_objects is not None:
+        return ""
+    return "thresholds from a file that names no objects"
+
+
+def _listed(names: Sequence[str], at_most: int = 3) -> str:
+    """Some names, and how many more there are."""
+    more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
+    return ", ".join(names[:at_most]) + more

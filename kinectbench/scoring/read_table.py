@@ -1,0 +1,177 @@
+"""Score tables that came from a file: read as rows, everything else computed anew and held against the file.
+
+A file can be wrong as a whole: whether its rows are those of any predictions only `recheck` can tell.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.artefacts.score_figures import ScoreRow
+from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
+from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.errors import StorageError
+from kinectbench.scoring.counts import THRESHOLDS
+from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.marks import marks_of
+
+# Sums in another order differ by 1e-15 of themselves; the least change that is shown is 1e-3.
+TOLERANCE = 1e-9
+# Another version of numpy may draw other samples: 10 000 resamples place an end to within 2.6 % of the
+# interval's width (measured with 100 000 draws of another seed).
+OF_BOOTSTRAP = 0.05
+NOTHING: tuple[Any, ...] = (None, [], (), {})
+# Notes and marks are sentences, which another version may word in another way: they are only made anew.
+FIGURES = [name for name in DERIVED if name not in ("notes", "marks")]
+
+
+def read_table(path: Path) -> ScoreTable:
+    """Read a score table; what follows from its rows is computed anew, `verified` is kept if it holds.
+
+    Raises:
+        StorageError: it is missing or damaged, its rows contradict each other, or what it states beside them
+            (averages, intervals, curves, extremes) does not follow from them. One line.
+    """
+    return recomputed(ScoreTable.read_file(path), str(path))
+
+
+def recomputed(table: ScoreTable, where: str) -> ScoreTable:
+    """The table that another one's rows make; errors as those of `read_table`, beginning with `where`."""
+    problem = next(_contradictions(table), None)
+    if problem is None:
+        complete = not table.failures and bool(table.complete or table.overall or table.by_category)
+        derived = from_rows(
+            table.rows, table.settings.protocols, table.base_rate, table.truth_quality, complete
+        )
+        values = {name: getattr(derived, name) for name in vars(derived)} | {"marks": marks_of(table)}
+        if values["iou_by_threshold"] is None:  # rows of older tables have no curves
+            values["iou_by_threshold"] = table.iou_by_threshold
+            problem = next(_off_the_curve(table, values["by_category"] or {}), None)
+        problem = problem or next(_differences(table, values), None)
+    if problem is not None:
+        raise StorageError(f"{where}: {problem}; {ScoreTable.ADVICE}")
+    holds = table.verified is not None and (
+        table.verified.table_sha256 == table.facts_sha256()
+        and table.verified.predictions_sha256 == table.predictions_sha256()
+    )
+    return table.model_copy(update=values | ({} if holds else {"verified": None}))
+
+
+def _contradictions(table: ScoreTable) -> Iterator[str]:
+    """What is wrong with the rows themselves."""
+    thing: dict[str, tuple[str, str]] = {}
+    pairs: dict[str, set[str]] = {}
+    for row in table.rows:
+        of, here = f"the row of {row.pair} under {row.protocol}", pairs.setdefault(row.protocol, set())
+        if row.pair in here:
+            yield f"{of} stands there twice"
+        here.add(row.pair)
+        if thing.setdefault(row.pair, (row.object, row.category)) != (row.object, row.category):
+            yield f"{of} is of another object or category than under another protocol"
+        if table.thresholds.get(row.category, row.threshold) != row.threshold:
+            yield f"{of} has the threshold {row.threshold:g}, its category {table.thresholds[row.category]:g}"
+        yield from (f"{of} {words}" for words in _beside_its_curve(row))
+    if any(of != pairs[table.rows[0].protocol] for of in pairs.values()):
+        yield "its protocols are of different pairs"
+    if table.complete and table.failures:
+        yield f"it is called complete, but {len(table.failures)} predictions failed"
+    if not table.rows and (table.overall or table.by_category):
+        yield "it states averages, but holds no rows"
+
+
+def _beside_its_curve(row: ScoreRow) -> Iterator[str]:
+    """A row whose IoU is not that of its own curve at its threshold."""
+    curve = row.iou_by_threshold
+    if curve is None:
+        return
+    if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
+        yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
+    elif not _close(of := curve[THRESHOLDS.index(row.threshold)], row.iou):
+        yield f"states an IoU of {_short(row.iou)}, and {_short(of)} at its threshold"
+
+
+def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Any]) -> Iterator[str]:
+    """Curves of an older table that do not go through the score at the threshold that was used."""
+    for protocol, curves in (table.iou_by_threshold or {}).items():
+        for category, curve in curves.items():
+            used = table.thresholds.get(category)
+            mean = by_category.get(protocol, {}).get(category)
+            if mean is None or mean.iou is None or used not in THRESHOLDS or len(curve) != len(THRESHOLDS):
+                yield f"'iou_by_threshold.{protocol}.{category}' belongs to no rows"
+            elif not _close(curve[THRESHOLDS.index(used)], mean.iou):
+                yield f"'iou_by_threshold.{protocol}.{category}' does not go through the mean of the rows"
+
+
+def _differences(table: ScoreTable, computed: Mapping[str, Any]) -> Iterator[str]:
+    """What the file states that does not follow from its rows; what it does not state is no difference."""
+    for name in FIGURES:
+        if name in table.model_fields_set:
+            yield from differing(getattr(table, name), computed[name], name)
+
+
+def differing(stated: Any, computed: Any, key: str, whole: bool = False) -> Iterator[str]:
+    """The keys at which a stated value differs from the computed one beyond rounding, in a sentence each.
+
+    Args:
+        stated: numbers, text, lists, mappings, models or dataclasses of these.
+        computed: likewise.
+        key: where they stand, "" at the top.
+        whole: whether what is not stated (None) differs from what is computed, too.
+    """
+    stated, computed = _plain(stated), _plain(computed)
+    if stated is None and not whole:
+        return
+    if isinstance(stated, Mapping) and isinstance(computed, Mapping | None):
+        computed = computed or {}
+        for name in dict.fromkeys((*stated, *(computed if whole else ()))):
+            one, other, at = stated.get(name), computed.get(name), _below(key, name)
+            if name == "intervals" and key.startswith("overall."):
+                yield from _bootstrapped(one or {}, other or {}, at)
+            else:
+                yield from differing(one, other, at, whole)
+    elif _is_list(stated) and _is_list(computed) and len(stated) == len(computed):
+        for index, (one, other) in enumerate(zip(stated, computed, strict=True)):
+            yield from differing(one, other, _below(key, index), whole)
+    elif not _close(stated, computed) and not (stated in NOTHING and computed in NOTHING):
+        yield f"'{key}' states {_short(stated)}, but it is {_short(computed)}"
+
+
+def _bootstrapped(stated: Mapping[str, Any], computed: Mapping[str, Any], key: str) -> Iterator[str]:
+    """Intervals that were drawn: their ends may differ by a small part of their width."""
+    for name, ends in stated.items():
+        of = computed.get(name)
+        near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE
+        if ends is not None and not (of and all(abs(a - b) <= near for a, b in zip(ends, of, strict=True))):
+            yield f"'{key}.{name}' states {_short(ends)}, but it is {_short(of)}"
+
+
+def _below(key: str, name: object) -> str:
+    return f"{key}.{name}" if key else str(name)
+
+
+def _plain(value: Any) -> Any:
+    """A model or dataclass as a mapping; anything else as it is."""
+    if isinstance(value, Part):
+        return value.json_value()
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _close(one: Any, other: Any) -> bool:
+    """Whether two values are the same but for rounding."""
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+    return bool(one == other)
+
+
+def _short(value: Any) -> str:
+    """A value in a few characters, without what a stranger may have hidden in it."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,157 @@
+"""Score predictions again and hold a score table against them, row by row."""
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.score_marks import Verified
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import sha256_file
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
+from kinectbench.engine.artefact import VERSIONS
+from kinectbench.release.release import Release
+from kinectbench.scoring.compare import read_named
+from kinectbench.scoring.predictions import split_methods
+from kinectbench.scoring.read_table import differing
+from kinectbench.scoring.score import check_missing, score
+from kinectbench.scoring.thresholds import FROM_FILE
+
+# What a recheck does not compare: who counted, whose name it is, and words.
+NOT_COMPARED = {"method", "package_version", "rows", "warnings", "hashes", "settings", "baseline", "verified"}
+
+
+def recheck(
+    release: Release,
+    path: Path,
+    predictions: Path,
+    *,
+    thresholds_file: Path | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Score predictions as a table says that they were, and compare all that it states with what comes out.
+
+    If all is the same, `verified` is written into the table, bound to its rows and settings and to the
+    predictions' hashes; if not, the table is left as it is.
+
+    Args:
+        release: the truth.
+        path: the scores.json.
+        predictions: one method's folder.
+        thresholds_file: the file that the thresholds are from, if they are from one.
+        jobs: number of processes.
+        progress: called with (pairs done, pairs in all).
+
+    Returns:
+        One line for each difference; none if the table is verified.
+
+    Raises:
+        SettingsError: the table is damaged or contradicts itself, is of another truth or version, or its
+            thresholds are from a file that is not given.
+        PredictionError, ReleaseError, StorageError: as those of `score`, and of writing the table.
+    """
+    stated = read_named(path)
+    folder = _folder(release, stated, path, predictions)
+    _same_thresholds_file(stated, path, thresholds_file)
+    found = score(
+        release,
+        folder,
+        method=stated.method,
+        protocols=stated.settings.protocols,
+        thresholds_file=thresholds_file,
+        missing=check_missing(stated.settings.missing or "error"),
+        upsampling=_upsampling(stated, path),
+        surface=bool(stated.settings.surface_metrics),
+        jobs=jobs,
+        progress=progress,
+    )
+    differences = list(_differences(stated, found))
+    if not differences:
+        _verified(stated, found).write(path.parent, path.name)
+    return differences
+
+
+def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path) -> Path:
+    """The folder of the one method that is rechecked; refuse a table that cannot be."""
+    if stated.benchmark_sha256 != release.benchmark_sha256:
+        raise SettingsError(
+            f"{path}: scored against benchmark {stated.benchmark_sha256[:12]}, this is "
+            f"{release.benchmark_sha256[:12]}; name its own with --benchmark"
+        )
+    if stated.score_version != VERSIONS["score"]:
+        raise SettingsError(
+            f"{path}: counted by score version {stated.score_version}, this is version {VERSIONS['score']}; "
+            "recheck it with the kinectbench that it names, or score again"
+        )
+    methods = split_methods(predictions, release.targets)
+    if len(methods) == 1:
+        return next(iter(methods.values()))
+    if stated.method in methods:
+        return methods[stated.method]
+    raise SettingsError(f"{predictions}: holds {len(methods)} methods; name the folder of {stated.method!r}")
+
+
+def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) -> None:
+    """Refuse another file of thresholds than the one that the table was made with."""
+    source = stated.threshold_source
+    if given is None and source.startswith(FROM_FILE):
+        raise SettingsError(f"{path}: its thresholds are from a file ({source[:17]}); give it: --thresholds")
+    if given is not None:
+        if not given.is_file():
+            raise SettingsError(f"{given}: no such file")
+        if source != f"{FROM_FILE}{sha256_file(given)}":
+            raise SettingsError(f"{given}: not the file of the thresholds of {path} ({source[:17]})")
+
+
+def _upsampling(stated: ScoreTable, path: Path) -> str:
+    """The convention that a table's words name."""
+    words = (stated.settings.upsampling or HALF_PIXEL).replace(",", "").split()
+    names = [name for name in CONVENTIONS if name in words]
+    if len(names) != 1:
+        raise SettingsError(f"{path}: its upsampling is not one of {', '.join(CONVENTIONS)}; score again")
+    return names[0]
+
+
+def _differences(stated: ScoreTable, found: ScoreTable) -> Iterator[str]:
+    """All that a table states and the predictions do not give, rows first."""
+    rows = {(row.pair, row.protocol): row for row in stated.rows}
+    again = {(row.pair, row.protocol): row for row in found.rows}
+    for pair, protocol in sorted(rows.keys() | again.keys()):
+        of = f"{pair} under {protocol}"
+        one, other = rows.get((pair, protocol)), again.get((pair, protocol))
+        if one is None or other is None:
+            yield f"{of}: {'not in the table' if one is None else 'its prediction cannot be scored'}"
+        else:
+            yield from (f"{of}: {line}" for line in list(differing(one, other, "", whole=True))[:1])
+    for name in sorted(stated.hashes.keys() | found.hashes.keys()):
+        here, there = stated.hashes.get(name), found.hashes.get(name)
+        if here is None or there is None:
+            yield f"{name}: {'not in the table' if here is None else 'its prediction cannot be scored'}"
+        elif here.truth != there.truth or here.prediction not in (None, there.prediction):
+            yield f"{name}: another file than the one that was scored"
+    yield from _beyond_the_rows(stated.json_value(), found.json_value())
+
+
+def _beyond_the_rows(stated: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[str]:
+    """Differences in thresholds, base rates, failures, settings and whatever else a table states."""
+    settings = stated.get("settings", {})
+    for key in sorted((stated.keys() | found.keys()) - NOT_COMPARED):
+        yield from differing(stated.get(key), found.get(key), key, whole=True)
+    for key in sorted((settings.keys() | found["settings"].keys()) - {"baseline_version"}):
+        yield from differing(settings.get(key), found["settings"].get(key), f"settings.{key}", whole=True)
+
+
+def _verified(stated: ScoreTable, found: ScoreTable) -> ScoreTable:
+    """The table with the mark; it gets the hashes of predictions that it did not have."""
+    table = stated.model_copy(update={"hashes": found.hashes, "verified": None})
+    mark = Verified(
+        date=datetime.now(UTC).date().isoformat(),
+        package_version=__version__,
+        table_sha256=table.facts_sha256(),
+        predictions_sha256=table.predictions_sha256(),
+    )
+    return table.model_copy(update={"verified": mark})
