@@ -66,7 +66,7 @@ def changed(net: Path, out: Path, change: Callable[[dict[str, Any]], None]) -> P
     """A scores.json that somebody edited."""
     content = json.loads((net / "scores" / "scores.json").read_text())
     change(content)
-    out.write_text(json.dumps(content))
+    out.write_text(json.dumps(content), encoding="utf-8")
     return out
 
 
