@@ -86,15 +86,13 @@ def score(
     outcomes = validation | run.count({t: file for t, file in files.items() if t.split == "test"}, thresholds)
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
-    rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
-    empty = [target for target, file in files.items() if file is None]
-    settings = describe(counting, missing)
-    table = make_table(release, method, results, thresholds, rates, failures, settings, empty)
-    stray = stray_lines(found.stray, found.missing)
-    table = table.model_copy(update={"warnings": (*table.warnings, *stray)})
+    rates = base_rates(release, jobs, {t: result.tally for t, result in results.items()})
+    empty, how = [t for t, file in files.items() if file is None], describe(counting, missing)
+    table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
         journal.remove()
-    return table
+    stray = stray_lines(found.stray, found.missing)
+    return table.model_copy(update={"warnings": (*table.warnings, *stray)})
 
 
 @dataclass
