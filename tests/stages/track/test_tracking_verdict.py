@@ -1,15 +1,22 @@
 """What is said of a trajectory for ground truth: recommendations, grades, and what limits them."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from analytic_scenes import health_of, ring
 from health_scenes import DISTANCE_M, check_of, closed, figures_of, sequence_at, tracked_of
+from tracking_scenes import chair_circle, errors_m
+from verdicts import GOOD_M
 
 from kinectbench.core.artefacts.trajectory import GivenFigures, LoopClosure, RejectedFrame
-from kinectbench.core.sequence import Sequence
+from kinectbench.core.sequence import GivenTrajectory, Sequence
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.track import track
 from kinectbench.stages.track.verdict import judge, recommend
+
+pytestmark = pytest.mark.xdist_group("tracking")
 
 
 @pytest.fixture(scope="module")
@@ -261,3 +268,40 @@ def test_only_what_limits_is_named() -> None:
     assert verdict == (
         "not good for ground truth: held-out depth is off by 14.0 mm, 3.5 times the sensor's noise"
     )
+
+
+# --- grades beside an error that is known
+
+ALONG = np.linspace(0, 1, 48)[:, None] * np.array([1.0, 0.0, 0.0])
+
+
+def walked(off_m: float | None) -> Sequence:
+    """A circle around a chair with its true poses, which drift by so much until its end; None: without."""
+    furniture = chair_circle()
+    T_given = furniture.simulation.T_world_camera.copy()
+    T_given[:, :3, 3] += (off_m or 0.0) * ALONG
+    stamps_ns = furniture.sequence.stamps_ns
+    given = None if off_m is None else GivenTrajectory(stamps_ns, T_given)
+    return replace(furniture.sequence, given_trajectory=given)
+
+
+@pytest.mark.parametrize(
+    ("off_m", "mode", "grade"),
+    [
+        (0.0, "trust", "good"),
+        (None, "ignore", "good"),
+        (0.06, "refine", "good"),
+        (0.06, "trust", "not good"),
+        (0.25, "trust", "not good"),
+    ],
+)
+def test_a_grade_is_worth_what_is_known_of_the_error(off_m: float | None, mode: str, grade: str) -> None:
+    """Good poses are within 10 mm of the truth and others are not, as `benchmarks/verdicts.py` counts it."""
+    found = track(walked(off_m), mode, TrackingSettings())
+    assert found.health is not None and found.health.grade == grade
+    error_m = errors_m(found.T_world_camera, chair_circle().simulation.T_world_camera)
+    ate_m = float(np.sqrt(np.mean(error_m**2)))
+    assert (ate_m <= GOOD_M) == (grade == "good"), ate_m
+    # No length is promised: what agrees within millimetres is told behind the colon, as a figure.
+    promised, colon, figures = found.health.verdict.partition(": ")
+    assert promised == f"{grade} for ground truth" and colon and figures
