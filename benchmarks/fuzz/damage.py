@@ -1,16 +1,11 @@
-"""Ways to damage a file or a folder, drawn at random: bytes, words, values, and what lies in its place."""
+"""Ways to damage what a file holds, drawn at random: bytes, words, values, and what is packed in it."""
 
 import csv
 import io
 import json
-import os
 import re
-import shutil
-import socket
 import struct
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -30,39 +25,9 @@ VALUES: tuple[Any, ...] = (
     *("/etc/passwd", [[]], [0] * 10000, "x" * 5000, "a\nb\x1b[2J", {"a": {"b": [1]}}, [None], [[0, 1], [2]]),
     "9" * 40,
 )  # fmt: skip
-NUMBERS = (
-    0,
-    1,
-    2,
-    0x7F,
-    0x80,
-    0xFF,
-    0x7FFF,
-    0xFFFF,
-    2**31 - 1,
-    2**31,
-    2**32 - 1,
-    2**62,
-    2**63 - 1,
-    2**64 - 1,
-)
-NAMES = (
-    "a\nb",
-    "\x1b[2Jx",
-    "-rf",
-    "x" * 200,
-    "index.html",
-    ".hidden",
-    "ä ö",
-    "a,b",
-    "=1+1",
-    "con",
-    "x.png",
-    "'\"",
-)
+NUMBERS = tuple(n - d for n in (1, 2**7, 2**8, 2**15, 2**16, 2**31, 2**32, 2**63, 2**64) for d in (0, 1))
 TEXT_BYTES = 1 << 20
 DEEP = 100_000
-MANY = 2000
 
 
 def of_bytes(draw: Random, content: bytes) -> tuple[bytes, str]:
@@ -196,23 +161,39 @@ def of_csv(draw: Random, content: bytes) -> tuple[bytes, str]:
     return text.getvalue().encode(errors="replace"), f"{kind} {row},{column}"
 
 
+def of_obj(draw: Random, content: bytes) -> tuple[bytes, str]:
+    """More groups, materials, corners of a face, faces or vertices than an object has."""
+    count = draw.choice((3, 1000, 50_000))
+    kind = draw.choice(("usemtl", "group", "polygon", "lines", "faces", "far", "numbers"))
+    more = {
+        "usemtl": lambda: "".join(f"usemtl m{n}\nf 1 2 4\n" for n in range(count)),
+        "group": lambda: "".join(f"{draw.choice('osg')} g{n}\nf 1 2 3\n" for n in range(count)),
+        "polygon": lambda: "f " + " ".join(str(1 + n % 8) for n in range(10 * count)) + "\n",
+        "lines": lambda: "".join(f"{draw.choice(('vn', 'vt', 'l', 'p', 'x'))} 1 2 3\n" for _ in range(count)),
+        "faces": lambda: "f 1 2 3\n" * count,
+        "far": lambda: f"f 1 2 {draw.choice((-1, 0, 9, 10**9, 10**30))}\n",
+        "numbers": lambda: f"v {draw.choice(WORDS[:12])} 1e30 -1e30\nf 1 2 9\n",
+    }[kind]()
+    return content + more.encode(errors="replace"), f"obj {kind} {count}"
+
+
+Way = Callable[[Random, bytes], tuple[bytes, str]]
+# By how a name ends; other texts are damaged as such.
+WAYS: dict[str, Way] = {"json": of_json, "csv": of_csv, "cff": of_text, "obj": of_obj}
+
+
 def of_content(draw: Random, name: str, content: bytes, depth: int = 0) -> tuple[bytes, str]:
     """A file's content damaged in a way of its kind, or as plain bytes."""
     if draw.random() < 0.2:
         return of_bytes(draw, content)
     suffix = name.rpartition(".")[2].lower()
-    ways: dict[str, Callable[[Random, bytes], tuple[bytes, str]]] = {
-        "json": of_json,
-        "csv": of_csv,
-        "cff": of_text,
-    }
     try:
         if suffix in OPENERS and depth < 2 and draw.random() < 0.8:
             return OPENERS[suffix](
                 draw, content, lambda inner, data: of_content(draw, inner, data, depth + 1)
             )
-        if suffix in ways and draw.random() < 0.7:
-            return ways[suffix](draw, content)
+        if suffix in WAYS and draw.random() < 0.7:
+            return WAYS[suffix](draw, content)
     except Exception:  # of any library that opens it: it is damaged already
         return of_bytes(draw, content)
     sample = content[:4096]
@@ -223,137 +204,3 @@ def of_content(draw: Random, name: str, content: bytes, depth: int = 0) -> tuple
 
 def _binary(sample: bytes) -> bool:
     return sum(byte >= 0x80 or byte < 9 for byte in sample) > len(sample) / 5
-
-
-def put(path: Path, content: bytes) -> None:
-    """Write a file anew: the one that was there may be the corpus's."""
-    path.unlink()
-    path.write_bytes(content)
-
-
-def of_place(draw: Random, path: Path, root: Path) -> str:
-    """Something else in a file's place, or beside it."""
-    kind = draw.choice(tuple(PLACES))
-    try:
-        PLACES[kind](draw, path, root)
-    except OSError as error:
-        return f"{kind}, not done: {error.strerror}"
-    return kind
-
-
-def _without(path: Path) -> Path:
-    path.unlink()
-    return path
-
-
-def _renamed(draw: Random, path: Path, root: Path) -> None:
-    del root
-    path.rename(path.with_name(draw.choice(NAMES) + draw.choice(("", path.suffix))))
-
-
-def _doubled(draw: Random, path: Path, root: Path) -> None:
-    del root
-    shutil.copy(path, path.with_name(draw.choice((*NAMES, f"0{path.name}", path.name.upper()))))
-
-
-def _socket(draw: Random, path: Path, root: Path) -> None:
-    del draw, root
-    path.unlink()
-    with tempfile.TemporaryDirectory() as short:  # the names of sockets are short
-        with socket.socket(socket.AF_UNIX) as made:
-            made.bind(f"{short}/s")
-        Path(short, "s").rename(path)
-
-
-def _oversized(draw: Random, path: Path, root: Path) -> None:
-    del root
-    content = path.read_bytes()
-    put(path, content)
-    os.truncate(path, draw.choice((300 << 20, 3 << 30, 1 << 40)))
-
-
-def _outside(draw: Random, path: Path, root: Path) -> None:
-    elsewhere = root.parent / f"elsewhere{path.suffix}"
-    path.rename(elsewhere)
-    path.symlink_to(draw.choice((str(elsewhere), os.path.relpath(elsewhere, path.parent))))
-
-
-def _many(draw: Random, path: Path, root: Path) -> None:
-    del root
-    for number in range(MANY):
-        other = path.with_name(f"{number:06d}{draw.choice((path.suffix, '.x'))}")
-        if not other.exists():
-            os.link(path, other)
-
-
-def _deep(draw: Random, path: Path, root: Path) -> None:
-    del draw, root
-    folder = path.parent
-    for _ in range(100):
-        folder = folder / "d"
-    folder.mkdir(parents=True)
-    (folder / path.name).write_bytes(b"x")
-
-
-PLACES: dict[str, Callable[[Random, Path, Path], object]] = {
-    "no file": lambda draw, path, root: path.unlink(),
-    "an empty file": lambda draw, path, root: put(path, b""),
-    "a pipe": lambda draw, path, root: os.mkfifo(_without(path)),
-    "a pipe beside it": lambda draw, path, root: os.mkfifo(path.with_name(f"x{path.suffix}")),
-    "a socket": _socket,
-    "a folder": lambda draw, path, root: _without(path).mkdir(),
-    "a link to a device": lambda draw, path, root: _without(path).symlink_to(
-        draw.choice(("/dev/zero", "/dev/tty"))
-    ),
-    "a link to a device beside it": lambda draw, path, root: path.with_name(f"x{path.suffix}").symlink_to(
-        "/dev/zero"
-    ),
-    "a link to itself": lambda draw, path, root: _without(path).symlink_to(path.name),
-    "a link to everything": lambda draw, path, root: path.with_name("x").symlink_to(
-        draw.choice(("/", "..", "/proc"))
-    ),
-    "a link to nothing": lambda draw, path, root: _without(path).symlink_to("nowhere"),
-    "a link out": _outside,
-    "a huge file": _oversized,
-    "another name": _renamed,
-    "a second one": _doubled,
-    "many more": _many,
-    "a deep folder": _deep,
-}
-
-
-def of_folder(draw: Random, root: Path, by_place: float = 0.2) -> list[str]:
-    """One to three damages of a folder's files; each kind of file is as likely as another.
-
-    Args:
-        draw: of random numbers.
-        root: the folder, or a file.
-        by_place: the share of damages that put something else in a file's place.
-
-    Returns:
-        What was done, in words.
-    """
-    story = []
-    for _ in range(draw.choice((1, 1, 1, 2, 3))):
-        path = any_file(draw, root)
-        if path is None:
-            break
-        name = path.relative_to(root.parent).as_posix()
-        if draw.random() < by_place:
-            story.append(f"{name}: {of_place(draw, path, root)}")
-        else:
-            content, said = of_content(draw, path.name, path.read_bytes())
-            put(path, content)
-            story.append(f"{name}: {said}")
-    return story
-
-
-def any_file(draw: Random, root: Path) -> Path | None:
-    """A file below a folder: first one of its kinds is drawn, then one of these."""
-    if root.is_file():
-        return root
-    kinds: dict[tuple[str, str], list[Path]] = {}
-    for path in sorted(root.rglob("*")):
-        if path.is_file() and not path.is_symlink() and path.stat().st_size < TEXT_BYTES * 64:
-            kinds.setdefault((path.parent.name, path.suffix or path.name), []).append(path)
-    return draw.choice(kinds[draw.choice(sorted(kinds))]) if kinds else None

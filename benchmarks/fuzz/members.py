@@ -5,6 +5,7 @@ import re
 import sqlite3
 import struct
 import tempfile
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -91,7 +92,8 @@ def of_zip(draw: Random, content: bytes, inner: Inner) -> tuple[bytes, str]:
 def _zip(members: list[tuple[str, bytes]], packing: int, draw: Random, at: int | None, kind: str) -> bytes:
     """An archive; the member `at` claims another size, or swells."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", packing) as archive:
+    with zipfile.ZipFile(buffer, "w", packing) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a name may be there twice
         for number, (name, data) in enumerate(members):
             info = zipfile.ZipInfo(name.replace("\0", "?"))
             info.compress_type = packing

@@ -7,8 +7,8 @@ from random import Random
 
 import numpy as np
 
-from fuzz.damage import of_folder
 from fuzz.engine import Command, Damaged, Fuzzer
+from fuzz.places import of_folder
 from fuzz.releases import ON_RELEASE, PREDICTIONS, RELEASE, SCORE, WANTED, make_release
 
 CHECK = ("check", PREDICTIONS, *ON_RELEASE)

@@ -8,8 +8,9 @@ from random import Random
 
 import numpy as np
 
-from fuzz.damage import of_content, of_folder
+from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer
+from fuzz.places import of_folder
 from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
 

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from fuzz.damage import of_content, of_folder, put
+from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer
+from fuzz.places import of_folder, put
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 # One test pair, one of validation.

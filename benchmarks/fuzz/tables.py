@@ -3,8 +3,9 @@
 from pathlib import Path
 from random import Random
 
-from fuzz.damage import of_content, of_place, put
+from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer
+from fuzz.places import of_place, put
 from fuzz.releases import ON_RELEASE, PREDICTIONS, RELEASE, SCORE, make_release, seal
 
 THRESHOLDS = "thresholds.json"

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fuzz.damage import PLACES, of_content, of_folder, of_place
+from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer, Worker, again, fuzz, plant
+from fuzz.places import PLACES, of_folder, of_place
 
 from kinectbench.cli import console
 
