@@ -11,6 +11,7 @@ import resource
 import signal
 import sys
 import traceback
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -168,8 +169,8 @@ def _judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
         return f"exit status {status}", ""
     if _long:
         return "several lines for one message", repr(_long[0][:300])
-    for line in (out + err).decode(errors="replace").splitlines():
-        if not line.isprintable():
+    for line in (out + err).decode(errors="replace").split("\n"):
+        if any(unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" for c in line):
             return "control characters", repr(line[:300])
         if len(line) > LONGEST_LINE:
             return f"a line of more than {LONGEST_LINE} characters", line[:100]
