@@ -284,7 +284,9 @@ def _methods(
     methods = split_methods(predictions, release.targets)
     for option, value in (("--method names", method), ("--save-thresholds is of", save_thresholds)):
         if value is not None and len(methods) > 1:
-            raise SettingsError(f"{option} one method, but {predictions} holds {len(methods)}")
+            raise SettingsError(
+                f"{option} one method, but {predictions} holds {len(methods)}: name the folder of one of them"
+            )
     named = methods if method is None else dict(zip([method], methods.values(), strict=True))
     for name in named:
         check_method(name)
