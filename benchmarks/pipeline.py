@@ -1,8 +1,8 @@
 """One recording from its frames to its pairs, stage by stage, beside the time that the camera took.
 
 Without RECORDING, 1000 frames of 640x480 around a simulated chair are made first, without poses. They are
-built with as many threads as there are cores, and with one: both must write the same bytes. The bar is for
-two idle cores.
+built with as many threads as there are cores (eight at most, as `build` takes them), and with one: both must
+write the same bytes. The bar is for two idle cores.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from builds import CORES, run_on_build
 from figures import Figure, arguments, at_most, equals, told
 
 from kinectbench.core.threads import using_threads
+from kinectbench.engine.parallel import MOST_THREADS
 from kinectbench.engine.pipeline import build_recording
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.lab.simulate.presets import preset_spec
@@ -23,6 +24,7 @@ from kinectbench.stages.ingest.readers import open_recording
 
 FRAMES, VIEWS, SEED = 1000, 50, 31
 BAR_S = 75.0
+THREADS = min(CORES, MOST_THREADS)
 # What tells the time that a run took.
 NOT_COMPARED = frozenset({"timing.json", "sources.json", ".lock"})
 
@@ -74,7 +76,7 @@ def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
     size = f"{len(opened)} frames of {opened.camera.width}x{opened.camera.height}"
     figures = [told("recording", size), told("the camera took, s", round(camera_s, 1))]
     digests = {}
-    for threads in sorted({CORES, 1}, reverse=True):
+    for threads in sorted({THREADS, 1}, reverse=True):
         rows, digests[threads] = measured(recording, root, threads)
         for name, wall_s, cpu_s in rows:
             figures.append(told(f"{name}, {threads} threads", f"{wall_s:.1f} s, {cpu_s:.1f} CPU s"))
@@ -82,7 +84,7 @@ def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
         figures.append(told(f"CPU s in all, {threads} threads", round(cpu_s, 1)))
         figures.append(told(f"times the camera's, {threads} threads", round(whole_s / camera_s, 2)))
         name = f"s in all, {threads} threads"
-        figures.append(at_most(name, round(whole_s, 1), BAR_S) if threads == CORES else told(name, whole_s))
+        figures.append(at_most(name, round(whole_s, 1), BAR_S) if threads == THREADS else told(name, whole_s))
     figures.append(equals("the same bytes, however many threads", len(set(digests.values())), 1))
     return figures
 
