@@ -91,13 +91,13 @@ def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
     _show_what_can_be_shown()
     with interrupts_remembered():
-        status, message = _run()
+        status, messages = _run()
     if status == INTERRUPTED:
         ignore_interrupts()  # a second one would interrupt the end
-    if message:
+    if messages:
         from kinectbench.cli import console
 
-        console.lines("error", [message], "red")
+        console.lines("error", messages, "red")
     if status == INTERRUPTED:
         # Libraries that were interrupted while they were imported complain at the end of Python, or end it
         # with a status of their own.
@@ -119,37 +119,37 @@ def _show_what_can_be_shown() -> None:
             stream.reconfigure(errors="replace")
 
 
-def _run() -> tuple[int, str]:
-    """Exit status and error line, if any; what fails after an interrupt has failed by it."""
+def _run() -> tuple[int, tuple[str, ...]]:
+    """Exit status and error lines, if any; what fails after an interrupt has failed by it."""
     try:
-        status, message = _call()
+        status, messages = _call()
         if status:
             check_interrupt()
     except KeyboardInterrupt:
         status = INTERRUPTED
     if status == INTERRUPTED:
-        message = "stopped; run the same command again to go on from here"
-    return status, message
+        messages = ("stopped; run the same command again to go on from here",)
+    return status, messages
 
 
-def _call() -> tuple[int, str]:
-    """Run the command that was given; exit status and error line, if any."""
+def _call() -> tuple[int, tuple[str, ...]]:
+    """Run the command that was given; exit status and error lines, if any."""
     try:
-        return app(standalone_mode=False) or 0, ""
+        return app(standalone_mode=False) or 0, ()
     except USAGE_ERRORS as error:
         return 2, _usage(error)
     except KinectBenchError as error:
-        return error.exit_status, str(error)
+        return error.exit_status, error.lines
     except Exception as error:
         check_interrupt()
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
-        return 1, internal_error(error)
+        return 1, (internal_error(error),)
 
 
-def _usage(error: Any) -> str:
+def _usage(error: Any) -> tuple[str, ...]:
     """One line about wrong usage; nothing but the help where no command was given."""
     if type(error).__name__ == "NoArgsIsHelpError":
-        return ""
+        return ()
     command = error.ctx.command_path if error.ctx else "kinectbench"
-    return f"{error.format_message().rstrip('.')}; see `{command} --help`"
+    return (f"{error.format_message().rstrip('.')}; see `{command} --help`",)

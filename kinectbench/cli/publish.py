@@ -70,6 +70,7 @@ def publish_options(
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
+    from kinectbench.core.untrusted import read_plain_text
     from kinectbench.scoring.thresholds import read_thresholds
 
     for split in hold_back:
@@ -81,7 +82,7 @@ def publish_options(
     test = [recording for recording in settings.recordings if recording.split == "test"]
     categories = sorted({recording.category for recording in test})
     read_thresholds(thresholds, categories, frozenset(recording.object_name for recording in test))
-    return PublishOptions(hold_back=hidden, thresholds=thresholds.read_text(encoding="utf-8"))
+    return PublishOptions(hold_back=hidden, thresholds=read_plain_text(thresholds))
 
 
 def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> None:

@@ -2,9 +2,20 @@
 
 
 class KinectBenchError(Exception):
-    """Base of all errors with a one-line message: what, where, what to do. The data cannot be used."""
+    """Base of all errors with a one-line message: what, where, what to do. The data cannot be used.
+
+    Several arguments are as many lines.
+    """
 
     exit_status = 1
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What is to be told, one line each."""
+        return tuple(map(str, self.args))
 
 
 class SettingsError(KinectBenchError):

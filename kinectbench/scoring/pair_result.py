@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.counted import JOURNAL, CountedPair, PairResult
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
+from kinectbench.core.untrusted import open_plain, read_plain_text
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
@@ -24,6 +25,8 @@ from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
 
 EMPTY_CELLS = 16
+# Some kilobytes for each pair.
+MOST_JOURNAL_BYTES = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def _blake3(path: Path) -> str:
 
     digest = blake3()
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             while chunk := file.read(1 << 20):
                 digest.update(chunk)
         return f"blake3:{digest.hexdigest()}"
@@ -163,7 +166,7 @@ def _read(path: Path) -> dict[str, CountedPair]:
     """The pairs by name; lines that were not written whole are left out."""
     found = {}
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_plain_text(path, MOST_JOURNAL_BYTES).splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
     for line in lines:

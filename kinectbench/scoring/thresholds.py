@@ -10,6 +10,7 @@ from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
+from kinectbench.core.untrusted import read_plain_text
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import ious
@@ -91,7 +92,7 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
             or it was found on an object of the test split.
     """
     try:
-        file = ThresholdsFile.parse(path.read_text(encoding="utf-8"), str(path))
+        file = ThresholdsFile.parse(read_plain_text(path), str(path))
     except FileNotFoundError as error:
         raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError, ReleaseError) as error:

@@ -9,9 +9,15 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable, read_plain_text
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
+
+# A hundred thousand recordings of ten lines each; libyaml reads as much in half a minute.
+MOST_BYTES = 32 << 20
+# Lines about what is wrong: of more than that one reason is usually behind all.
+SHOWN = 20
 
 
 def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettings:
@@ -50,19 +56,19 @@ def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> Be
 
 
 def _read(path: Path) -> str:
+    if path.is_dir():
+        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it")
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        return read_plain_text(path, MOST_BYTES)
     except FileNotFoundError:
         raise SettingsError(
             f"{path}: no such file; `kinectbench init FOLDER` writes one for the recordings in FOLDER"
         ) from None
-    except IsADirectoryError:
-        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it") from None
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         raise SettingsError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from None
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
@@ -103,33 +109,51 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
     try:
         return BenchmarkSettings.model_validate(values)
     except ValidationError as error:
-        found = [_error_line(root, values, each) for each in error.errors()]
-    # A vector of three wrong numbers is one error.
-    raise SettingsError("\n".join(dict.fromkeys(line for _, line in sorted(found))))
+        found = error.errors(include_url=False)
+    raise SettingsError(*_error_lines(root, values, found))
 
 
-def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails) -> tuple[tuple[bool, int], str]:
-    """Sort key and text of one of pydantic's errors."""
+def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[ErrorDetails]) -> list[str]:
+    """A line for each of the first errors in the file's order, and one for all the rest."""
+    known: yaml_nodes.Known = {}
+    anchors = [yaml_nodes.find(root, _location(error), known)[0] for error in errors]
+    first = sorted(range(len(errors)), key=lambda n: yaml_nodes.order(anchors[n]))[: 4 * SHOWN]
+    told = sorted((yaml_nodes.order(anchors[n]), _error_line(root, values, errors[n], known)) for n in first)
+    # A vector of three or four wrong numbers is one error.
+    lines = list(dict.fromkeys(line for _, line in told))
+    if rest := len(lines[SHOWN:]) + len(errors) - len(first):
+        lines[SHOWN:] = [f"{root.start_mark.name}: and {rest} more errors"]
+    return lines
+
+
+def _location(error: ErrorDetails) -> Location:
+    """Where the node of one of pydantic's errors is to be found."""
     location, kind = error["loc"], error["type"]
-    annotation, constraints, used = field_at(location)
+    if kind == "value_error":
+        return location or ("recordings", error["ctx"]["index"])
+    used = field_at(location)[2]
+    whole = kind == "extra_forbidden" or (kind == "missing" and used == len(location))
+    return location if whole else location[:used]
+
+
+def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, known: yaml_nodes.Known) -> str:
+    """One of pydantic's errors in plain words."""
+    location, kind = _location(error), error["type"]
+    annotation, constraints, used = field_at(error["loc"])
+    anchor, value = yaml_nodes.find(root, location, known)
     if kind == "extra_forbidden":
         what = f"unknown key; {_key_hint(str(location[-1]), annotation)}"
-    elif kind == "missing" and used == len(location):
+    elif kind == "missing" and used == len(error["loc"]):
         what = f"missing; wanted {wanted(annotation, constraints)}"
     elif kind == "value_error":
-        location = location or ("recordings", error["ctx"]["index"])
         what = error["msg"].removeprefix("Value error, ")
-        value = yaml_nodes.find(root, location)[1]
         what = f"found {_found(value)}; {what}" if isinstance(value, yaml.ScalarNode) else what
     else:
-        location = location[:used]
-        value = yaml_nodes.find(root, location)[1]
         what = f"found {_found(value)}; wanted {wanted(annotation, constraints)}"
         what += "; it must be finite" if kind == "finite_number" else _value_hint(value, annotation)
-    anchor, _ = yaml_nodes.find(root, location)
     where, key = yaml_nodes.place(anchor), _dotted(values, location)
     named = where.startswith(f"{yaml_nodes.OVERRIDE}{key}=")
-    return yaml_nodes.order(anchor), f"{where}: {what}" if named else f"{where}: {key}: {what}"
+    return f"{where}: {what}" if named else f"{where}: {printable(key)}: {what}"
 
 
 def _key_hint(name: str, annotation: Any) -> str:
@@ -153,7 +177,7 @@ def _value_hint(value: yaml.Node | None, annotation: Any) -> str:
         hint = near_miss(value.value, choices) if len(choices) > 1 else ""
         return f"; {hint}" if hint else ""
     if annotation in (str, str | None):
-        return f": write '{value.value}' in quotes"
+        return f": write '{printable(value.value)}' in quotes"
     return ""
 
 

@@ -32,7 +32,7 @@ def settings_from_options(
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise SettingsError("\n".join(f"{what}: {_line(model, e)}" for e in error.errors())) from None
+        raise SettingsError(*(f"{what}: {_line(model, e)}" for e in error.errors())) from None
 
 
 def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

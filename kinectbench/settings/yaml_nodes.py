@@ -1,14 +1,19 @@
 """YAML as nodes that know their file and line, and as plain values; one clear line for every error."""
 
 import contextlib
+import io
 import os
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.resolver import Resolver
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable
 
 NULL_TAG = "tag:yaml.org,2002:null"
 BOOL_TAG = "tag:yaml.org,2002:bool"
@@ -17,6 +22,8 @@ FLOAT_TAG = "tag:yaml.org,2002:float"
 STR_TAG = "tag:yaml.org,2002:str"
 MAP_TAG = "tag:yaml.org,2002:map"
 OVERRIDE = "in --set "
+# What PyYAML's own parser reads in about two seconds.
+SPELT_OUT = 1 << 20
 
 # The core schema of YAML 1.2: `5e-3` is a number; `yes`, `010` and dates are text.
 _PATTERNS = {
@@ -28,14 +35,38 @@ _PATTERNS = {
 }
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML's parser with the scalars of YAML 1.2."""
+# libyaml's parser where PyYAML was built with it: six times as fast. Its composer is not taken: it is written
+# in C and ends the process where brackets are nested a hundred thousand deep.
+_Parser: Any = import_module("yaml._yaml").CParser if yaml.__with_libyaml__ else None
+
+
+class _FastLoader(Composer, Resolver):
+    """libyaml's parser, and PyYAML's composer with the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own attribute
 
+    def __init__(self, text: str, source: str) -> None:
+        Composer.__init__(self)
+        Resolver.__init__(self)
+        stream = io.StringIO(text)
+        stream.name = source
+        parser = _Parser(stream)
+        self.get_event, self.peek_event = parser.get_event, parser.peek_event
+        self.check_event = parser.check_event
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """PyYAML's own parser with the scalars of YAML 1.2."""
+
+    yaml_implicit_resolvers = _FastLoader.yaml_implicit_resolvers
+
+    def __init__(self, text: str, source: str) -> None:
+        super().__init__(text)
+        self.name = source
+
 
 for _tag, _pattern in _PATTERNS.items():
-    _Loader.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern})\Z"), None)
+    _FastLoader.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern})\Z"), None)
 
 
 def compose(text: str, source: str) -> yaml.Node:
@@ -53,9 +84,7 @@ def compose(text: str, source: str) -> yaml.Node:
         with contextlib.suppress(UnicodeError):
             text = os.fsencode(text).decode()
     try:
-        loader = _Loader(text)
-        loader.name = source
-        node: yaml.Node | None = loader.get_single_node()
+        node = _nodes(text, source)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark or null_mark(source)
         raise SettingsError(f"{_place(source, mark.line)}: {_problem(error, text, mark.line)}") from None
@@ -67,6 +96,17 @@ def compose(text: str, source: str) -> yaml.Node:
     except RecursionError:
         raise SettingsError(f"{source}: nested too deeply") from None
     return node or yaml.ScalarNode(NULL_TAG, "", null_mark(source), null_mark(source))
+
+
+def _nodes(text: str, source: str) -> yaml.Node | None:
+    """The nodes of a text; what is wrong with a short one is said by PyYAML's own parser, which says more."""
+    if _Parser:
+        try:
+            return _FastLoader(text, source).get_single_node()
+        except (yaml.YAMLError, UnicodeEncodeError):
+            if len(text) > SPELT_OUT:
+                raise
+    return _PlainLoader(text, source).get_single_node()
 
 
 def null_mark(source: str) -> yaml.Mark:
@@ -102,9 +142,12 @@ def plain(node: yaml.Node) -> Any:
     """Turn nodes into dict, list, str, int, float, bool and None.
 
     Raises:
-        SettingsError: a key twice, a key that is no text, an alias inside itself, a `!tag`.
+        SettingsError: a key twice, or no text, an alias inside itself, a `!tag`, nested too deeply.
     """
-    return _plain(node, {}, set())
+    try:
+        return _plain(node, {}, set())
+    except RecursionError:
+        raise SettingsError(f"{place(node)}: nested too deeply") from None
 
 
 def _plain(node: yaml.Node, done: dict[int, Any], open_nodes: set[int]) -> Any:
@@ -132,7 +175,8 @@ def _checked_items(node: yaml.MappingNode) -> Iterator[tuple[str, yaml.Node]]:
             raise SettingsError(f"{place(key)}: a key must be a name, not a list or a mapping")
         if key.value in first:
             raise SettingsError(
-                f"{place(key)}: '{key.value}' stands twice, first at {place(first[key.value])}; keep one"
+                f"{place(key)}: '{printable(key.value)}' stands twice, first at {place(first[key.value])}; "
+                "keep one"
             )
         first[key.value] = key
         yield key.value, child
@@ -150,10 +194,12 @@ def _scalar(node: yaml.Node) -> Any:
         if node.tag == FLOAT_TAG:
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     except (ValueError, KeyError):
-        raise SettingsError(f"{place(node)}: '{text}' does not fit its tag; remove the tag") from None
+        raise SettingsError(
+            f"{place(node)}: '{printable(text)}' does not fit its tag; remove the tag"
+        ) from None
     if node.tag == STR_TAG:
         return text
-    raise SettingsError(f"{place(node)}: the tag '{node.tag}' is not used here; remove it")
+    raise SettingsError(f"{place(node)}: the tag '{printable(node.tag)}' is not used here; remove it")
 
 
 def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
@@ -161,22 +207,36 @@ def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
     return {key.value: child for key, child in node.value} if isinstance(node, yaml.MappingNode) else {}
 
 
-def find(node: yaml.Node, path: tuple[str | int, ...]) -> tuple[yaml.Node, yaml.Node | None]:
+# The pairs of mappings that were looked into, by the mapping's identity: key -> its node and its value's.
+Known = dict[int, dict[str, tuple[yaml.Node, yaml.Node]]]
+
+
+def find(
+    node: yaml.Node, path: tuple[str | int, ...], known: Known | None = None
+) -> tuple[yaml.Node, yaml.Node | None]:
     """Find what stands at a path.
+
+    Args:
+        node: where it begins.
+        path: keys of mappings and indices of lists.
+        known: kept by whoever looks for many paths in the same nodes: no mapping is gone through twice.
 
     Returns:
         The node whose line to show (the key, or the list's entry; the nearest that exists), and the
         value's node, or None where the path leads nowhere.
     """
+    known = {} if known is None else known
     anchor, value = node, node
     for part in path:
         if isinstance(part, int) and isinstance(value, yaml.SequenceNode) and part < len(value.value):
             anchor = value = value.value[part]
             continue
-        keys = {key.value: key for key, _ in value.value} if isinstance(value, yaml.MappingNode) else {}
-        if part not in keys:
+        if id(value) not in known:
+            pairs = value.value if isinstance(value, yaml.MappingNode) else []
+            known[id(value)] = {key.value: (key, child) for key, child in pairs}
+        if part not in known[id(value)]:
             return anchor, None
-        anchor, value = keys[part], items(value)[str(part)]
+        anchor, value = known[id(value)][str(part)]
     return anchor, value
 
 
