@@ -148,5 +148,17 @@ def test_calls_without_an_encoding_are_found() -> None:
     assert len(without_encoding(bad)) == 3 and without_encoding(good) == []
 
 
+def test_only_the_console_writes_to_the_terminal() -> None:
+    """It alone takes control characters out of what strangers wrote."""
+    writers = {"typer.echo", "typer.secho", "print", "sys.stdout.write", "sys.stderr.write", "Console"}
+    calls = {
+        name: {ast.unparse(node.func) for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)}
+        for name, text in FILES.items()
+        if name.startswith("cli/")
+    }
+    # In main.py the version is printed before anything is read.
+    assert {name for name, of in calls.items() if of & writers} == {"cli/console.py", "cli/main.py"}
+
+
 def test_raw_calls_are_found() -> None:
     assert raw_calls("x = np.load(path)\njson.loads(f(text))\nloads(text)\n") == {"np.load", "json.loads"}

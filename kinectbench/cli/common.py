@@ -1,7 +1,6 @@
 """What the commands share: their common options as one value, and how they tell what was done."""
 
 import inspect
-import json
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
@@ -85,8 +84,12 @@ class Common:
 
     def tell(self, value: Any, lines: Iterable[str]) -> None:
         """Print a result: as JSON for machines if they ask for it, or else these lines for people."""
-        for line in [json.dumps(value)] if self.as_json else lines:
-            typer.echo(line)
+        from kinectbench.cli import console
+
+        if self.as_json:
+            console.say_json(value)
+        else:
+            console.say(*lines)
 
     def tell_written(self, *paths: Path) -> None:
         """Print the files or folders that were written."""

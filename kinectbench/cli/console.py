@@ -1,15 +1,20 @@
 """What people see in the terminal: progress and messages on standard error, tables on standard output."""
 
+import json
+import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
+import typer
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from kinectbench.core.untrusted import printable
 from kinectbench.engine.interrupts import check_interrupt
 
 if TYPE_CHECKING:
@@ -35,19 +40,49 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 # How the page shows them; other figures have three decimals.
 FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
 
-err = Console(stderr=True)
-out = Console()
+
+class SafeConsole(Console):
+    """A console on which no text from a file steers the terminal: control characters are shown as `?`."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """As rich does it, and then without control characters but ends of lines."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                shown = "\n".join(one_line(part) for part in segment.text.split("\n"))
+                yield Segment(shown, segment.style)
+
+
+err = SafeConsole(stderr=True)
+out = SafeConsole()
 if not out.is_terminal:
     # Piped into a file or a log: room for whole cells.
-    out = Console(width=PLAIN_WIDTH)
+    out = SafeConsole(width=PLAIN_WIDTH)
+
+
+def one_line(text: str) -> str:
+    """A text as it may be shown in one line: ends of lines as spaces, other control characters as `?`."""
+    return printable(re.sub(r"[\t\r\n]+", " ", text), most=len(text))
+
+
+def say(*texts: str) -> None:
+    """One line for each text on standard output, without wrapping."""
+    for text in texts:
+        typer.echo(one_line(text))
+
+
+def say_json(value: Any) -> None:
+    """A value for machines on standard output, in one line; characters beyond ASCII are escaped."""
+    typer.echo(json.dumps(value))
 
 
 def lines(kind: str, messages: Sequence[str], style: str) -> None:
     """One line per message on standard error, without wrapping."""
     for message in messages:
-        for line in message.splitlines():
-            # Names and messages hold what strangers wrote: never markup.
-            err.print(Text.assemble((f"{kind}:", style), " ", line), highlight=False, soft_wrap=True)
+        # Names and messages hold what strangers wrote: never markup.
+        text = Text.assemble((f"{one_line(kind)}:", style), " ", one_line(message))
+        err.print(text, highlight=False, soft_wrap=True)
 
 
 def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
@@ -157,7 +192,8 @@ class PlainLines:
         """A line, with the time since the beginning."""
         self._last = time.monotonic()
         seconds = self._last - self._started
-        err.print(f"[{seconds:4.0f} s] {text}", markup=False, highlight=False, soft_wrap=True)
+        shown = f"[{seconds:4.0f} s] {one_line(text)}"
+        err.print(shown, markup=False, highlight=False, soft_wrap=True)
 
     def say_sometimes(self, text: str) -> None:
         """A line, unless there was one a short while ago."""
@@ -226,7 +262,7 @@ class RecordingBars:
 
     def warn(self, message: str) -> None:
         """Something that concerns all of them."""
-        err.print(f"warning: {message}", markup=False, highlight=False, soft_wrap=True)
+        err.print(f"warning: {one_line(message)}", markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager

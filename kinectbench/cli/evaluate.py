@@ -1,6 +1,5 @@
 """The command `evaluate`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -37,8 +36,8 @@ def evaluate(
     with console.bar("evaluate") as progress:
         result = evaluate_recording(found.build, found.truth, target, align=align, progress=progress)
     if common.as_json:
-        typer.echo(json.dumps(evaluation_json(result)))
+        console.say_json(evaluation_json(result))
     else:
         console.out.print(evaluation_table(result))
-        typer.echo(f"page: {(target / 'index.html').resolve()}")
+        console.say(f"page: {(target / 'index.html').resolve()}")
     return status

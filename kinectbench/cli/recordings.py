@@ -1,6 +1,5 @@
 """The commands before anything is built: what can be read, whether a recording is sound, a benchmark.yaml."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -74,6 +73,7 @@ def inspect(
     page: Annotated[Path | None, typer.Option(help="write a page with a contact sheet to this file")] = None,
 ) -> int:
     """Say in seconds what is wrong with a recording, and what to do about it; nothing is built."""
+    from kinectbench.cli import console
     from kinectbench.doctor import inspect as look_over
     from kinectbench.settings.models import CameraSettings
     from kinectbench.settings.overrides import settings_from_options
@@ -93,11 +93,11 @@ def inspect(
         write_page(diagnosis, look, page)
     if common.as_json:
         findings = [asdict(found) for found in diagnosis.findings]
-        typer.echo(json.dumps({"verdict": diagnosis.verdict, **diagnosis.facts, "findings": findings}))
+        console.say_json({"verdict": diagnosis.verdict, **diagnosis.facts, "findings": findings})
     else:
         _show(diagnosis)
         if page is not None:
-            typer.echo(f"page: {page.resolve()}")
+            console.say(f"page: {page.resolve()}")
     return CANNOT_BE_USED if diagnosis.stops else 0
 
 
@@ -114,11 +114,10 @@ def _show(diagnosis: "Diagnosis") -> None:
     from kinectbench.cli import console
     from kinectbench.doctor.finding import figures
 
-    for name, value in figures(diagnosis.facts):
-        typer.echo(f"{name}: {value}")
+    console.say(*(f"{name}: {value}" for name, value in figures(diagnosis.facts)))
     for found in diagnosis.findings:
         head = Text(f"{found.severity}: {found.name}: ", style=STYLES[found.severity])
         advice = f"; {found.advice}" if found.advice else ""
         # What recordings say of themselves comes from strangers: never markup.
         console.out.print(Text.assemble(head, found.what, advice), highlight=False, soft_wrap=True)
-    typer.echo(f"verdict: {diagnosis.verdict}")
+    console.say(f"verdict: {diagnosis.verdict}")

@@ -1,6 +1,5 @@
 """The commands `score` and `compare`."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -89,10 +88,10 @@ def _tell(common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[Scor
     from kinectbench.scoring.terminal import score_table
 
     if common.as_json:
-        typer.echo(json.dumps([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables]))
+        console.say_json([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables])
     else:
         console.out.print(score_table([*tables, *beside], published=True))
-        typer.echo(f"page: {page.resolve()}")
+        console.say(f"page: {page.resolve()}")
 
 
 def _recheck(
@@ -218,7 +217,7 @@ def compare(
     tables = [read_named(path) for path in find_scores(scores)]
     found = compare_tables(tables, metric, protocol)
     if common.as_json:
-        typer.echo(json.dumps(asdict(found)))
+        console.say_json(asdict(found))
         return
     for table in comparison_tables(found):
         console.out.print(table)

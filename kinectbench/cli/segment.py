@@ -1,6 +1,5 @@
 """`kinectbench segment`: the object, or boxes to choose it from."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,6 +40,7 @@ def segment(
 
 
 def _suggest(common: Common, ids: list[str] | None) -> int:
+    from kinectbench.cli import console
     from kinectbench.engine.stages import SUGGEST
 
     rows = build_recordings(common, ids, SUGGEST.name, (SUGGEST.name,) if common.force else ())
@@ -48,7 +48,7 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
     if common.as_json:
         found = [None if each is None else each.json_value() for each in listed]
         both = zip(rows, found, strict=True)
-        typer.echo(json.dumps([{**row.json_value(), "candidates": boxes} for row, boxes in both]))
+        console.say_json([{**row.json_value(), "candidates": boxes} for row, boxes in both])
     else:
         for row, each in zip(rows, listed, strict=True):
             if each is not None:
@@ -68,31 +68,33 @@ def _candidates(root: Path, recording: str) -> "CandidatesFile":
 
 
 def _show(recording: str, listed: "CandidatesFile") -> None:
+    from kinectbench.cli import console
     from kinectbench.settings.edit import box_line
 
-    typer.echo(f"{recording}: from above {listed.plan}")
+    console.say(f"{recording}: from above {listed.plan}")
     if not listed.floor_found:
-        typer.echo(
+        console.say(
             "  no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
         )
     for each in listed.candidates:
         size = " x ".join(f"{edge:.2f}" for edge in each.box.size_m)
         chosen = ", chosen without a box" if each.automatic else ""
-        typer.echo(f"  {each.number}: {size} m{chosen}, {each.picture}")
-        typer.echo(f"     {box_line(each.box)}")
-    typer.echo(f"`kinectbench segment {recording} --pick NUMBER` writes one to benchmark.yaml")
+        console.say(f"  {each.number}: {size} m{chosen}, {each.picture}")
+        console.say(f"     {box_line(each.box)}")
+    console.say(f"`kinectbench segment {recording} --pick NUMBER` writes one to benchmark.yaml")
 
 
 def _pick(common: Common, ids: list[str] | None, number: int) -> None:
     """Write the box of a candidate that was listed before to benchmark.yaml."""
     from kinectbench.core.storage import replaced_file
+    from kinectbench.core.untrusted import read_plain_text
     from kinectbench.engine.pipeline import listed_box
     from kinectbench.settings.edit import with_box
 
     if not ids or len(ids) != 1:
         raise SettingsError("segment --pick: name the one recording that the box is of")
     (job,) = chosen_jobs(common, ids)
-    text = common.config.read_text(encoding="utf-8-sig")
+    text = read_plain_text(common.config)
     text = with_box(text, str(common.config), ids[0], listed_box(job, number))
     with replaced_file(common.config) as temporary:
         temporary.write_text(text, encoding="utf-8")

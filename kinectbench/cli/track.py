@@ -1,6 +1,5 @@
 """`kinectbench track`, and the comparison of what it finds with a trajectory in TUM format."""
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +69,8 @@ def track(
     ] = None,
 ) -> int:
     """Give every frame a camera pose, and leave out frames that disagree with it."""
+    from kinectbench.cli import console
+
     # A file that cannot be read is told before anything is built.
     reference = None if compare is None else _reference(compare)
     rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
@@ -83,11 +84,10 @@ def track(
         if compare is not None:
             told = [one and one.json_value() for one in compared]
             values = [value | {"comparison": one} for value, one in zip(values, told, strict=True)]
-        typer.echo(json.dumps(values))
+        console.say_json(values)
     else:
         show_rows(rows, "track")
-        for line in _verdicts(rows):
-            typer.echo(line)
+        console.say(*_verdicts(rows))
         _show([one for one in compared if one is not None], compare)
     return exit_status(rows)
 
@@ -152,8 +152,8 @@ def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
     console.out.print(console.table(shown, COMPARED, formats, title=f"against {reference}"))
     for one in compared:
         if one.with_itself:
-            typer.echo(
+            console.say(
                 f"{one.recording}: these are the given poses themselves, which are trusted: "
                 "the comparison says nothing of how right they are"
             )
-        typer.echo(f"picture: {one.picture}")
+        console.say(f"picture: {one.picture}")

@@ -116,10 +116,14 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
 def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[ErrorDetails]) -> list[str]:
     """A line for each of the first errors in the file's order, and one for all the rest."""
     known: yaml_nodes.Known = {}
+    # A vector of three or four wrong numbers is one error.
+    of_place: dict[tuple[Location, str], ErrorDetails] = {}
+    for error in errors:
+        of_place.setdefault((_location(error), error["type"]), error)
+    errors = list(of_place.values())
     anchors = [yaml_nodes.find(root, _location(error), known)[0] for error in errors]
     first = sorted(range(len(errors)), key=lambda n: yaml_nodes.order(anchors[n]))[: 4 * SHOWN]
     told = sorted((yaml_nodes.order(anchors[n]), _error_line(root, values, errors[n], known)) for n in first)
-    # A vector of three or four wrong numbers is one error.
     lines = list(dict.fromkeys(line for _, line in told))
     if rest := len(lines[SHOWN:]) + len(errors) - len(first):
         lines[SHOWN:] = [f"{root.start_mark.name}: and {rest} more errors"]

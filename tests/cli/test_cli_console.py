@@ -1,0 +1,97 @@
+"""What the terminal shows of texts that strangers wrote: one line each, and nothing that steers it."""
+
+import io
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.table import Table
+from rich.text import Text
+from small_benchmark import Run
+
+from kinectbench.cli import console
+from kinectbench.core.errors import SettingsError
+from kinectbench.release.release import Release
+
+Command = Callable[..., Run]
+EVIL = "a\x1b]0;pwned\x07\x1b[2J\x9b2J\u202e\u2028b\x08\x00c\rd\x7f"
+CONTROL = [chr(n) for n in (*range(9), *range(11, 32), *range(127, 160), 0x202E, 0x2028, 0x2029, 0xFEFF)]
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
+    """A terminal that takes every sequence, for both streams."""
+    shown = io.StringIO()
+    for name in ("err", "out"):
+        made = console.SafeConsole(file=shown, force_terminal=True, color_system=None, width=200)
+        monkeypatch.setattr(console, name, made)
+    yield shown
+
+
+def check(text: str, lines: int) -> None:
+    assert [sign for sign in CONTROL if sign in text] == []
+    assert len(text.splitlines()) == lines
+
+
+@pytest.mark.parametrize("sign", CONTROL)
+def test_no_control_character_is_shown(sign: str, terminal: io.StringIO) -> None:
+    console.lines(f"x{sign}", [f"a{sign}b"], "red")
+    console.out.print(Text(f"a{sign}b"), soft_wrap=True)
+    check(terminal.getvalue(), 2)
+
+
+def test_a_message_is_one_line_whatever_is_in_it(
+    terminal: io.StringIO, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = f"x.npy\nerror: all well{EVIL}\r\nerror: indeed"
+    console.lines("error", [message], "red")
+    console.recording_lines("r\nerror", "warning", [message], "yellow")
+    console.say(message)
+    watcher = console.PlainLines()
+    watcher.say(message)
+    check(terminal.getvalue(), 3)
+    check(capsys.readouterr().out, 1)
+
+
+def test_tables_and_titles(terminal: io.StringIO) -> None:
+    rows = [{"recording": EVIL, "status": f"{EVIL}"}]
+    console.out.print(
+        console.table(rows, {"recording": "recording", "status": EVIL}, {}, title=EVIL, caption=EVIL)
+    )
+    table = Table(title=EVIL)
+    table.add_column(EVIL)
+    table.add_row(Text(EVIL))
+    console.out.print(table)
+    assert [sign for sign in CONTROL if sign in terminal.getvalue()] == []
+
+
+def test_colours_and_progress_of_ours_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.StringIO()
+    made = console.SafeConsole(file=shown, force_terminal=True, color_system="standard", width=80)
+    monkeypatch.setattr(console, "err", made)
+    console.lines("error", ["a"], "red")
+    assert "\x1b[31m" in shown.getvalue()
+    with console.bar("score") as update:
+        update(1, 2)
+    assert "\x1b[?25" in shown.getvalue()
+
+
+def test_each_line_of_an_error_of_several_is_shown(command: Command, tmp_path: Path) -> None:
+    (tmp_path / "benchmark.yaml").write_text('name: a\nx: 1\n"y\\e[2Jz\\nerror: well": 2\n', encoding="utf-8")
+    result = command(tmp_path, "build")
+    assert result.status == 2
+    lines = result.err.splitlines()
+    assert len(lines) == 3 and all(line.startswith("error: benchmark.yaml:") for line in lines)
+    check(result.err, 3)
+    assert SettingsError("a", "b").lines == ("a", "b") and str(SettingsError("a", "b")) == "a\nb"
+
+
+def test_strays_with_evil_names(command: Command, release: Release, tmp_path: Path) -> None:
+    for target in release.split("test"):
+        (tmp_path / "p" / target.recording).mkdir(parents=True, exist_ok=True)
+        np.save(tmp_path / "p" / target.recording / f"{target.view}.npy", np.zeros((4, 4, 4), bool))
+    (tmp_path / "p" / f"{EVIL.replace(chr(0), '')}\nerror: all well.npy").touch()
+    result = command(tmp_path, "check", "p", "--benchmark", str(release.folder))
+    assert result.status == 3
+    check(result.err, 1)

@@ -1,0 +1,109 @@
+"""A benchmark.yaml that hangs, is huge, nested or wrong in a hundred thousand places is told in short."""
+
+import os
+import re
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from test_benchmark_file import complaint
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import name_problem
+from kinectbench.settings import yaml_nodes
+from kinectbench.settings.file import MOST_BYTES, SHOWN, load_benchmark
+
+
+@pytest.mark.parametrize("what", ["pipe", "zero"])
+def test_what_is_no_plain_file_is_refused_at_once(what: str, tmp_path: Path) -> None:
+    path = tmp_path / "benchmark.yaml"
+    if what == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(SettingsError, match="cannot be read: not a plain file but a pipe"):
+        load_benchmark(path)
+
+
+def test_a_file_that_is_too_large(tmp_path: Path) -> None:
+    path = tmp_path / "benchmark.yaml"
+    with path.open("wb") as file:
+        file.truncate(MOST_BYTES + 1)
+    with pytest.raises(SettingsError, match="cannot be read: larger than the 33554432 bytes"):
+        load_benchmark(path)
+
+
+NESTED = {
+    "brackets": "[" * 200_000,
+    "dashes": "- " * 200_000,
+    "braces": "{a: " * 200_000,
+    "closed": "[" * 400 + "]" * 400,
+    "lists of maps": "[{a: " * 9000,
+}
+
+
+@pytest.mark.parametrize("fast", [True, False])
+@pytest.mark.parametrize("name", NESTED)
+def test_nesting_ends_in_a_line(
+    name: str, fast: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not fast:
+        monkeypatch.setattr(yaml_nodes, "_Parser", None)
+    assert len(complaint(tmp_path, f"name: a\nx: {NESTED[name]}\n").splitlines()) <= 2
+
+
+MANY = 100_000
+COSTLY = {
+    "unknown keys": ("".join(f"k{n}: 1\n" for n in range(MANY)), "k18: unknown key"),
+    "wrong values": ("publish: {changelog: [" + "1, " * MANY + "]}\n", "publish.changelog: found [1, 1"),
+    "a comment": ("#" * (10 << 20) + "\n", "recordings: missing"),
+    "wrong recordings": ("".join(["recordings:\n", *["- {id: a/b}\n"] * MANY]), "missing"),
+    "a long key": (f"? {'k' * 100_000}\n: 1\n", "kkkk…kkkk"),
+    "a long id": (f"recordings: [{{id: {'k' * 100_000}, path: a, category: a}}]\n", "kkkk…kkkk"),
+    "a key twice": (f"? {'k' * 100_000}\n: 1\n? {'k' * 100_000}\n: 2\n", "stands twice"),
+    "a long number": (f"license: 1.{'0' * 100_000}\n", "in quotes"),
+    "a long tag": (f"license: !{'k' * 100_000} a\n", "is not used here"),
+}
+
+
+@pytest.mark.parametrize("name", COSTLY)
+def test_what_is_wrong_is_told_in_time_and_in_short(name: str, tmp_path: Path) -> None:
+    text, words = COSTLY[name]
+    started = time.process_time()
+    told = complaint(tmp_path, f"name: a\n{text}")
+    assert time.process_time() - started < 15
+    lines = told.splitlines()
+    assert words in told and len(lines) <= SHOWN + 1 and max(map(len, lines)) < 600
+    if len(lines) > SHOWN:
+        assert re.fullmatch(r"benchmark.yaml: and \d+ more errors", lines[-1])
+
+
+def test_both_parsers_give_the_same_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def marks(node: yaml.Node) -> list[object]:
+        inside = node.value if isinstance(node.value, list) else []
+        children = [child for one in inside for child in (one if isinstance(one, tuple) else (one,))]
+        mark = (
+            node.tag,
+            node.start_mark.line,
+            node.start_mark.column,
+            node.start_mark.index,
+            node.end_mark.index,
+        )
+        return [mark, *(of for child in children for of in marks(child))]
+
+    text = "é: [1, ' ü', \"\\u00e4\"]\n# …\na: &x {b: yes}\nc: *x\nd: 5e-3\ne: |\n  ä\n  ö\nf: 1\n"
+    assert yaml_nodes._Parser is not None, "PyYAML is built with libyaml here"
+    first = marks(yaml_nodes.compose(text, "a.yaml"))
+    monkeypatch.setattr(yaml_nodes, "_Parser", None)
+    assert first == marks(yaml_nodes.compose(text, "a.yaml"))
+
+
+OURS = ("publish.json", "INDEX.HTML", "gallery.npz", "scores.csv", "baselines", "a.part")
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_names_of_files_of_ours_are_for_nothing_else(name: str, tmp_path: Path) -> None:
+    told = complaint(tmp_path, f"name: a\nrecordings: [{{id: {name}, path: a, category: chair}}]\n")
+    assert "files and folders of kinectbench have such names" in told
+    assert name_problem("chair.01") is None and name_problem("scores") is None
