@@ -8,6 +8,7 @@ import typer
 
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import NAME
 
 if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis
@@ -71,6 +72,7 @@ def inspect(
         typer.Option("--set", metavar="KEY=VALUE", help="of its camera, such as fx=525; as under `camera:`"),
     ] = None,
     page: Annotated[Path | None, typer.Option(help="write a page with a contact sheet to this file")] = None,
+    follow_links: Annotated[bool, typer.Option("--follow-links", help="follow links inside it")] = False,
 ) -> int:
     """Say in seconds what is wrong with a recording, and what to do about it; nothing is built."""
     from kinectbench.cli import console
@@ -86,7 +88,14 @@ def inspect(
     own_pixels = known is not None and known.segment_by is not None
     given = camera if said or overrides else None
     fusion = Common().settings.fusion if known else None
-    diagnosis, look = look_over(path, given, without_trajectory=ignored, fusion=fusion, own_pixels=own_pixels)
+    diagnosis, look = look_over(
+        path,
+        given,
+        without_trajectory=ignored,
+        fusion=fusion,
+        own_pixels=own_pixels,
+        follow_links=follow_links or (known is not None and known.follow_links),
+    )
     if page is not None:
         from kinectbench.doctor.page import write_page
 
@@ -103,7 +112,7 @@ def inspect(
 
 def _of_benchmark(name: str) -> "RecordingSettings | None":
     """The recording of that id of the benchmark here; None if there is none, or another path of that name."""
-    if not DEFAULT_CONFIG.is_file() or Path(name).exists() or "/" in name:
+    if not NAME.fullmatch(name) or not DEFAULT_CONFIG.is_file() or Path(name).exists():
         return None
     return next((known for known in Common().settings.recordings if known.id == name), None)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from kinectbench.core.errors import StorageError
+from kinectbench.core.untrusted import open_plain
 
 # Names that are safe as those of files, and as paths of a release.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
@@ -67,8 +68,8 @@ def sha256_text(text: str) -> str:
 
 
 def sha256_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, as hex, in streaming."""
-    with path.open("rb") as file:
+    """SHA-256 of a plain file's bytes, as hex, in streaming."""
+    with open_plain(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -11,8 +11,9 @@ import os
 import re
 import stat
 import unicodedata
+from io import BufferedReader
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 # No format that is read needs more than this to be told by its first bytes (own choice).
 HEAD_BYTES = 64 << 10
@@ -20,9 +21,19 @@ HEAD_BYTES = 64 << 10
 TEXT_BYTES = 100 << 20
 # What a line for people quotes of a text that came from a file (own choice).
 QUOTED = 80
+# Of an image, pixels: what `camera:` in benchmark.yaml may say, four times a 4K camera's (own choice).
+MOST_SIDE_PX = 8192
+# An image as it is encoded: two bytes for each pixel of the largest.
+IMAGE_BYTES = 2 * MOST_SIDE_PX**2
+# What one message, chunk or frame may unpack to: colour of the largest image has 201 MB (own choice).
+UNPACKED_BYTES = 256 << 20
+# What a whole file may unpack to, as a multiple of itself: bags and releases shrink to a third or a tenth,
+# rendered depth to a thirtieth (own choice); and by how much a small file may exceed it.
+MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
+COPIED_BYTES = 1 << 20
 
 
-def open_plain(path: Path) -> BinaryIO:
+def open_plain(path: Path) -> BufferedReader:
     """Open a regular file to read, at the end of links, if any; nothing else, and without waiting.
 
     Raises:
@@ -50,7 +61,10 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
     """
     with open_plain(path) as file:
         size = os.fstat(file.fileno()).st_size
-        content = file.read(most_bytes + 1) if size <= most_bytes else b""
+        # As much as is there is asked for, and once more: it may grow, and the kernel's own files claim none.
+        content = file.read(size + 1) if size <= most_bytes else b""
+        while size < len(content) <= most_bytes and (more := file.read(COPIED_BYTES)):
+            content += more
     if size > most_bytes or len(content) > most_bytes:
         raise OSError(errno.EFBIG, f"larger than the {most_bytes} bytes that such a file may have", str(path))
     return content
@@ -63,7 +77,26 @@ def read_head(path: Path, count: int = HEAD_BYTES) -> bytes:
         OSError: as `open_plain`.
     """
     with open_plain(path) as file:
-        return file.read(count)
+        return file.read(count) or b""  # nothing yet: some of the kernel's own files are waited for
+
+
+def copy_bounded(source: IO[bytes], target: IO[bytes], most_bytes: int) -> None:
+    """Copy what a stream unpacks, as far as a bound.
+
+    Raises:
+        OSError: EFBIG: there is more of it.
+    """
+    copied = 0
+    while part := source.read(COPIED_BYTES):
+        copied += len(part)
+        if copied > most_bytes:
+            raise OSError(errno.EFBIG, f"unpacks to more than {most_bytes} bytes")
+        target.write(part)
+
+
+def unpacked_bound(packed_bytes: int) -> int:
+    """What a whole file of this size may unpack to, bytes."""
+    return ALWAYS_BYTES + MOST_RATIO * packed_bytes
 
 
 def read_plain_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
@@ -77,14 +110,14 @@ def read_plain_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
 
 
 def below(folder: Path, name: str) -> Path:
-    """The path of a file that an index names, relative to its folder.
+    """The path of a file that an index names, relative to its folder. A hidden one is no part of anything.
 
     Args:
         folder: that the names are relative to.
         name: with "/" between folders.
 
     Raises:
-        ValueError: the name is absolute, leads upwards, or is none; the message says which.
+        ValueError: the name is absolute, leads upwards, is hidden, or is none; the message says which.
     """
     way = PurePosixPath(name)
     if not name or "\0" in name:
@@ -93,6 +126,8 @@ def below(folder: Path, name: str) -> Path:
         raise ValueError(
             f"'{printable(name)}' leads out of the folder; names must be relative to it, without '..'"
         )
+    if any(part.startswith(".") for part in way.parts):
+        raise ValueError(f"'{printable(name)}' is hidden; a name must not begin with '.'")
     return folder / way
 
 

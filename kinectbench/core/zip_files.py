@@ -14,13 +14,16 @@ ROW_BYTES = 1 << 10
 SLACK_BYTES = 64 << 10
 
 
-def open_zip(file: IO[bytes], most_files: int, most_bytes: int) -> zipfile.ZipFile:
+def open_zip(
+    file: IO[bytes], most_files: int, most_bytes: int, row_bytes: int = ROW_BYTES
+) -> zipfile.ZipFile:
     """Open a zip whose directory is worth reading. The files themselves are not looked at.
 
     Args:
         file: open to read; it stays open.
         most_files: a zip of more is refused before its directory is read.
         most_bytes: a zip whose files claim more together, unpacked, is refused.
+        row_bytes: of the directory, for each file that it may hold.
 
     Raises:
         ValueError: it holds more; the message says what.
@@ -29,7 +32,7 @@ def open_zip(file: IO[bytes], most_files: int, most_bytes: int) -> zipfile.ZipFi
     count, directory_bytes = _listed(file)
     if count > most_files:
         raise ValueError(f"{count} files in it; {most_files} is the most accepted")
-    if directory_bytes > most_files * ROW_BYTES + SLACK_BYTES:
+    if directory_bytes > most_files * row_bytes + SLACK_BYTES:
         raise ValueError(f"a directory of {directory_bytes} bytes, too large for {most_files} files")
     try:
         archive = zipfile.ZipFile(file)

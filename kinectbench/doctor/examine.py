@@ -38,18 +38,20 @@ UNKNOWN = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 
 
-def open_anyhow(path: Path, settings: CameraSettings | None) -> tuple[Recording | None, list[Finding]]:
+def open_anyhow(
+    path: Path, settings: CameraSettings | None, *, follow_links: bool = False
+) -> tuple[Recording | None, list[Finding]]:
     """Open a recording; where only its intrinsics stand in the way, with those of a Kinect in their place.
 
     Returns:
         The recording, or None; and what was found.
     """
     try:
-        return open_recording(path, settings), []
+        return open_recording(path, settings, follow_links=follow_links), []
     except RecordingError as error:
         complaint = str(error)
     try:
-        size = open_recording(path, _with(settings, UNKNOWN)).camera
+        size = open_recording(path, _with(settings, UNKNOWN), follow_links=follow_links).camera
     except RecordingError:
         return None, [Finding("unreadable", "stops", complaint, str(path))]
     focal = USUAL_FOCAL * size.width
@@ -57,7 +59,7 @@ def open_anyhow(path: Path, settings: CameraSettings | None) -> tuple[Recording 
     found = Finding(
         "intrinsics", "stops", complaint, str(path), "all else is judged with intrinsics like a Kinect's"
     )
-    return open_recording(path, _with(settings, usual)), [found]
+    return open_recording(path, _with(settings, usual), follow_links=follow_links), [found]
 
 
 def _with(settings: CameraSettings | None, values: dict[str, float]) -> CameraSettings:
@@ -74,6 +76,7 @@ def inspect(
     without_trajectory: bool = False,
     fusion: FusionSettings | None = None,
     own_pixels: bool = False,
+    follow_links: bool = False,
 ) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
@@ -83,11 +86,12 @@ def inspect(
         without_trajectory: take no notice of a given trajectory.
         fusion: how far depth is to make surface; None: by the recording.
         own_pixels: benchmark.yaml says `segment_by`: no floor is needed, and the camera may stand still.
+        follow_links: links in it are followed, as benchmark.yaml may say.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
     """
-    recording, found = open_anyhow(path, settings)
+    recording, found = open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(found)), None
     if without_trajectory:

@@ -172,7 +172,7 @@ def _explained(job: Job, failure: KinectBenchError) -> str:
     from kinectbench.stages.ingest.readers import open_recording
 
     try:
-        recording = open_recording(job.source, job.recording.camera)
+        recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
         if job.recording.trajectory_mode == "ignore":
             recording = replace(recording, given_trajectory=None, trajectory_error="")
         doubt = doubted_scale(recording)

@@ -117,17 +117,25 @@ def check_masks(job: Job) -> None:
     Raises:
         RecordingError: it is named in benchmark.yaml, but missing.
     """
-    if job.masks is not None and not job.masks.is_dir():
-        raise RecordingError(
-            f"{job.recording.id}: no such folder of masks: {job.masks}; make it, or correct `masks`"
-        )
+    from kinectbench.stages.ingest.sources import check_there
+
+    if job.masks is None:
+        return
+    missing = f"no such folder of masks of {job.recording.id}; make it, or correct `masks`"
+    check_there(job.masks, missing)
+    if not job.masks.is_dir():
+        raise RecordingError(f"{job.masks}: {missing}")
 
 
 def _mask_sources(job: Job) -> Mapping[str, str]:
     check_masks(job)
     if job.masks is None:
         return {}
-    return {"masks": content_hash(sorted(job.masks.glob("*.png")), job.masks)}
+    from kinectbench.stages.ingest.sources import files_below
+
+    files = files_below(job.masks, follow_links=job.recording.follow_links)
+    pictures = [file for file in files if file.parent == job.masks and file.suffix.lower() == ".png"]
+    return {"masks": content_hash(pictures, job.masks)}
 
 
 def _frame_mask_sources(job: Job) -> Mapping[str, str]:
@@ -137,10 +145,11 @@ def _frame_mask_sources(job: Job) -> Mapping[str, str]:
 
 def _recording_sources(job: Job) -> Mapping[str, str]:
     from kinectbench.stages.ingest.readers import source_files
+    from kinectbench.stages.ingest.sources import check_there
 
-    if not job.source.exists():
-        raise RecordingError(f"{job.source}: no such recording; correct `path` of '{job.recording.id}'")
-    return {"recording": content_hash(source_files(job.source), job.source, job.build)}
+    check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
+    files = source_files(job.source, follow_links=job.recording.follow_links)
+    return {"recording": content_hash(files, job.source, job.build)}
 
 
 STAGES: tuple[Stage, ...] = (

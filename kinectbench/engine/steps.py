@@ -57,7 +57,7 @@ def _scene(build: Path) -> TriangleMesh:
 
 
 def _ingest(job: Job, folder: Path, progress: Progress) -> None:
-    recording = open_recording(job.source, job.recording.camera)
+    recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
     refuse_hopeless(recording)
     needed = job.recording.trajectory_mode != "ignore"
     watched = recording if needed else replace(recording, given_trajectory=None)

@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Framing, PartialRule, Split
+from kinectbench.core.untrusted import MOST_SIDE_PX
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
 SegmentBy = Literal["masks", "turntable"]
@@ -43,8 +44,8 @@ class Settings(BaseModel):
 class CameraSettings(Settings):
     """Intrinsics that the recording does not say; what is given here wins over what it says."""
 
-    width: int | None = Field(None, ge=16, le=8192, description="depth image width, pixels")
-    height: int | None = Field(None, ge=16, le=8192, description="depth image height, pixels")
+    width: int | None = Field(None, ge=16, le=MOST_SIDE_PX, description="depth image width, pixels")
+    height: int | None = Field(None, ge=16, le=MOST_SIDE_PX, description="depth image height, pixels")
     fx: float | None = Field(None, gt=0, description="focal length in x, pixels")
     fy: float | None = Field(None, gt=0, description="focal length in y, pixels")
     cx: float | None = Field(None, description="principal point in x, pixels")
@@ -115,6 +116,7 @@ class RecordingSettings(Settings):
 
     id: str = Field(description="name of the recording, unique in the file")
     path: str = Field(description="folder or bag, relative to benchmark.yaml")
+    follow_links: bool = Field(False, description="links inside it are followed, wherever they lead")
     category: str = Field(description="such as chair or table")
     object: str | None = Field(None, description="the thing itself, where it is recorded more than once")
     split: Split = Field("test", description="train, validation or test")

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree, ignore_patterns
 
 import numpy as np
 import pytest
@@ -41,10 +42,7 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def with_poses(recording: Path, folder: Path, change: object) -> Path:
     """A copy of a recording in TUM's layout whose rows of poses (n, 8) are others."""
-    folder.mkdir()
-    for each in recording.iterdir():
-        if each.name != "groundtruth.txt":
-            (folder / each.name).symlink_to(each)
+    copytree(recording, folder, ignore=ignore_patterns("groundtruth.txt"))
     rows = np.loadtxt(recording / "groundtruth.txt")
     np.savetxt(folder / "groundtruth.txt", change(rows), fmt="%.9f")  # type: ignore[operator]
     return folder

@@ -21,6 +21,10 @@ NEEDED = ("fx", "fy", "cx", "cy")
 MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
 # Focal lengths as shares of the image's side.
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
+# What any camera's are, pixels (own choices).
+LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
+# Poses and intrinsics of 50,000 frames; as values they take up to 24 times as much memory (own choice).
+JSON_BYTES = 16 << 20
 HELD = "width, height, fx, fy, cx, cy"
 
 
@@ -79,6 +83,11 @@ class Intrinsics:
         fx, fy, cx, cy = (float(getattr(self, name)) for name in NEEDED)
         if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
             raise RecordingError(f"{path}: the focal lengths {fx:g}, {fy:g} are not positive numbers")
+        if not (min(fx, fy) >= LEAST_FOCAL_PX and max(fx, fy) <= MOST_FOCAL_PX):
+            raise RecordingError(
+                f"{path}: the focal lengths {fx:g}, {fy:g} are no camera's; correct them (pixels), or give "
+                "fx, fy, cx, cy under `camera:`"
+            )
         if not (0 <= cx < width and 0 <= cy < height):
             raise RecordingError(
                 f"{path}: the principal point ({cx:g}, {cy:g}) lies outside the {width}x{height} depth "
@@ -256,7 +265,7 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     Raises:
         RecordingError: the file is not valid JSON, or no object.
     """
-    return object_of(read_text(path), str(path), what)
+    return object_of(read_text(path, JSON_BYTES), str(path), what)
 
 
 def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
@@ -265,6 +274,8 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
     Raises:
         RecordingError: it is not valid JSON, or no object.
     """
+    if len(text) > JSON_BYTES:
+        raise RecordingError(f"{where}: is larger than the {JSON_BYTES} bytes that it may have")
     try:
         raw = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -14,6 +14,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
 from kinectbench.stages.ingest.rotated_depth import unrotated
@@ -229,16 +230,28 @@ def read_image_file(path: Path) -> bytes:
         DamagedImageError: it is missing or cannot be read.
     """
     try:
-        return path.read_bytes()
+        return read_plain(path, IMAGE_BYTES)
     except FileNotFoundError as error:
         raise DamagedImageError(f"{path}: the recording lists this image, but it is missing") from error
     except OSError as error:
         raise DamagedImageError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def mask_beside(depth: Path) -> Path | None:
-    """A person's mask of a depth image: of its name in a folder masks/ beside the image's; or None."""
+def mask_beside(depth: Path, recording: Path) -> Path | None:
+    """A person's mask of a depth image: of its name in a folder masks/ beside the image's; or None.
+
+    Args:
+        depth: the image.
+        recording: the recording's folder; a mask outside of it does not belong to it.
+    """
+    if depth.parent == recording:
+        return None
     return first_file([depth.parent.parent / "masks" / f"{depth.stem}.png"])
+
+
+def visible(folder: Path, pattern: str) -> list[Path]:
+    """The files of a folder whose names match; hidden ones are no part of a recording."""
+    return [file for file in folder.glob(pattern) if not file.name.startswith(".")]
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:

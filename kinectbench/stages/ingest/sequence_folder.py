@@ -24,6 +24,7 @@ from kinectbench.core.storage import storage_errors
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_text
 from kinectbench.core.types import Bools, Progress
+from kinectbench.core.untrusted import UNPACKED_BYTES, read_plain
 from kinectbench.stages.ingest.depth_code import decode_depth, encode_depth
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
@@ -190,7 +191,7 @@ class FolderFrames:
 
     def _bytes(self, name: str) -> bytes:
         try:
-            return (self.folder / name).read_bytes()
+            return read_plain(self.folder / name, UNPACKED_BYTES)
         except OSError as error:
             reason = error.strerror
             raise StorageError(f"{self.folder / name}: cannot be read ({reason}); {AGAIN}") from error

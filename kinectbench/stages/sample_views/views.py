@@ -20,7 +20,9 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
+from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
+from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.sample_views.alignment import Alignment, align_view
 from kinectbench.stages.sample_views.masks import (
     GivenMasks,
@@ -266,8 +268,12 @@ def _read_mask(path: Path) -> Bools | None:
     """The pixels of a picture that are not 0; None if there is no such picture or it is damaged."""
     import cv2
 
-    data = path.read_bytes() if path.is_file() else b""
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    try:
+        data = read_plain(path, IMAGE_BYTES)
+        image_header(data, str(path))
+    except (OSError, DamagedImageError):
+        return None
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     return None if image is None else np.asarray(image, dtype=np.uint8) > 0
 
 

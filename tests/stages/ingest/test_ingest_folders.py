@@ -293,7 +293,7 @@ def test_find_recordings_and_source_files(tmp_path: Path) -> None:
     (tmp_path / "b/tum/.DS_Store").write_text("x")
     (tmp_path / "b/tum/loop").symlink_to(tmp_path / "b/tum", target_is_directory=True)
     assert find_recordings(tmp_path) == [(tmp_path / "a", "7scenes"), (tmp_path / "b/tum", "tum")]
-    files = source_files(tmp_path / "b/tum")
+    files = source_files(tmp_path / "b/tum", follow_links=True)
     assert files == sorted(files)
     assert len(files) == 2 * 5 + 4
     assert source_files(files[0]) == [files[0]]

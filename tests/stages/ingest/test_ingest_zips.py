@@ -76,9 +76,6 @@ def test_members_that_are_missing_or_wrong(tmp_path: Path) -> None:
         open_recording(redwood(tmp_path / "b.zip", without="depth/"))
     with zipfile.ZipFile(redwood(tmp_path / "c.zip", without="depth/0000001"), "a") as archive:
         archive.writestr("depth/0000001-000000000000.png", b"no image")
-        # Names that leave the archive, or are of something else, are not looked at.
-        archive.writestr("../../depth/0000009-000000000000.png", b"x")
-        archive.writestr("/depth/0000010-000000000000.png", b"x")
         archive.writestr("depth/notes.txt", b"x")
     recording = open_recording(tmp_path / "c.zip", SMALL)
     assert len(recording) == 4

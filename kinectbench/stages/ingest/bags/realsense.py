@@ -13,6 +13,7 @@ import numpy as np
 
 from kinectbench.core.geometry import closest_rotation, rigid
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import HEAD_BYTES, open_plain
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic
@@ -27,7 +28,6 @@ UNITS = re.compile(r"depth[ _]units", re.IGNORECASE)
 # Version 3 has a topic for each option, version 2 one for all of them.
 OPTION = re.compile(r"/option/depth[ _]units/value$|/property$", re.IGNORECASE)
 TELL_TALES = (b"topic=/device_0/sensor_", b"topic=/camera/rs_stream_info/")
-LOOKED_AT_BYTES = 1 << 18
 
 
 class RealsenseRecording(Rosbag1Recording):
@@ -45,13 +45,13 @@ class RealsenseRecording(Rosbag1Recording):
         """Whether it is a bag whose first or last part names librealsense's topics."""
         if not super().recognises(path):
             return False
-        with path.open("rb") as file:
-            start = file.read(LOOKED_AT_BYTES)
+        with open_plain(path) as file:
+            start = file.read(HEAD_BYTES)
             # The index repeats every connection.
             index = re.search(rb"index_pos=(.{8})", start[: len(MAGIC) + 4096], re.DOTALL)
             (position,) = struct.unpack("<Q", index[1]) if index else (0,)
             file.seek(min(position, path.stat().st_size))
-            end = file.read(LOOKED_AT_BYTES)
+            end = file.read(HEAD_BYTES)
         return any(word in part for word in TELL_TALES for part in (start, end))
 
     @classmethod

@@ -6,18 +6,25 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
+from io import BytesIO
 from pathlib import Path
 from sqlite3 import Blob
 from typing import Any, BinaryIO, Literal, NamedTuple
 
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
+from kinectbench.stages.ingest.bags.ros_definitions import known_types
 from kinectbench.stages.ingest.images import DamagedImageError
 
 Encoding = Literal["ros1", "cdr"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# A damaged message cannot ask for more than this when it is unpacked.
-MAX_MESSAGE_BYTES = 256 << 20
+# The longest name of a topic or type, and what a bag says of one: its definition, mostly (own choices).
+LONGEST_NAME, DEFINITION_BYTES = 1000, 1 << 20
+# No record of a bag takes less of its file, however well it is compressed, but for these (own choices).
+LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
 # Enough of a message to hold its Header's sequence number and stamp.
 PEEK_BYTES = 16
+# In as many bytes a message that is compressed begins: a block of zstd and its head. How chunks are unpacked.
+PACKED_HEAD_BYTES, PART_BYTES = 256 << 10, 4 << 20
 # Chunks that were read last are kept up to this many bytes, and always one.
 CACHED_BYTES = 96 << 20
 TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
@@ -30,7 +37,39 @@ HEADERLESS = frozenset(
 
 
 class DamagedRecordError(Exception):
-    """A record of a bag that is not whole or does not make sense."""
+    """A record of a bag that is not whole or does not make sense, or is more than such a file can hold."""
+
+
+class WalkBudget:
+    """What a walk through a bag's file may cost: time that grows with its size, and memory that does not.
+
+    A few bytes of compressed chunks may hold any number of records.
+    """
+
+    def __init__(self, file_bytes: int) -> None:
+        """Start before the first record of a file of this size."""
+        self._records = ALWAYS_RECORDS + file_bytes // LEAST_RECORD_BYTES
+        self._bytes = unpacked_bound(file_bytes)
+
+    def take_record(self) -> None:
+        """Count a record.
+
+        Raises:
+            DamagedRecordError: there are too many.
+        """
+        self._records -= 1
+        if self._records < 0:
+            raise DamagedRecordError
+
+    def take_bytes(self, count: int) -> None:
+        """Count what a chunk is to be unpacked to.
+
+        Raises:
+            DamagedRecordError: it is too much, alone or with those before.
+        """
+        if count > min(UNPACKED_BYTES, self._bytes):
+            raise DamagedRecordError
+        self._bytes -= count
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +127,8 @@ class RosBag:
 
     @cached_property
     def _decoders(self) -> dict[Encoding, Callable[[bytes, str], Any]]:
-        own = tuple(sorted({(t.type, t.definition) for t in self.topics if t.definition}))
-        return {"ros1": _ros1_decoder(own), "cdr": _ros2_decoder()}
+        own = {t.type: t.definition for t in reversed(self.topics) if t.definition}
+        return {"ros1": _ros1_decoder(tuple(sorted(own.items()))), "cdr": _ros2_decoder()}
 
     def decode(self, topic: BagTopic, index: int) -> Any:
         """The index-th message of a topic.
@@ -102,7 +141,7 @@ class RosBag:
         data = self.read(topic.messages[index])
         try:
             return self._decoders[topic.encoding](data, long_type(topic.type))
-        except (SerdeError, ValueError, struct.error, LookupError, OverflowError) as error:
+        except (SerdeError, ValueError, struct.error, LookupError, OverflowError, RecursionError) as error:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
     def whole(self, topic: BagTopic) -> Iterator[Any]:
@@ -122,12 +161,12 @@ def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], An
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
-    for name, definition in ((TF_MESSAGE, TF_DEFINITION), (OLD_TF_MESSAGE, TF_DEFINITION), *own):
-        try:
-            types = get_types_from_msg(definition, long_type(name))
-            store.register({key: value for key, value in types.items() if key not in store.fielddefs})
-        except TypesysError:  # messages of a type whose definition is damaged do not decode
-            continue
+    for name in (TF_MESSAGE, OLD_TF_MESSAGE):
+        store.register(get_types_from_msg(TF_DEFINITION, long_type(name)))
+    for name, definition in own:
+        # Messages of a type whose definition is damaged, or more than is compiled, do not decode.
+        with suppress(ValueError, TypesysError):
+            store.register(known_types(long_type(name), definition, store))
     decode: Callable[[bytes, str], Any] = store.deserialize_ros1
     return decode
 
@@ -205,15 +244,20 @@ class FoundMessages:
             recorded_ns: when it was recorded, nanoseconds.
             place: chunk, offset and size, as in `MessagePlace`.
             whole: read all of it, to see whether all is there, and not only its Header.
+
+        Raises:
+            DamagedRecordError: it says that it is larger than a message can be.
         """
         known = self.connections.get(connection)
         # The connection of a message can be in a chunk that is lost, and again at the end.
         if known is not None and known.type not in self._types:
             return
         size = place[2]
+        if size > UNPACKED_BYTES:
+            raise DamagedRecordError
         start = file.read(size if whole else min(PEEK_BYTES, size))
         if start.startswith(ZSTD_MAGIC):
-            start = unpacked_message(start + file.read(size - len(start)))[:PEEK_BYTES]
+            start = _start_of_packed(start + file.read(max(0, min(PACKED_HEAD_BYTES, size) - len(start))))
         sort = known or BagTopic("", "")
         stamp_ns = header_stamp_ns(start, sort.type, sort.encoding) or recorded_ns
         self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
@@ -245,7 +289,7 @@ class BagReader:
     def __call__(self, place: MessagePlace) -> bytes:
         """The serialised message that lies there."""
         if place.chunk not in self._chunks:
-            with self._path.open("rb") as file:
+            with open_plain(self._path) as file:
                 if place.chunk < 0:
                     file.seek(place.offset)
                     return file.read(place.size)
@@ -269,23 +313,47 @@ def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
         size: of the chunk when it is unpacked, as its header says.
 
     Raises:
-        DamagedRecordError: it is damaged, or compressed in another way.
+        DamagedRecordError: it is damaged, larger than a chunk can be, or compressed in another way.
     """
     import zstandard
 
+    if size > UNPACKED_BYTES:
+        raise DamagedRecordError
     try:
         if compression == "bz2":
-            return bz2.BZ2Decompressor().decompress(data, max_length=max(size, 1))
+            return _unpacked(bz2.BZ2Decompressor(), data, size)
         if compression == "lz4":
             from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
-            return bytes(LZ4FrameDecompressor().decompress(data, max_length=max(size, 1)))
+            return _unpacked(LZ4FrameDecompressor(), data, size)
         if compression == "zstd":
             # A stream also reads frames that do not say their size.
             return zstandard.ZstdDecompressor().stream_reader(data).read(size)
     except (zstandard.ZstdError, OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
         raise DamagedRecordError from error
     raise DamagedRecordError
+
+
+def _unpacked(unpacker: Any, data: bytes, size: int) -> bytes:
+    """As much as `size` bytes of what a decompressor of bz2 or lz4 makes of data, kept once and not twice."""
+    target = BytesIO()
+    part = unpacker.decompress(data, max_length=min(max(size, 1), PART_BYTES))
+    while part:
+        target.write(part)
+        left = size - target.tell()
+        if left <= 0 or unpacker.eof:
+            break
+        part = unpacker.decompress(b"", max_length=min(left, PART_BYTES))
+    return target.getvalue()
+
+
+def _start_of_packed(head: bytes) -> bytes:
+    """The first bytes of a message, of the first that it is compressed to; empty if it is damaged."""
+    import zstandard
+
+    with suppress(zstandard.ZstdError):
+        return zstandard.ZstdDecompressor().stream_reader(head).read(PEEK_BYTES)
+    return b""
 
 
 def unpacked_message(data: bytes) -> bytes:
@@ -299,7 +367,7 @@ def unpacked_message(data: bytes) -> bytes:
 
     try:
         size = zstandard.frame_content_size(data)
-        if not 0 <= size <= MAX_MESSAGE_BYTES:
+        if not 0 <= size <= UNPACKED_BYTES:
             return b""
         return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
     except zstandard.ZstdError:

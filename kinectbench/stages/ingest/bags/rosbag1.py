@@ -13,12 +13,16 @@ from pathlib import Path
 from typing import BinaryIO, ClassVar
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, read_head
 from kinectbench.stages.ingest.bags.ros_messages import (
+    DEFINITION_BYTES,
+    LONGEST_NAME,
     BagReader,
     BagTopic,
     DamagedRecordError,
     FoundMessages,
     RosBag,
+    WalkBudget,
     unpacked_chunk,
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
@@ -40,14 +44,13 @@ class Rosbag1Recording(RosRecording):
         """Whether the file begins like a bag, whatever its name ends in."""
         if not path.is_file():
             return False
-        with path.open("rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
+        return read_head(path, len(MAGIC)) == MAGIC
 
     @classmethod
     def walk(cls, path: Path) -> RosBag:
         """Walk through the bag's chunks."""
         reader = BagReader(path, _chunk_at)
-        walk = _Walk(cls.wanted, cls.own_types, reader.keep)
+        walk = _Walk(cls.wanted, cls.own_types, reader.keep, WalkBudget(path.stat().st_size))
         complete = walk.take_all(path)
         topics = walk.found.topics()
         if complete and not walk.damaged_chunks:
@@ -67,8 +70,13 @@ class _Walk:
     """What has been met so far: the messages, and the number of whole and of damaged chunks."""
 
     def __init__(
-        self, types: frozenset[str], own_types: frozenset[str], keep: Callable[[int, bytes], None]
+        self,
+        types: frozenset[str],
+        own_types: frozenset[str],
+        keep: Callable[[int, bytes], None],
+        budget: WalkBudget,
     ) -> None:
+        self.budget = budget
         self.found = FoundMessages(types)
         self.chunks = 0
         self.damaged_chunks = 0
@@ -82,7 +90,7 @@ class _Walk:
             RecordingError: it is encrypted.
         """
         size = path.stat().st_size
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             file.seek(len(MAGIC))
             try:
                 fields, data_size = _read_header(file, size)
@@ -128,6 +136,7 @@ class _Walk:
         data = _read_exactly(file, size, end)
         self.chunks += 1
         try:
+            self.budget.take_bytes(_number(fields, b"size", "<I"))
             chunk = _decompress(fields, data)
             unpacked = BytesIO(chunk)
             for inner, offset, length in _records_of(unpacked, len(chunk)):
@@ -137,8 +146,11 @@ class _Walk:
             self.damaged_chunks += 1
 
     def _take(self, fields: dict[bytes, bytes], file: BinaryIO, offset: int, size: int, chunk: int) -> None:
+        self.budget.take_record()
         op = _number(fields, b"op", "<B")
         if op == OP_CONNECTION:
+            if size > DEFINITION_BYTES:
+                raise DamagedRecordError
             file.seek(offset)
             self._take_connection(fields, file.read(size))
         elif op == OP_MESSAGE:
@@ -152,6 +164,8 @@ class _Walk:
         more = _parse_fields(data)
         values = (fields.get(b"topic", b""), more.get(b"type", b""), more.get(b"message_definition", b""))
         topic, type_, definition = (value.decode(errors="replace") for value in values)
+        if max(len(topic), len(type_)) > LONGEST_NAME:
+            raise DamagedRecordError
         own = definition if type_ in self._own_types else ""
         self.found.connections[_number(fields, b"conn", "<I")] = BagTopic(topic, type_, "ros1", own)
 
@@ -186,6 +200,8 @@ def _chunk_at(file: BinaryIO, position: int) -> bytes:
 def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
     """Header fields of the next record, and the size of the data that follow."""
     (header_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
+    if header_size > DEFINITION_BYTES:
+        raise DamagedRecordError
     fields = _parse_fields(_read_exactly(file, header_size, end))
     (data_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
     return fields, data_size
@@ -193,7 +209,7 @@ def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
 
 def _read_exactly(file: BinaryIO, size: int, end: int) -> bytes:
     """Bytes of the file, once it is known to hold them: a damaged size allocates nothing."""
-    if file.tell() + size > end:
+    if file.tell() + size > end or size > UNPACKED_BYTES:
         raise DamagedRecordError
     return file.read(size)
 

@@ -1,5 +1,6 @@
 """ROS 2 bags: a folder or a bare file, sqlite3 or mcap, compressed by message or as files, or not at all."""
 
+import errno
 import shutil
 import tempfile
 import weakref
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import copy_bounded, open_plain, read_head, unpacked_bound
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.ros_messages import (
     ZSTD_MAGIC,
@@ -18,6 +20,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     unpacked_message,
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
+from kinectbench.stages.ingest.recording import visible
 
 MAGICS = (rosbag2_sqlite.MAGIC, rosbag2_mcap.MAGIC)
 
@@ -51,13 +54,12 @@ class Rosbag2Recording(RosRecording):
 
 def _bag_files(folder: Path) -> list[Path]:
     """Files that may be a bag's, in the order of recording: NAME_2 before NAME_10."""
-    found = (file for file in folder.iterdir() if file.name.endswith(Rosbag2Recording.suffixes))
+    found = (file for file in visible(folder, "*") if file.name.endswith(Rosbag2Recording.suffixes))
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
 def _start_of(file: Path) -> bytes:
-    with file.open("rb") as stream:
-        return stream.read(16)
+    return read_head(file, 16)
 
 
 def _is_bag_file(file: Path) -> bool:
@@ -87,12 +89,17 @@ def _walk_packed(file: Path, types: frozenset[str]) -> RosBag:
     folder = tempfile.mkdtemp(prefix="kinectbench-")
     weakref.finalize(read, shutil.rmtree, folder, ignore_errors=True)
     unpacked, trouble = Path(folder) / file.name.removesuffix(".zstd"), ""
-    with file.open("rb") as source, unpacked.open("wb") as target:
+    with open_plain(file) as source, unpacked.open("wb") as target:
+        stream = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
         try:
-            zstandard.ZstdDecompressor().copy_stream(source, target)
+            copy_bounded(stream, target, unpacked_bound(file.stat().st_size))
         except zstandard.ZstdError as error:
             trouble = f"{file}: is damaged or cut off ({error})"
-    if not _is_bag_file(unpacked):
+        except OSError as error:
+            if error.errno != errno.EFBIG or error.filename is not None:
+                raise
+            raise RecordingError(f"{file}: {error.strerror}, which no bag of its size does") from error
+    if not _start_of(unpacked).startswith(MAGICS):
         trouble = trouble or f"{file}: is cut off or holds no ROS 2 bag"
         return RosBag(file, (), lambda place: b"", trouble)
     bag = _walk_file(unpacked, types)

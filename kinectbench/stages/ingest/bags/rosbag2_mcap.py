@@ -10,13 +10,17 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain
 from kinectbench.stages.ingest.bags.ros_messages import (
+    DEFINITION_BYTES,
+    LONGEST_NAME,
     BagReader,
     BagTopic,
     DamagedRecordError,
     Encoding,
     FoundMessages,
     RosBag,
+    WalkBudget,
     short_type,
     unpacked_chunk,
 )
@@ -40,9 +44,9 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
         RecordingError: the topics are serialised in a way that cannot be read.
     """
     reader = BagReader(path, _chunk_at)
-    walked = _Walk(types, reader.keep)
     size = path.stat().st_size
-    with path.open("rb") as file:
+    walked = _Walk(types, reader.keep, WalkBudget(size))
+    with open_plain(path) as file:
         file.seek(len(MAGIC))
         try:
             complete = walked.take_all(file, len(MAGIC), size, chunk=-1)
@@ -67,7 +71,8 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
 class _Walk:
     """What has been met so far; `unknown` are the encodings of messages that cannot be read."""
 
-    def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None]) -> None:
+    def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None], budget: WalkBudget) -> None:
+        self.budget = budget
         self.found = FoundMessages(types)
         self.unknown: set[str] = set()
         self.damaged_chunks = 0
@@ -89,9 +94,10 @@ class _Walk:
         position = start
         while position + RECORD.size <= end:
             file.seek(position)
+            self.budget.take_record()
             kind, size = RECORD.unpack(file.read(RECORD.size))
             body = position + RECORD.size
-            if body + size > end:
+            if body + size > end or not kind:  # no record is of kind 0
                 if kind == CHUNK:
                     self.damaged_chunks += 1
                 raise DamagedRecordError
@@ -102,19 +108,21 @@ class _Walk:
             elif kind == CHUNK and not nested:
                 self._take_chunk(file, body, size)
             elif kind in (SCHEMA, CHANNEL):
-                self._take_definition(kind, file.read(size))
+                self._take_definition(kind, file.read(min(size, DEFINITION_BYTES + 1)))
             position = body + size
         return False
 
     def _take_definition(self, kind: int, data: bytes) -> None:
+        if len(data) > DEFINITION_BYTES:
+            raise DamagedRecordError
         try:
             (number,) = struct.unpack_from("<H", data)
             if kind == SCHEMA:
-                self._schemas[number] = _string(data, 2)[0]
+                self._schemas[number] = _name(data, 2)[0]
                 return
             (schema,) = struct.unpack_from("<H", data, 2)
-            topic, position = _string(data, 4)
-            encoding, _ = _string(data, position)
+            topic, position = _name(data, 4)
+            encoding, _ = _name(data, position)
         except (struct.error, UnicodeDecodeError) as error:
             raise DamagedRecordError from error
         type_ = short_type(self._schemas.get(schema, ""))
@@ -137,6 +145,7 @@ class _Walk:
             if not parts.compression:
                 self.take_all(file, parts.start, parts.start + parts.length, nested=True)
                 return
+            self.budget.take_bytes(parts.unpacked_size)
             data = _unpack_chunk(file, parts)
             self.take_all(BytesIO(data), 0, len(data), chunk=body - RECORD.size, nested=True)
             self._keep(body - RECORD.size, data)
@@ -161,6 +170,14 @@ def _string(data: bytes, position: int) -> tuple[str, int]:
     return data[position + 4 : end].decode(), end
 
 
+def _name(data: bytes, position: int) -> tuple[str, int]:
+    """A string that is kept."""
+    name, end = _string(data, position)
+    if len(name) > LONGEST_NAME:
+        raise DamagedRecordError
+    return name, end
+
+
 def _chunk_parts(file: BinaryIO, end: int) -> _ChunkParts:
     """The parts of the chunk whose body begins here and ends at `end`."""
     start = file.tell()
@@ -177,7 +194,7 @@ def _chunk_parts(file: BinaryIO, end: int) -> _ChunkParts:
 
 
 def _unpack_chunk(file: BinaryIO, parts: _ChunkParts) -> bytes:
-    if parts.unpacked_size > MAX_RATIO * max(parts.length, 1):
+    if parts.unpacked_size > MAX_RATIO * max(parts.length, 1) or parts.length > UNPACKED_BYTES:
         raise DamagedRecordError
     file.seek(parts.start)
     return unpacked_chunk(parts.compression, file.read(parts.length), parts.unpacked_size)

@@ -1,14 +1,20 @@
 """The messages of a ROS 2 bag in a sqlite3 file (rosbag2_storage_sqlite3); a damaged one gives a part."""
 
+import shutil
 import sqlite3
 import struct
+import tempfile
+import weakref
 from contextlib import closing, suppress
 from pathlib import Path
 from urllib.parse import quote
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import copy_bounded, open_plain, read_head
 from kinectbench.stages.ingest.bags.ros_messages import (
+    DEFINITION_BYTES,
     BagTopic,
+    DamagedRecordError,
     FoundMessages,
     MessagePlace,
     RosBag,
@@ -16,6 +22,12 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 )
 
 MAGIC = b"SQLite format 3\0"
+TABLES = ("topics", "messages")
+MOST_TOPICS = 10_000
+# In the head: how often the file was changed, and after how many changes its count of pages was right.
+CHANGE_COUNTER, VALID_FOR = slice(24, 28), 92
+# Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file (own choices).
+ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
 HEAD_BYTES, LEAST_PAGE_BYTES = 100, 512
 # A message as long as a page less this does not fit into a page with others.
 CELL_BYTES = 100
@@ -30,63 +42,107 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
     found = FoundMessages(types)
     cut_off = _page_bytes_if_cut_off(path)
     trouble = f"{path}: is cut off" if cut_off else ""
+    reader = _Reader(path, cut_off > 0)
     try:
-        with closing(_connect(path)) as database:
-            rows = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        with closing(reader.connect()) as database:
+            # Pages that lead back to each other would make rows without end.
+            left = iter(range(ALWAYS_STEPS + reader.file_bytes * STEPS_A_BYTE, 0, -STEPS_AT_ONCE))
+            database.set_progress_handler(lambda: next(left, 0) == 0, STEPS_AT_ONCE)
+            _check_tables(database)
+            rows = database.execute(
+                "SELECT id, name, type, serialization_format FROM topics LIMIT ?", (MOST_TOPICS,)
+            )
             for topic, name, type_, encoding in rows:
                 if encoding == "cdr":
                     found.connections[topic] = BagTopic(str(name), short_type(str(type_)), "cdr")
             try:
-                _take_messages(database, found, all_of_them=cut_off > 0)
-            except sqlite3.DatabaseError as error:
-                trouble = trouble or f"{path}: is damaged ({error})"
+                _take_messages(database, found, reader.file_bytes, all_of_them=cut_off > 0)
+            except (sqlite3.DatabaseError, DamagedRecordError) as error:
+                trouble = trouble or f"{path}: is damaged ({error or 'a message is larger than the file'})"
     except (sqlite3.DatabaseError, ValueError, TypeError) as error:
         what = "is cut off, and" if cut_off else "is damaged:"
         raise RecordingError(
             f"{path}: {what} cannot be read as a ROS 2 bag ({error}); copy it again"
         ) from error
-    if cut_off and path.stat().st_size % cut_off:
+    if cut_off and reader.file_bytes % cut_off:
         _leave_out_torn(found, cut_off)
     if trouble:
         trouble += f": {sum(map(len, found.places.values()))} whole messages were saved; copy it again"
-    return RosBag(path, found.topics(), _Reader(path), trouble)
+    return RosBag(path, found.topics(), reader, trouble)
 
 
 class _Reader:
-    """Reads single messages by their row."""
+    """Reads single messages by their row.
 
-    def __init__(self, path: Path) -> None:
+    A file that was cut off lacks pages that its head counts, and sqlite does not open it. It is copied into a
+    temporary folder that goes with this, where the head says that the count is not valid.
+    """
+
+    def __init__(self, path: Path, cut_off: bool) -> None:
+        self.file_bytes = path.stat().st_size
         self._path = path
         self._database: sqlite3.Connection | None = None
+        if cut_off:
+            folder = tempfile.mkdtemp(prefix="kinectbench-")
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            self._path = Path(folder) / "cut_off.db3"
+            with open_plain(path) as source, self._path.open("wb") as target:
+                copy_bounded(source, target, self.file_bytes)
+                if self.file_bytes >= HEAD_BYTES:
+                    target.seek(VALID_FOR)
+                    target.write(bytes(255 - byte for byte in _bytes_at(path, CHANGE_COUNTER)))
+
+    def connect(self) -> sqlite3.Connection:
+        """Open the file to read only; what it says is not trusted."""
+        open_plain(self._path).close()  # a regular file
+        # immutable: nothing is written beside the file, and a journal that is missing does not matter.
+        database = sqlite3.connect(
+            f"file:{quote(str(self._path.resolve()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
+        )
+        database.execute("PRAGMA trusted_schema = OFF")
+        database.execute("PRAGMA query_only = ON")
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, DEFINITION_BYTES)
+        return database
 
     def __call__(self, place: MessagePlace) -> bytes:
+        """The serialised message of a row; empty, which counts as damaged, if it cannot be read."""
         try:
             if self._database is None:
-                self._database = _connect(self._path)
-            row = self._database.execute("SELECT data FROM messages WHERE id = ?", (place.offset,)).fetchone()
+                self._database = self.connect()
+            with self._database.blobopen("messages", "data", place.offset, readonly=True) as blob:
+                return blob.read(place.size)
         except sqlite3.DatabaseError:
-            return b""  # does not decode as a message, and counts as damaged
-        return bytes(row[0]) if row else b""
+            return b""
 
     def __del__(self) -> None:
         if self._database is not None:
             self._database.close()
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    # immutable: nothing is written beside the file, and a journal that is missing does not matter.
-    database = sqlite3.connect(
-        f"file:{quote(str(path.resolve()))}?immutable=1", uri=True, check_same_thread=False
-    )
-    # Without it, sqlite opens no file that lacks pages that its head counts, as one does that was cut off.
-    database.execute("PRAGMA writable_schema = ON")
-    return database
+def _check_tables(database: sqlite3.Connection) -> None:
+    """Refuse what is computed where a bag has tables: views, virtual tables, generated columns.
+
+    Raises:
+        ValueError: one is; the message says which.
+        DatabaseError: the database is damaged.
+    """
+    for name in TABLES:
+        rows = database.execute(
+            "SELECT type, rootpage FROM sqlite_master WHERE name = ? COLLATE NOCASE LIMIT 2", (name,)
+        ).fetchall()
+        if len(rows) != 1 or rows[0][0] != "table" or not rows[0][1]:
+            raise ValueError(f"it has no table '{name}'")
+        if any(column[6] for column in database.execute(f"PRAGMA table_xinfo({name})")):
+            raise ValueError(f"its table '{name}' has columns that are computed")
+
+
+def _bytes_at(path: Path, place: slice) -> bytes:
+    return read_head(path, HEAD_BYTES)[place]
 
 
 def _page_bytes_if_cut_off(path: Path) -> int:
     """The size of a page if the file is shorter than its head says, else 0 (SQLite's file format, 1.3)."""
-    with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
+    head = read_head(path, HEAD_BYTES)
     if len(head) < HEAD_BYTES:
         return LEAST_PAGE_BYTES
     (said,), (pages,) = struct.unpack_from(">H", head, 16), struct.unpack_from(">I", head, 28)
@@ -104,12 +160,21 @@ def _leave_out_torn(found: FoundMessages, page_bytes: int) -> None:
             places.remove(last)
 
 
-def _take_messages(database: sqlite3.Connection, found: FoundMessages, all_of_them: bool) -> None:
-    """Note where the messages lie; no more of them is read than their first bytes, or else `all_of_them`."""
+def _take_messages(
+    database: sqlite3.Connection, found: FoundMessages, file_bytes: int, all_of_them: bool
+) -> None:
+    """Note where the messages lie; no more of them is read than their first bytes, or else `all_of_them`.
+
+    Raises:
+        DamagedRecordError: a message says that it is larger than the file.
+    """
     query = (
-        "SELECT id, topic_id, timestamp, length(data) FROM messages WHERE typeof(data) = 'blob' ORDER BY id"
+        "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE typeof(data) = 'blob' "
+        "ORDER BY rowid"
     )
     for row, topic, recorded_ns, size in database.execute(query):
+        if size > file_bytes:  # its pages go round
+            raise DamagedRecordError
         # One whose end is lost is passed over.
         if topic in found.connections:
             with (

@@ -1,9 +1,7 @@
 """One reader for each format of folder or log; and the table by which a reader is found, bags included."""
 
 import importlib
-import os
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +12,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_coding import with_depth_code
 from kinectbench.stages.ingest.readers.color_only import without_depth
 from kinectbench.stages.ingest.recording import Recording
+from kinectbench.stages.ingest.sources import check_count, check_link, check_there, files_below
 
 # name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
 FORMATS = {
@@ -40,6 +39,10 @@ FORMATS = {
 
 
 TRUTH = "truth.json"
+# Native units of 16-bit depth a metre: all that it can say lies within kilometres, or 6.5 cm (own choices).
+LEAST_DEPTH_SCALE, MOST_DEPTH_SCALE = 1e-3, 1e6
+# Enough to find a recording near a path that is none; others are not looked at (own choices).
+LOOKED_AT, LOOKED_AT_FOR_HINT = 1_000_000, 1000
 
 
 def reader_of(name: str) -> type[Recording]:
@@ -59,60 +62,112 @@ def format_of(path: Path) -> str | None:
     return next((name for name in FORMATS if reader_of(name).recognises(path)), None)
 
 
-def open_recording(path: Path, camera: CameraSettings | None = None) -> Recording:
+def open_recording(
+    path: Path, camera: CameraSettings | None = None, *, follow_links: bool = False
+) -> Recording:
     """Open a recording of any known format.
 
     Args:
         path: folder or file.
         camera: values that win over what the recording says.
+        follow_links: links in it are followed; else one that holds any is refused.
 
     Raises:
         RecordingError: it is not there, its format is unknown, or it cannot be used.
     """
-    if not path.exists():
-        raise RecordingError(f"{path}: there is no such file or folder; correct the recording's `path:`")
     try:
-        name = format_of(path)
-        if name is None:
-            raise RecordingError(_unknown(path))
+        name = known_format(path)
+        source_files(path, follow_links=follow_links)
         settings = camera or CameraSettings()
         recording = reader_of(name).open(path, settings)
+        for scale in (recording.depth_scale, settings.depth_scale or recording.depth_scale):
+            _check_scale(path, scale)
+        check_count(path, len(recording))
         return with_depth_code(_with_delays(recording, settings), settings)
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
 
 
-def source_files(path: Path) -> list[Path]:
+def known_format(path: Path) -> str:
+    """The name of the format that a folder or file is in, as `format_of`.
+
+    Raises:
+        RecordingError: it is not there, or its format is unknown.
+        OSError: it cannot be read.
+    """
+    check_there(path)
+    if not (path.is_dir() or path.is_file()):
+        raise RecordingError(f"{path}: is neither a folder nor a plain file; correct the recording's `path:`")
+    name = format_of(path)
+    if name is None:
+        raise RecordingError(_unknown(path))
+    return name
+
+
+def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
     """Every file of a recording, sorted: the path itself, or all in the folder that are not hidden.
 
-    Files outside the folder that belong to it come last.
+    Files outside the folder that belong to it come last. Nothing is listed before its format is known.
+
+    Args:
+        path: folder or file; it may be a link itself.
+        follow_links: files and folders in it may be links, too.
+
+    Raises:
+        RecordingError: its format is unknown, or it holds links that are not to be followed, what is no plain
+            file, or too many files.
     """
-    if path.is_file():
-        return [path]
-    with suppress(OSError):
-        name = format_of(path)
-        beside = () if name is None else reader_of(name).files_beside(path)
-        return [*sorted(_walk(path)), *beside]
-    return sorted(_walk(path))
+    try:
+        reader = reader_of(known_format(path))
+        if not path.is_dir():
+            return [path]
+        beside = reader.files_beside(path)
+        for file in beside:
+            check_link(file, follow_links=follow_links)
+        return [*files_below(path, follow_links=follow_links), *beside]
+    except OSError as error:
+        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
 
 
-def find_recordings(folder: Path) -> list[tuple[Path, str]]:
+def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str]]:
     """Every recording in a folder and below, as (path, format), sorted; none lies inside another.
 
     A folder that cannot be read, that begins with a dot, or that holds the truth of a simulated recording is
     passed over.
+
+    Args:
+        folder: where they are looked for.
+        most: after so many files and folders the others are not looked at.
     """
+    return list(_recordings_below(folder, iter(range(most))))
+
+
+def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
+    """As `find_recordings`; each file or folder takes one of the numbers."""
+    if next(numbers, None) is None:
+        return
     try:
         if (folder / TRUTH).is_file():
-            return []
+            return
         name = format_of(folder)
         if name is not None:
-            return [(folder, name)]
+            yield folder, name
+            return
         children = sorted(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []
     except OSError:
-        return []
-    found = [find_recordings(child) for child in children if not child.name.startswith(".")]
-    return [recording for recordings in found for recording in recordings]
+        return
+    for child in children:
+        if not child.name.startswith("."):
+            yield from _recordings_below(child, numbers)
+
+
+def _check_scale(path: Path, scale: float) -> None:
+    """Refuse a depth scale that no recording has, whatever format or setting says so."""
+    if not LEAST_DEPTH_SCALE <= scale <= MOST_DEPTH_SCALE:  # which NaN is not
+        raise RecordingError(
+            f"{path}: 1 m cannot be {scale:g} units of 16-bit depth; correct the recording's depth scale, or "
+            "give `camera: {depth_scale: ...}` (units a metre, such as 1000 or 5000)"
+        )
 
 
 def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
@@ -128,23 +183,11 @@ def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
     )
 
 
-def _walk(folder: Path) -> Iterator[Path]:
-    seen: set[str] = set()
-    for root, folders, files in os.walk(folder, followlinks=True):
-        real = os.path.realpath(root)
-        if real in seen:  # a link to a folder above would go round for ever
-            folders.clear()
-            continue
-        seen.add(real)
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        yield from (Path(root) / name for name in files if not name.startswith("."))
-
-
 def _unknown(path: Path) -> str:
     known = f"the formats that are read are {', '.join(FORMATS)}; `kinectbench formats` says what each needs"
     if path.is_dir() and not any(path.iterdir()):
         return f"{path}: the folder is empty; {known}"
-    inside = find_recordings(path) if path.is_dir() else []
+    inside = find_recordings(path, LOOKED_AT_FOR_HINT) if path.is_dir() else []
     said = None if inside else without_depth(path)
     if said is not None:
         return said

@@ -1,20 +1,24 @@
 """A zip archive that is read in place: nothing is unpacked to disk, and no more than a bound into memory."""
 
 import re
+import weakref
 import zipfile
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import HEAD_BYTES, open_plain, printable, unpacked_bound
+from kinectbench.core.zip_files import open_zip
 from kinectbench.stages.ingest.images import DamagedImageError
 
 # Of a zip archive's first local header (APPNOTE.TXT 4.3.7).
 MAGIC = b"PK\x03\x04"
-# Names of the first members lie in the first bytes, and those of the last in the last (own choice).
-END_BYTES = 1 << 16
+# Three members a frame, an hour at 30 frames a second; each is listed with its name and times (own choices).
+MOST_MEMBERS, ROW_BYTES = 350_000, 128
 # An image or JSON of a recording is smaller: 16-bit depth of 4096x4096 pixels has 32 MB (own choice).
 LARGEST_MEMBER_BYTES = 64 << 20
+PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # What zipfile raises for an archive that is damaged, encrypted, or packed in a way it does not know.
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, NotImplementedError)
 
@@ -34,7 +38,7 @@ class Archive:
         """The names of all members.
 
         Raises:
-            RecordingError: the archive is damaged or cut off.
+            RecordingError: the archive is damaged, cut off, or holds what no recording does.
         """
         return self._opened().namelist()
 
@@ -47,6 +51,10 @@ class Archive:
         where = f"{self.path}: {name}"
         try:
             info = self._opened().getinfo(name)
+            if info.compress_type not in PACKED_BY:
+                raise DamagedImageError(
+                    f"{where}: is packed in a way that is not read; zip it again, deflated"
+                )
             if info.file_size > LARGEST_MEMBER_BYTES:
                 raise DamagedImageError(
                     f"{where}: says that it unpacks to {info.file_size} bytes; it is no image"
@@ -62,22 +70,42 @@ class Archive:
 
     def _opened(self) -> zipfile.ZipFile:
         if self._zip is None:
+            file = open_plain(self.path)
             try:
-                self._zip = zipfile.ZipFile(self.path)
+                size = self.path.stat().st_size
+                archive = open_zip(file, MOST_MEMBERS, unpacked_bound(size), ROW_BYTES)
+                _check_members(archive, size)
             except DAMAGE as error:
+                file.close()
                 raise RecordingError(
                     f"{self.path}: the archive is cut off or damaged ({error}); copy it again"
                 ) from error
+            weakref.finalize(self, file.close)
+            self._zip = archive
         return self._zip
+
+
+def _check_members(archive: zipfile.ZipFile, size: int) -> None:
+    """Refuse an archive whose members lead out of it, or lie on each other.
+
+    Raises:
+        ValueError: one does; the message says how.
+    """
+    for name in archive.namelist():
+        if name.startswith("/") or ".." in name.split("/") or "\\" in name:
+            raise ValueError(f"'{printable(name)}' leads out of it")
+    if sum(info.compress_size for info in archive.infolist()) > size:
+        raise ValueError("its members are larger than itself")
 
 
 def holds(path: Path, member: re.Pattern[bytes]) -> bool:
     """Whether a file is a zip archive whose first or last members include such a name; it may be cut off."""
     if not path.is_file():
         return False
-    with path.open("rb") as file:
-        start = file.read(END_BYTES)
+    with open_plain(path) as file:
+        # Names of the first members lie in the first bytes, and those of the last in the last.
+        start = file.read(HEAD_BYTES)
         if not start.startswith(MAGIC):
             return False
-        file.seek(max(0, path.stat().st_size - END_BYTES))
-        return any(member.search(part) for part in (start, file.read(END_BYTES)))
+        file.seek(max(0, path.stat().st_size - HEAD_BYTES))
+        return any(member.search(part) for part in (start, file.read(HEAD_BYTES)))

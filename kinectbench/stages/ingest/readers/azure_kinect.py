@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.core.untrusted import HEAD_BYTES, MOST_SIDE_PX, UNPACKED_BYTES, open_plain, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
 from kinectbench.stages.ingest.intrinsics import object_of
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 DEPTH_SCALE = 1000.0
 EBML_MAGIC = b"\x1a\x45\xdf\xa3"
 SUFFIX = ".mkv"
-# The head of a Matroska file names its tracks; k4arecorder's own head is far shorter (own choice).
-HEAD_BYTES = 1 << 20
 MARKS = (b"K4A_", b"b16g")
 TRACKS = ("DEPTH", "COLOR", "IR")
 # Matroska's segment, whose size is known once the file was closed; a size of ones is not.
@@ -45,8 +44,6 @@ SEGMENT = b"\x18\x53\x80\x67"
 UNKNOWN_SIZE = (1 << 56) - 1
 # An image's bytes begin this far behind where its block begins, at most (Matroska: id, size, track, time).
 BLOCK_HEAD_BYTES = 64
-# Twice the widest images of these sensors, 4096x3072 (Microsoft's hardware specification).
-LARGEST_SIDE_PX = 8192
 # What OpenCV calls the formats that are not JPEG.
 RAW_COLOR = {"NV12": "COLOR_YUV2BGR_NV12", "YUY2": "COLOR_YUV2BGR_YUY2", "BGRA": "COLOR_BGRA2BGR"}
 RAW_BYTES_A_PIXEL = {"NV12": 1.5, "YUY2": 2.0, "BGRA": 4.0}
@@ -92,13 +89,13 @@ class AzureKinectRecording(Recording):
         """Whether it is a Matroska file that is named .mkv, or has Azure Kinect's tags or code of depth."""
         if not path.is_file():
             return False
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             # Of a file of another kind no more is read: folders hold thousands of them.
             if file.read(len(EBML_MAGIC)) != EBML_MAGIC:
                 return False
             if path.suffix.lower() in cls.suffixes:
                 return True
-            head = file.read(HEAD_BYTES)
+            head = file.read(HEAD_BYTES)  # names its tracks; k4arecorder's own is far shorter
         return any(mark in head for mark in MARKS)
 
     @classmethod
@@ -168,7 +165,9 @@ class AzureKinectRecording(Recording):
         return RawFrame(name, place.stamp_ns, stored, self._color(place.color))
 
     def _bytes(self, place: Place) -> bytes:
-        with self.path.open("rb") as file:
+        if place.length > UNPACKED_BYTES:
+            raise DamagedImageError(f"{self.path}: an image of {place.length} bytes at byte {place.start}")
+        with open_plain(self.path) as file:
             file.seek(place.start)
             return file.read(place.length)
 
@@ -194,7 +193,12 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
             f"{path}: reading a .mkv of Azure Kinect needs PyAV: pip install 'kinectbench[azure]'"
         ) from error
     try:
-        with av.open(str(path)) as container:
+        # Of a name alone, others of FFmpeg's readers might take it for a list of other files; and nothing is
+        # to be decoded to find out what a track is, whatever size it claims.
+        with (
+            open_plain(path) as file,
+            av.open(file, "r", format="matroska", container_options={"codec_whitelist": "none"}) as container,
+        ):
             yield container
     except (av.FFmpegError, OSError, ValueError) as error:
         raise RecordingError(
@@ -217,7 +221,7 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
     Raises:
         RecordingError: no camera takes such images; memory is asked for by their size.
     """
-    if not 0 < min(track.width, track.height) <= max(track.width, track.height) <= LARGEST_SIDE_PX:
+    if not 0 < min(track.width, track.height) <= max(track.width, track.height) <= MOST_SIDE_PX:
         raise RecordingError(
             f"{path}: a track of {track.width}x{track.height} pixels is of no camera; the file is damaged, "
             "copy it again"
@@ -251,7 +255,7 @@ def _find_images(
 
     found: dict[str, list[Place]] = {"DEPTH": [], "COLOR": [], "IR": []}
     trouble = []
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         try:
             for packet in container.demux(video=tuple(range(len(container.streams.video)))):
                 name = names.get(packet.stream.index, "IR")
@@ -268,8 +272,7 @@ def _find_images(
 
 def _cut(path: Path, frames: int) -> list[str]:
     """A warning where the file is shorter than it says."""
-    with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
+    head = read_head(path)
     start = head.find(SEGMENT) + len(SEGMENT)
     size = head[start : start + 8]
     # Recorders write the size with eight bytes, as they fill it in at the end.

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
+from kinectbench.core.untrusted import read_head
 from kinectbench.stages.ingest.images import is_depth_png
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
@@ -51,5 +52,4 @@ def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
 
 
 def _is_depth(file: Path) -> bool:
-    with file.open("rb") as data:
-        return is_depth_png(data.read(HEAD_BYTES))
+    return is_depth_png(read_head(file, HEAD_BYTES))

@@ -29,6 +29,7 @@ from kinectbench.stages.ingest.recording import (
     first_depth_size,
     first_file,
     mask_beside,
+    visible,
 )
 
 DEPTH_SCALE = 1000.0
@@ -73,7 +74,9 @@ class FolderRecording(FileRecording):
         stamps_ns = stamps_of_names(depth)
         partners = _partners(depth, color, path)
         order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
-        files = tuple(FrameFiles(stamps_ns[i], depth[i], partners[i], mask_beside(depth[i])) for i in order)
+        files = tuple(
+            FrameFiles(stamps_ns[i], depth[i], partners[i], mask_beside(depth[i], path)) for i in order
+        )
         size_px = first_depth_size(files)
         camera_file = first_file(path / name for name in JSON_FILES)
         said, said_warnings = _read_intrinsics(path, camera_file, depth, size_px)
@@ -156,7 +159,7 @@ def _read_trajectory(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     if (path / "trajectory.txt").is_file():
         return read_trajectory(path / "trajectory.txt")
-    logs = sorted(path.glob("*.log"))
+    logs = sorted(visible(path, "*.log"))
     file = path / "trajectory.log" if len(logs) != 1 else logs[0]
     if not file.is_file():
         return read_pose_folder(path, files)

@@ -16,10 +16,12 @@ import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import counted_ns, first_by_stamp, no_times
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import JPEG_MAGIC, DamagedImageError, decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics
 from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.sources import check_count
 
 COUNT, HEAD = struct.Struct("<i"), struct.Struct("<qii")
 DEPTH_SCALE = 1000.0
@@ -52,7 +54,9 @@ class PackedRecording(Recording):
         """Read any frame."""
         place = self.places[index]
         name = f"{self.path}: the frame at byte {place.position}"
-        with self.path.open("rb") as file:
+        if place.depth_bytes + place.color_bytes > UNPACKED_BYTES:
+            raise DamagedImageError(f"{name}: says that it has more than {UNPACKED_BYTES} bytes")
+        with open_plain(self.path) as file:
             file.seek(place.position)
             data = file.read(place.depth_bytes + place.color_bytes)
         depth, color = data[: place.depth_bytes], data[place.depth_bytes :]
@@ -165,7 +169,7 @@ def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame
     """Every whole frame in the order of the file; and what is wrong with the file."""
     size = path.stat().st_size
     frames: list[PackedFrame] = []
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         if size < COUNT.size:
             raise RecordingError(f"{path}: the file is empty or cut off; copy it again")
         (declared,) = COUNT.unpack(file.read(COUNT.size))
@@ -174,12 +178,14 @@ def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame
             file.seek(position)
             stamp_us, depth_bytes, color_bytes = HEAD.unpack(file.read(HEAD.size))
             start = position + HEAD.size
-            if depth_bytes <= 0 or color_bytes < 0 or abs(stamp_us) > 2**62 // NS_PER_US:
+            sizes_are_none = depth_bytes <= 0 or color_bytes < 0 or depth_bytes + color_bytes > UNPACKED_BYTES
+            if sizes_are_none or abs(stamp_us) > 2**62 // NS_PER_US:
                 return frames, [_damaged(path, frames, declared, f"is damaged at byte {position}")]
             if start + depth_bytes + color_bytes > size:
                 break
             if not frames:
                 _check_first(path, file.read(depth_bytes), file.read(color_bytes), size_px)
+            check_count(path, len(frames) + 1)
             frames.append(PackedFrame(stamp_us * NS_PER_US, start, depth_bytes, color_bytes))
             position = start + depth_bytes + color_bytes
     if position != size or (declared > 0 and declared != len(frames)):

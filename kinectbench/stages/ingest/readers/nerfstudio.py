@@ -8,7 +8,7 @@ up, but poses of COLMAP are not turned so, and the file does not tell: gravity i
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -19,6 +19,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import below, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import (
@@ -47,8 +48,6 @@ BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
 MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 # Of depth images, where `depth_unit_scale_factor` does not say otherwise: nerfstudio's default.
 METRES_PER_UNIT = 0.001
-# The first frame lies within (own choice).
-HEAD_BYTES = 1 << 16
 
 Frame = dict[str, Any]
 
@@ -71,8 +70,7 @@ class NerfstudioRecording(PhoneRecording):
         """Whether the folder has a transforms.json that names depth, or nothing else that could be read."""
         if not (path / FILE).is_file():
             return False
-        with (path / FILE).open("rb") as file:
-            head = file.read(HEAD_BYTES)
+        head = read_head(path / FILE)  # in which the first frame lies
         return any(f'"{key}"'.encode() in head for key in DEPTH_KEYS) or not (path / "depth").is_dir()
 
     @classmethod
@@ -141,10 +139,15 @@ def _first(said: Frame, keys: tuple[str, ...], default: object = None) -> Any:
 
 def _name(file: Path, name: object) -> str:
     """The name of a file in the folder."""
-    parts = PurePosixPath(name).parts if isinstance(name, str) and "\0" not in name else ()
-    if not parts or ".." in parts or parts[0] == "/":
-        raise RecordingError(f"{file}: {name!r} does not name a file inside the recording's folder")
-    return str(name)
+    try:
+        if not isinstance(name, str):
+            raise ValueError("is no name")
+        below(file.parent, name)
+    except ValueError as error:
+        raise RecordingError(
+            f"{file}: {printable(repr(name))} does not name a file inside the recording's folder"
+        ) from error
+    return name
 
 
 def _color(path: Path, frame: Frame) -> Path | None:

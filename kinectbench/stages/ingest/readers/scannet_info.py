@@ -8,6 +8,7 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import read_head
 from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration
 from kinectbench.stages.ingest.recording import ColorCalibration
 
@@ -34,7 +35,7 @@ DEPTH_INTRINSIC = "calibrationDepthIntrinsic"
 
 def is_info(file: Path) -> bool:
     """Whether there is a file that says how such a recording's cameras are."""
-    return file.is_file() and DEPTH_INTRINSIC.encode() in file.read_bytes()
+    return file.is_file() and DEPTH_INTRINSIC.encode() in read_head(file)
 
 
 def read_info(file: Path, color_px: tuple[int, int]) -> Rig:

@@ -20,18 +20,19 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import MOST_SIDE_PX, open_plain, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration, scale_warnings
 from kinectbench.stages.ingest.readers.klg import NS_PER_US, PackedFrame, PackedRecording, timed
+from kinectbench.stages.ingest.sources import check_count
 
 START = struct.Struct("<IQ")
 MATRICES = struct.Struct("<64f")
 FACTS = struct.Struct("<iiIIIIfQ")
 FRAME = struct.Struct("<16f4Q")
 VERSION = 4
-LONGEST_NAME = 4096
-LARGEST_SIDE_PX = 16384
+LONGEST_NAME, LONGEST_TOLD = 4096, 64
 COLOR_SUFFIXES = {1: ".png", 2: ".jpg"}
 RAW, ZLIB = 0, 1
 # Later stamps are no stamps.
@@ -75,21 +76,20 @@ class SensRecording(PackedRecording):
             return False
         if path.suffix.lower() in cls.suffixes:
             return True
-        with path.open("rb") as file:
-            start = file.read(START.size + 64)
+        start = read_head(path, START.size + LONGEST_TOLD)
         if len(start) < START.size:
             return False
         version, length = START.unpack_from(start)
         name = start[START.size : START.size + length]
-        return version == VERSION and 0 < length <= 64 and len(name) == length and name.isascii()
+        return version == VERSION and 0 < length <= LONGEST_TOLD and len(name) == length and name.isascii()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the head and find the frames; nothing is decoded."""
         size = path.stat().st_size
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             head = _read_head(file, path, size)
-            frames, matrices, cut = _find_frames(file, head, size)
+            frames, matrices, cut = _find_frames(file, head, path)
         if not frames:
             raise RecordingError(f"{path}: {'is cut off, and no' if cut else 'no'} frame in it is whole")
         warnings = (
@@ -156,7 +156,7 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
     matrices = np.array(MATRICES.unpack_from(rest), np.float64).reshape(4, 4, 4)
     color, depth, *sides, shift, frames = FACTS.unpack_from(rest, MATRICES.size)
     color_px, depth_px = (sides[0], sides[1]), (sides[2], sides[3])
-    if not all(0 < side <= LARGEST_SIDE_PX for side in depth_px):
+    if not all(0 < side <= MOST_SIDE_PX for side in depth_px):
         raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
     if depth not in (RAW, ZLIB):
         raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")
@@ -177,12 +177,13 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
     )
 
 
-def _find_frames(file: BinaryIO, head: SensHead, size: int) -> tuple[list[PackedFrame], list[Float64], str]:
+def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[PackedFrame], list[Float64], str]:
     """Every whole frame in the order of the file, and its pose; and what is wrong with the file, or ""."""
     frames: list[PackedFrame] = []
     matrices: list[Float64] = []
-    position = file.tell()
+    position, size = file.tell(), path.stat().st_size
     while len(frames) < head.frames:
+        check_count(path, len(frames) + 1)
         if position + FRAME.size > size:
             return frames, matrices, "is cut off"
         file.seek(position)

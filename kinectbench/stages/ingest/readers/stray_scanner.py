@@ -1,5 +1,6 @@
 """StrayScanner's folders: rgb.mp4, depth/ and confidence/ as PNG, camera_matrix.csv, odometry.csv."""
 
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import first_by_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
+from kinectbench.core.untrusted import MOST_SIDE_PX, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
@@ -18,6 +20,10 @@ from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, fi
 
 DEPTH_SCALE = 1000.0
 NUMBER = re.compile(r"\d{1,9}")
+# An MP4 begins with a box of four bytes' length and this name.
+MP4_HEAD = b"\0\0\0\0ftyp"
+# What FFmpeg within OpenCV says on standard error: nothing (av_log's AV_LOG_QUIET).
+FFMPEG_SAYS, NOTHING = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -35,7 +41,14 @@ class _Video:
 
         with _quiet():
             if self.capture is None:
-                self.capture = cv2.VideoCapture(str(self.path))
+                self.capture = cv2.VideoCapture()
+                if read_head(self.path, len(MP4_HEAD))[4:] == MP4_HEAD[4:]:  # nothing else is tried
+                    self.capture.open(str(self.path), cv2.CAP_FFMPEG)
+            sides_px = [
+                self.capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+            ]
+            if max(sides_px) > MOST_SIDE_PX:
+                return None
             if number != self.next:
                 self.capture.set(cv2.CAP_PROP_POS_FRAMES, number)
             self.next = number + 1
@@ -145,6 +158,7 @@ def _quiet() -> Iterator[None]:
     """Keep OpenCV from printing about a video that it cannot read."""
     import cv2
 
+    os.environ.setdefault(FFMPEG_SAYS, NOTHING)  # looked at when the first video is opened
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

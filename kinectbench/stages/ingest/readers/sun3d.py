@@ -24,7 +24,7 @@ from kinectbench.stages.ingest.readers.folder import (
     stamps_of_names,
 )
 from kinectbench.stages.ingest.readers.pose_folder import finite_trajectory
-from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size
+from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, visible
 
 DEPTH_SCALE = 1000.0
 # Of a pose in extrinsics/: three rows of a 4x4 matrix.
@@ -99,7 +99,7 @@ def _read_poses(
     Raises:
         RecordingError: there are as many poses as neither.
     """
-    found = sorted((path / "extrinsics").glob("*.txt"))
+    found = sorted(visible(path / "extrinsics", "*.txt"))
     if not found:
         return None, []
     numbers = np.array(read_numbers(found[-1]))

@@ -15,6 +15,7 @@ from kinectbench.core.trajectory.stamps import (
 )
 from kinectbench.core.trajectory.text_rows import text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory
+from kinectbench.core.untrusted import below, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
@@ -72,7 +73,9 @@ class TumRecording(FileRecording):
         if color and alone:
             warnings.append(f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms")
         files = tuple(
-            FrameFiles(stamp_ns, file, None if partner is None else color[partner][1], mask_beside(file))
+            FrameFiles(
+                stamp_ns, file, None if partner is None else color[partner][1], mask_beside(file, path)
+            )
             for (stamp_ns, file), partner in zip(depth, partners, strict=True)
         )
         camera_json = path / "camera.json"
@@ -106,8 +109,12 @@ def _read_rows(path: Path) -> list[tuple[int, Path]]:
     for where, row in text_rows(path):
         words = row.split(maxsplit=1)
         if len(words) != 2:
-            raise RecordingError(f"{where}: '{row}' is not 'stamp file'")
-        rows.append((parse_stamp_ns(words[0], where), path.parent / words[1]))
+            raise RecordingError(f"{where}: '{printable(row)}' is not 'stamp file'")
+        try:
+            file = below(path.parent, words[1])
+        except ValueError as error:
+            raise RecordingError(f"{where}: {error}") from error
+        rows.append((parse_stamp_ns(words[0], where), file))
     return rows
 
 

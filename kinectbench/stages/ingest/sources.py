@@ -1,0 +1,122 @@
+"""The files that a recording is made of: plain ones, not too many, and links only where they are wanted."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import printable
+
+# Two hours at 30 frames a second; depth, colour, mask and pose of each frame (own choices).
+MOST_FRAMES = 250_000
+MOST_FILES = 4 * MOST_FRAMES
+# No recording's folders lie deeper in each other (own choice).
+MOST_DEPTH = 32
+MISSING = "there is no such file or folder; correct the recording's `path:`"
+# Some of the way to a file, as a line for people may quote it.
+QUOTED = 300
+
+
+def check_there(path: Path, missing: str = MISSING) -> None:
+    """Refuse a recording, or what belongs to one, that is not there.
+
+    Args:
+        path: the file or folder.
+        missing: what is said if there is none.
+
+    Raises:
+        RecordingError: there is none, or no such name can be.
+    """
+    said = printable(str(path), QUOTED)
+    try:
+        there = path.exists()
+    except OSError as error:  # a name that is too long, a link to itself
+        raise RecordingError(f"{said}: cannot be read ({error.strerror}); correct its path") from error
+    if not there:
+        raise RecordingError(f"{said}: {missing}")
+
+
+def check_count(path: Path, frames: int) -> None:
+    """Refuse a recording that has more frames than one may have.
+
+    Raises:
+        RecordingError: it has.
+    """
+    if frames > MOST_FRAMES:
+        raise RecordingError(
+            f"{path}: holds more than the {MOST_FRAMES} frames that a recording may have; split it"
+        )
+
+
+def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
+    """Every file in a folder and below that is not hidden, sorted.
+
+    A folder that a link leads back to, from inside of it, is passed over.
+
+    Args:
+        folder: may be a link itself.
+        follow_links: files and folders may be links, too.
+
+    Raises:
+        RecordingError: one is a link that is not to be followed, or no plain file; or there are too many.
+        OSError: a folder cannot be read.
+    """
+    found: list[Path] = []
+    for number, (path, plain) in enumerate(_entries(folder, frozenset(), follow_links)):
+        if number >= MOST_FILES:
+            raise RecordingError(
+                f"{folder}: holds more than {MOST_FILES} files and folders; name the folder of one recording"
+            )
+        if plain:
+            found.append(path)
+    return sorted(found)
+
+
+def check_link(path: Path, *, follow_links: bool) -> None:
+    """Refuse a link that is not to be followed.
+
+    Raises:
+        RecordingError: it is one.
+    """
+    if not follow_links and path.is_symlink():
+        raise RecordingError(
+            f"{path}: is a link, and links in a recording are not followed: copy what it leads to in its "
+            "place, or, if you trust where the links lead, write `follow_links: true` beside the recording's "
+            "`path:` in benchmark.yaml (`inspect --follow-links`)"
+        )
+
+
+def _entries(
+    folder: Path, above: frozenset[tuple[int, int]], follow_links: bool
+) -> Iterator[tuple[Path, bool]]:
+    """Everything in a folder and below, and whether it is a plain file.
+
+    Args:
+        folder: listed with all below.
+        above: the folders on the way to it.
+        follow_links: links are taken for what they lead to.
+    """
+    status = folder.stat()
+    identity = status.st_dev, status.st_ino
+    if identity in above:
+        return
+    if len(above) > MOST_DEPTH:
+        raise RecordingError(
+            f"{printable(str(folder), QUOTED)}: lies too deep; no recording has such folders"
+        )
+    with os.scandir(folder) as listed:
+        entries = [entry for entry in listed if not entry.name.startswith(".")]
+    for entry in entries:
+        path = folder / entry.name
+        if entry.is_symlink():
+            check_link(path, follow_links=follow_links)
+        if entry.is_dir():
+            yield path, False
+            yield from _entries(path, above | {identity}, follow_links)
+        elif entry.is_file():
+            yield path, True
+        else:
+            what = "a link that leads nowhere" if entry.is_symlink() else "a pipe, a socket or a device"
+            raise RecordingError(
+                f"{path}: is no plain file but {what}; a recording cannot hold it: remove it"
+            )
