@@ -206,7 +206,7 @@ def openings(text: str) -> set[str]:
         mode = [
             arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)
         ]
-        if called in OPENING or (last in OPENING and last != called):
+        if (called in OPENING or last in OPENING) and called != "read_text":  # core/trajectory has one
             found.add(called if called in OPENING else last)
         elif (
             last == "open"

@@ -15,6 +15,7 @@ from ingest_writers import (
     jpeg,
     png,
     translation,
+    write_bag,
     write_folder,
     write_seven_scenes,
     write_tum,
@@ -296,7 +297,10 @@ def test_find_recordings_and_source_files(tmp_path: Path) -> None:
     files = source_files(tmp_path / "b/tum", follow_links=True)
     assert files == sorted(files)
     assert len(files) == 2 * 5 + 4
-    assert source_files(files[0]) == [files[0]]
+    bag = write_bag(tmp_path / "r.bag")
+    assert source_files(bag) == [bag]
+    with pytest.raises(RecordingError, match="not a recording of a known format"):
+        source_files(files[0])
 
 
 def test_redwood_names_pair_by_number_and_give_stamps(tmp_path: Path) -> None:
