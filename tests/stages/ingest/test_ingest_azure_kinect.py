@@ -16,7 +16,7 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.storage import pretty_json
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
-from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.readers import azure_kinect, open_recording
 from kinectbench.stages.ingest.readers.azure_calibration import AzureCalibration
 from kinectbench.stages.ingest.readers.azure_kinect import AzureKinectRecording
 from kinectbench.stages.ingest.recording import Recording
@@ -250,7 +250,7 @@ def test_of_files_of_other_kinds_hardly_anything_is_read(
             asked.append(size)
             return super().read(size)
 
-    monkeypatch.setattr(Path, "open", lambda path, mode: Counted(path, "r"))
+    monkeypatch.setattr(azure_kinect, "open_plain", lambda path: Counted(path, "r"))
     assert not AzureKinectRecording.recognises(path)
     assert 0 < sum(asked) <= 16 and min(asked) > 0
 
