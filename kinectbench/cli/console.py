@@ -119,7 +119,7 @@ def failures(rows: "Sequence[RecordingSummary]") -> None:
     if failed and len(rows) > 1:
         rest = "; the rest is done" if len(failed) < len(rows) else ""
         text = (
-            f"{len(failed)} of {len(rows)} recordings: {', '.join(failed)}, for the reasons above{rest}. "
+            f"{len(failed)} of {len(rows)} recordings: {', '.join(failed)}{rest}. "
             "Correct them and run the same command again: what is done is kept."
         )
         lines("failed", [text], "red")

@@ -1,5 +1,6 @@
 """The commands before anything is built: what can be read, whether a recording is sound, a benchmark.yaml."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,6 +31,7 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
+    from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.settings.template import init_benchmark
     from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
@@ -39,13 +41,36 @@ def init(
         raise SettingsError(f"{folder}: no such folder; give the folder that holds the recordings")
     if target.exists() and not force:
         raise SettingsError(f"{target}: is there already; edit it, or use --force to replace it")
-    found = [(path.relative_to(folder).as_posix(), name) for path, name in find_recordings(folder)]
+    recordings = find_recordings(folder)
+    found = [(path.relative_to(folder).as_posix(), name) for path, name in recordings]
     text = init_benchmark(folder, found, name_suffixes())
+    left_out = _without_recording(folder, [path for path, _ in recordings])
     with replaced_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     count = f"{len(found)} recording{'s' * (len(found) != 1)}"
     advice = f"{count}: fill in category and object of each, license and source, then run `kinectbench build`"
+    notes = [
+        f"{path}: left out: no recording of a known format; `kinectbench inspect` says more"
+        for path in left_out
+    ]
+    console.lines("note", notes, "yellow")
     common.tell([str(target)], [f"wrote {target}", advice])
+
+
+def _without_recording(folder: Path, recordings: Sequence[Path]) -> list[Path]:
+    """The folders right below one in which no recording was found, and which are no results of ours."""
+    from kinectbench.stages.ingest.readers import TRUTH
+
+    ours = {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"}
+    children = [] if folder in recordings else sorted(child for child in folder.iterdir() if child.is_dir())
+    return [
+        child
+        for child in children
+        if not child.name.startswith(".")
+        and child.name not in ours
+        and not (child / TRUTH).is_file()
+        and not any(path.is_relative_to(child) for path in recordings)
+    ]
 
 
 @takes("as_json")

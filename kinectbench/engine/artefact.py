@@ -29,7 +29,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 6,
     "track": 5,
     "fuse": 5,
-    "segment": 23,
+    "segment": 24,
     "sample-views": 1,
     "pairs": 2,
     "suggest": 4,

@@ -126,7 +126,7 @@ class RecordingSettings(Settings):
     floor: FloorSettings | None = Field(None, description="only where the plane it stands on is not found")
     segment_by: SegmentBy | None = Field(
         None,
-        description="masks, turntable: the object moves before the camera; masks or its turns say what it is",
+        description="the object moves before the camera; masks, or that it turns, say what it is",
     )
     masks: str | None = Field(
         None,

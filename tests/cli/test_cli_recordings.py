@@ -1,6 +1,7 @@
-"""`kinectbench formats` lists every reader."""
+"""`kinectbench formats` lists every reader; `init` names what it leaves out."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,3 +22,23 @@ def test_formats(command: Callable[..., Run], tmp_path: Path) -> None:
     assert "klg: a .klg file of ElasticFusion\n    verified on: nothing real, but files written" in text
     assert "    verified on: a real recording: 150 frames of redkitchen" in text
     assert "    verified on: a real recording whose licence lets it be copied: fr3/cabinet" in text
+
+
+def test_init_names_the_folders_in_which_there_is_no_recording(
+    command: Callable[..., Run], tmp_path: Path
+) -> None:
+    sample = Path(__file__).parents[2] / "recordings" / "cabinet_01"
+    for name in ("depth", "rgb"):
+        shutil.copytree(sample / name, tmp_path / "cabinet" / name)
+    for file in ("depth.txt", "rgb.txt", "camera.json"):
+        shutil.copy(sample / file, tmp_path / "cabinet")
+    (tmp_path / "colour_only").mkdir()
+    shutil.copy(next((sample / "rgb").iterdir()), tmp_path / "colour_only")
+    for ours in ("build", "scores", ".hidden", "chair.truth"):
+        (tmp_path / ours).mkdir()
+    (tmp_path / "chair.truth" / "truth.json").write_text("{}", encoding="utf-8")
+    run = command(tmp_path, "init", ".")
+    assert "1 recording:" in run.out
+    assert run.err.split("\n")[0].startswith("note: colour_only: left out: no recording of a known format")
+    assert "scores" not in run.err
+    assert "chair.truth" not in run.err

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.types import Float64
 from kinectbench.engine.object import build_object
 from kinectbench.settings.models import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.fuse import fuse
@@ -16,6 +17,7 @@ from kinectbench.stages.segment.candidates import Candidates, find_candidates
 from kinectbench.stages.segment.choose import Segmentation, segment
 from kinectbench.stages.segment.grids import object_grid
 from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.segment.up import FloorHint
 from kinectbench.stages.segment.witness import Witness, witness
 from kinectbench.stages.track import Trajectory
 
@@ -37,8 +39,9 @@ class Recorded:
     trajectory: Trajectory
     scene: TriangleMesh
 
-    def segment(self, given: OrientedBox | None = None) -> Segmentation:
-        return segment(self.scene, self.trajectory, given, SEGMENTATION)
+    def segment(self, given: OrientedBox | None = None, plane_world: Float64 | None = None) -> Segmentation:
+        hint = FloorHint(None, plane_world)
+        return segment(self.scene, self.trajectory, given, SEGMENTATION, hint)
 
     def suggest(self) -> Candidates:
         return find_candidates(self.scene, self.trajectory, SEGMENTATION)

@@ -134,6 +134,14 @@ def _every(rows: Rows, keep: Callable[[int], bool]) -> Rows:
     return [row for i, row in enumerate(rows) if keep(i)]
 
 
+def stamps_shuffled(folder: Path) -> None:
+    """Each image gets the stamp of another, depth and colour alike."""
+    for name in ("depth", "rgb"):
+        rows = rows_of(folder, name)
+        order = np.random.default_rng(0).permutation(len(rows))
+        write_rows(folder, name, [[row[0], rows[k][1]] for row, k in zip(rows, order, strict=True)])
+
+
 DROP = change_rows("depth", lambda rows: _every(rows, lambda i: i % 3 != 2))
 # name -> (what makes it wrong, the finding that names it, words of that finding)
 WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
@@ -206,6 +214,11 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "every third frame dropped": (DROP, "dropped_frames", "one after every 2"),
     "doubled frames": (change_rows("depth", _doubled), "doubled_frames", "the frame before"),
     "a frame of another scene": (_other_scene, "odd_frames", "frame 20"),
+    "frames in no order, without poses": (
+        _all(stamps_shuffled, lambda folder: (folder / "groundtruth.txt").unlink()),
+        "frame_order",
+        "no order of time",
+    ),
     "mirrored images": (
         _all(change_images("depth", lambda d: d[:, ::-1]), change_images("rgb", lambda c: c[:, ::-1])),
         "mirrored_images",

@@ -149,6 +149,10 @@ class FaultSettings(Settings):
     cut_share: float = Field(0.0, ge=0, le=0.99, description="this share of the last file or bag is missing")
 
 
+# Formats that have a place for masks.
+WITH_MASKS: tuple[Format, ...] = ("tum", "folder", "bop", "wildrgbd")
+
+
 class GivenSettings(GrownSettings):
     """The trajectory and the masks that are recorded with the frames."""
 
@@ -156,7 +160,7 @@ class GivenSettings(GrownSettings):
     noise_m: float = Field(0.005, ge=0, le=1, description="noisy: standard deviation per axis and frame")
     noise_rad: float = Field(0.002, ge=0, le=1, description="noisy: standard deviation per axis and frame")
     drift_m_per_m: float = Field(0.01, ge=0, le=1, description="drifting: error per metre of path")
-    masks: bool = Field(False, description="true masks come with it, where the format has a place for them")
+    masks: bool = Field(False, description=f"true masks come with it ({', '.join(WITH_MASKS)})")
 
 
 class SimulationSpec(Settings):
@@ -174,6 +178,15 @@ class SimulationSpec(Settings):
     faults: FaultSettings = FaultSettings()
     given: GivenSettings = GivenSettings()
     save_depth: bool = Field(True, description="noise-free depth goes to the truth")
+
+    @model_validator(mode="after")
+    def _masks_have_a_place(self) -> Self:
+        """Refuse masks where the format would lose them."""
+        if self.given.masks and self.format not in WITH_MASKS:
+            raise ValueError(
+                f"given.masks needs one of the formats {', '.join(WITH_MASKS)}, not {self.format}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _blurs_only_what_moves(self) -> Self:

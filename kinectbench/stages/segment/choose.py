@@ -24,6 +24,13 @@ from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 MIN_BOX_POINTS = 20
 NO_FLOOR = "no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
 
+# A floor in view has a tenth of a scene's surface and more; one without depth, hardly any (own choice).
+LEAST_ON_PLANE = 0.01
+PLANE_IS_EMPTY = (
+    "nothing that was measured lies on the plane of `floor` in benchmark.yaml: give it in metres in the "
+    "world of the trajectory; all is well if what the object stands on gives no depth"
+)
+
 
 @dataclass(frozen=True)
 class Segmentation:
@@ -124,6 +131,8 @@ def segment(
         scale,
     )
     lines = doubts(chose) if scene.floor.found else (NO_FLOOR, *doubts(chose))
+    if hint.plane_world is not None and scene.floor.inlier_share < LEAST_ON_PLANE:
+        lines = (PLANE_IS_EMPTY, *lines)
     how = "automatic" if given_box is None else "box"
     return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines, CELL_M * scale)
 

@@ -155,7 +155,7 @@ def _warnings(
     # The reasons beside the estimate say why; the lines before these, from where.
     why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"
     closer = "" if frontiers else "; record from closer, and what was hidden from where it is seen"
-    around = ", as said above" if frontiers else ": walk around the object"
+    around = ", as said above" if frontiers else ": show the camera all sides of the object"
     below = "record from where the openings above would be seen" if frontiers else "record from low down, too"
     fused = (
         (
@@ -199,7 +199,8 @@ def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
     if chosen.floor.found and gap_m > MAX_GAP_M:
         warnings.append(
             f"the solid begins {gap_m:.2f} m above the floor: what carries it gave no depth (black, glass or "
-            "mirror-like), or the box cuts it off; all is well if it stands on something else"
+            "mirror-like), or the box or the `floor` in benchmark.yaml is wrong; all is well if it stands on "
+            "something else"
         )
     sizes = np.bincount(ndimage.label(shape.solid, np.ones((3, 3, 3)))[0].reshape(-1))[1:]
     pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())

@@ -189,7 +189,7 @@ def witness(
         x, y = np.cos(side.towards_rad), np.sin(side.towards_rad)
         warnings.append(
             f"no frame looks at the object's side towards ({x:.1f}, {y:.1f}) of the floor frame, "
-            f"{side.share:.0%} of the way around: what is there is inferred; walk around the object"
+            f"{side.share:.0%} of the way around: what is there is inferred; show it to the camera, too"
         )
     if len(good) < MIN_FRAMES:
         warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")
@@ -197,7 +197,7 @@ def witness(
         warnings.append(
             f"in {len(moving.frames)} of {moving.judged} frames looked at (such as {moving.frames[0]}) "
             "something stands before the scene that the others do not see: a person walking through, or "
-            "poses that are off? record without, or let the poses be tracked"
+            "poses that are off? record it without, and look at the trajectory"
         )
     too_far = beyond_share(sequence, trajectory, grid, max_depth_m)
     if too_far > MAX_BEYOND_SHARE:

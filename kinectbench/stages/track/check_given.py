@@ -111,8 +111,8 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
     if wrong.sum() > 0.5 * compared:
         raise TrackingError(
             f"the given trajectory does not fit the depth: {wrong.sum()} of {compared} frames disagree by "
-            f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
-            "without them"
+            f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `kinectbench inspect` tries "
+            "other readings of them, and `trajectory: ignore` does without them"
         )
     kept = posed & ~wrong & ~blind
     states: tuple[State, ...] = tuple("tracked" if each else "lost" for each in kept)

@@ -14,10 +14,12 @@ from ingest_writers import every_frame, jpeg
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.storage import pretty_json
+from kinectbench.lab.simulate.writers.frame import Rig
+from kinectbench.lab.simulate.writers.matroska import _calibration as simulated_calibration
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import azure_kinect, open_recording
-from kinectbench.stages.ingest.readers.azure_calibration import AzureCalibration
+from kinectbench.stages.ingest.readers.azure_calibration import DEPTH_MODES, AzureCalibration
 from kinectbench.stages.ingest.readers.azure_kinect import AzureKinectRecording
 from kinectbench.stages.ingest.recording import Recording
 
@@ -153,6 +155,16 @@ def test_every_depth_mode(size_px: tuple[int, int], fx: float, cx: float, cy: fl
     assert (said.fx, said.cx, said.cy) == pytest.approx((fx, cx, cy))
     with pytest.raises(RecordingError, match="which is no mode of the sensor"):
         AzureCalibration.of(calibration(), Path("r.mkv")).depth((640, 480), Path("r.mkv"))
+
+
+@pytest.mark.parametrize("size_px", [*DEPTH_MODES, (640, 480)])
+def test_simulated_intrinsics_are_read_as_they_are(size_px: tuple[int, int]) -> None:
+    width, height = size_px
+    depth = Camera(width, height, 504.0, 503.5, width / 2 - 0.5, height / 2 + 3)
+    said = simulated_calibration(Rig(depth, Camera(1920, 1080, 900, 901, 955, 541), False, np.eye(4)))
+    read, distortion = AzureCalibration.of(said, Path("r.mkv")).depth(size_px, Path("r.mkv"))
+    assert (read.fx, read.fy, read.cx, read.cy) == pytest.approx((depth.fx, depth.fy, depth.cx, depth.cy))
+    assert not any(distortion)
 
 
 def test_an_early_calibration_is_of_the_middle_of_the_sensor() -> None:

@@ -181,6 +181,13 @@ def test_a_slope_is_no_floor():
         steep.segment()
 
 
+@pytest.mark.parametrize(("height_m", "told"), [(0.0, False), (-0.4, True), (-3.0, True)])
+def test_a_persons_plane_on_which_nothing_lies_is_told(height_m, told):
+    chosen = plain().segment(plane_world=np.array([0, 0, 1, -height_m]))
+    assert chosen.floor.found
+    assert warned(chosen.doubts, "nothing that was measured lies on the plane of `floor`") is told
+
+
 def test_a_floor_that_is_not_flat_may_be_something_else():
     chosen = plain().segment()
     rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))

@@ -38,13 +38,15 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     Depth is PNG at 5000 units per metre, colour JPEG. The lists are in the order of the frames, colour with
     its own stamps. A frame without a pose has no row in groundtruth.txt, which is not there at all if no
     frame has one. `camera.json` holds what TUM folders by themselves do not say: width, height, fx, fy, cx,
-    cy, depth_scale, and what `color_json` says of colour.
+    cy, depth_scale, and what `color_json` says of colour. masks/ is there if frames have masks; each has the
+    name of its depth image.
     """
     make_folders(folder, "rgb", "depth")
     rows = {name: [header] for name, header in TUM_HEADERS.items()}
     for frame in frames:
         depth = frame.depth_png(TUM_DEPTH_SCALE)
         rows["depth"].append(_add_stamped(folder, "depth", frame.stamp_ns, ".png", depth))
+        frame.add_mask(folder / "masks" / rows["depth"][-1].rpartition("/")[2])
         rows["rgb"].append(_add_stamped(folder, "rgb", frame.color_stamp_ns, ".jpg", frame.color_jpeg()))
         if frame.T_world_camera is not None:
             rows["groundtruth"].append(tum_line(frame.given_ns, frame.T_world_camera))
