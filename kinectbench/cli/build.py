@@ -70,13 +70,14 @@ def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
     """The recordings asked for; an unknown id is refused with the nearest one."""
     from kinectbench.engine.stages import Job
+    from kinectbench.settings.words import listed
 
     settings = common.settings
     known = [recording.id for recording in settings.recordings]
     for name in ids or []:
         if name not in known:
             near = get_close_matches(name, known, 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+            hint = f"did you mean '{near[0]}'?" if near else f"there are {listed(known)}"
             raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}")
     return [Job(settings, r, common.root) for r in settings.recordings if not ids or r.id in ids]
 
@@ -133,11 +134,12 @@ def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
     """A warning if recordings have the category that `init` writes where it knows none."""
     from kinectbench.cli import console
     from kinectbench.settings.template import UNKNOWN_CATEGORY
+    from kinectbench.settings.words import listed
 
     chosen = [job.recording for job in chosen_jobs(common, ids)]
     unknown = [recording.id for recording in chosen if recording.category == UNKNOWN_CATEGORY]
     if unknown:
-        which = "every recording" if len(unknown) == len(chosen) > 1 else ", ".join(unknown)
+        which = "every recording" if len(unknown) == len(chosen) > 1 else listed(unknown)
         line = f"no category is stated: set `category` in benchmark.yaml, such as chair or table ({which})"
         console.lines("warning", [line], "yellow")
 

@@ -115,11 +115,13 @@ def object_lines(rows: "Sequence[RecordingSummary]") -> None:
 
 def failures(rows: "Sequence[RecordingSummary]") -> None:
     """The last line of a run over several recordings of which some failed: which, and how to go on."""
+    from kinectbench.settings.words import listed
+
     failed = [row.recording for row in rows if row.error is not None]
     if failed and len(rows) > 1:
         rest = "; the rest is done" if len(failed) < len(rows) else ""
         text = (
-            f"{len(failed)} of {len(rows)} recordings: {', '.join(failed)}{rest}. "
+            f"{len(failed)} of {len(rows)} recordings: {listed(failed)}{rest}. "
             "Correct them and run the same command again: what is done is kept."
         )
         lines("failed", [text], "red")

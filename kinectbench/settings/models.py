@@ -24,7 +24,7 @@ CITED = {
     "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
     "doi": (r"10\.\S+/\S+", "a DOI such as 10.5281/zenodo.1234, without https://doi.org/"),
     "url": (r"https?://\S+", "an address that begins with https://"),
-    "date_released": (r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])", "a date as year-month-day"),
+    "date_released": (r"[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])", "a date as year-month-day"),
 }
 
 

@@ -2,7 +2,7 @@
 
 import difflib
 import types
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal, Union, get_args, get_origin
 
 import annotated_types
@@ -10,6 +10,8 @@ from pydantic.fields import FieldInfo
 
 from kinectbench.settings.models import BenchmarkSettings, Settings
 
+# More than any section has keys; of a thousand recordings nobody reads the names (own choice).
+LISTED = 40
 Location = tuple[str | int, ...]
 
 
@@ -102,6 +104,8 @@ def near_miss(name: str, valid: Sequence[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else ""
 
 
-def listed(names: Any) -> str:
-    """Names with commas between them."""
-    return ", ".join(str(name) for name in names)
+def listed(names: Iterable[str]) -> str:
+    """Names with commas between them; of very many the first."""
+    all_of = list(names)
+    more = f" and {len(all_of) - LISTED} more" if len(all_of) > LISTED else ""
+    return ", ".join(all_of[:LISTED]) + more

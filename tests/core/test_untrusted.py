@@ -2,14 +2,18 @@
 
 import errno
 import os
+import resource
 import socket
 import time
 from pathlib import Path
 
 import pytest
 
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import name_problem, replaced_file, storage_errors
 from kinectbench.core.untrusted import (
     below,
+    cell,
     open_plain,
     printable,
     read_head,
@@ -95,3 +99,45 @@ def test_other_names_are_taken(tmp_path, name):
 )
 def test_what_is_quoted_only_prints(text, shown):
     assert printable(text) == shown
+
+
+def test_a_file_that_may_not_grow_so_large_is_told_as_a_full_disk_is(tmp_path):
+    """And what is too large to be read is not taken for it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        told = pytest.raises(StorageError, match="files may not grow so large here")
+        with told, replaced_file(tmp_path / "a") as temporary:
+            temporary.write_bytes(bytes(5000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "b").write_bytes(bytes(9))
+    with pytest.raises(OSError, match="larger than the 8 bytes"), storage_errors(tmp_path / "c"):
+        read_plain(tmp_path / "b", 8)
+
+
+@pytest.mark.parametrize(
+    "text", ["=1+1", "+cmd", "-a", "@x", "\tx", "\rx", "-1-1", "--1", "=", "-", "1-1\n=2"]
+)
+def test_cells_that_a_spreadsheet_would_compute_are_quoted(text):
+    shown = cell(text)
+    assert shown[0] not in "=+-@\t\r" and shown.endswith(text)
+
+
+@pytest.mark.parametrize("value", ["a", "-1", "+1.5e-3", "", "3D-RecGAN++", -1.0, None, 3, "1=1"])
+def test_plain_texts_and_numbers_stay_as_they_are(value):
+    assert cell(value) == value
+
+
+@pytest.mark.parametrize("name", ["a", "0", "chair.01", "a-b_c", "x" * 80, "json", "a.json.b", "build"])
+def test_names(name):
+    assert name_problem(name) is None
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".a", "-a", "a/b", "a b", "a\n", "é", "x" * 81, "a+", "x.JSON", "Baselines"]
+)
+def test_names_that_are_refused_everywhere(name):
+    assert name_problem(name)
+    assert name_problem("a++", also="+") is None and name_problem("+a", also="+")

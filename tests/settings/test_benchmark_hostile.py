@@ -107,3 +107,16 @@ def test_names_of_files_of_ours_are_for_nothing_else(name: str, tmp_path: Path) 
     told = complaint(tmp_path, f"name: a\nrecordings: [{{id: {name}, path: a, category: chair}}]\n")
     assert "files and folders of kinectbench have such names" in told
     assert name_problem("chair.01") is None and name_problem("scores") is None
+
+
+def test_thousands_of_recordings_are_read_soon(tmp_path: Path) -> None:
+    rows = "".join(f"  - {{id: r{n}, path: in/r{n}, category: chair}}\n" for n in range(5000))
+    (tmp_path / "benchmark.yaml").write_text(f"name: many\nrecordings:\n{rows}", encoding="utf-8")
+    started = time.process_time()
+    assert len(load_benchmark(tmp_path / "benchmark.yaml", ["recordings.r7.split=train"]).recordings) == 5000
+    assert time.process_time() - started < 4  # 0.5 s where nothing else runs
+    with pytest.raises(
+        SettingsError, match=r"no recording 'x'; valid here: r0, r1, .* and 4960 more"
+    ) as told:
+        load_benchmark(tmp_path / "benchmark.yaml", ["recordings.x.split=train"])
+    assert len(str(told.value)) < 500
