@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -37,8 +37,8 @@ def using_threads(count: int) -> Iterator[None]:
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """The function's result of each item, in order; threads make the next ones while one is used.
 
-    As many results as there are threads wait at a time, so that memory is bounded. An error is raised where
-    its result would come.
+    As many results as there are threads wait at a time, so that memory is bounded. An error, of the function
+    or of the items, is raised where its result would come.
 
     Args:
         function: depends on nothing but the item.
@@ -49,17 +49,33 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
         yield from map(function, items)
         return
     remaining = iter(items)
+    begun: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
-            begun: deque[Future[Result]] = deque(
-                pool.submit(function, item) for item in islice(remaining, threads + 1)
-            )
+            for _ in range(threads + 1):
+                begun.extend(_begun(pool, function, remaining))
             while begun:
                 result = begun.popleft().result()
-                begun.extend(pool.submit(function, item) for item in islice(remaining, 1))
+                begun.extend(_begun(pool, function, remaining))
                 yield result
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _begun(
+    pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]
+) -> Iterator[Future[Result]]:
+    """The next item's result, if there is one; where the items fail, their error in its place."""
+    try:
+        item = next(items)
+    except StopIteration:
+        return
+    except Exception as error:
+        failed: Future[Result] = Future()
+        failed.set_exception(error)
+        yield failed
+        return
+    yield pool.submit(function, item)
 
 
 def in_parts(function: Callable[[int, int], None], count: int) -> None:

@@ -55,6 +55,29 @@ def test_an_error_comes_in_its_place(threads: int) -> None:
     assert found == list(range(7))
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_of_the_items_comes_in_its_place(threads: int) -> None:
+    """After the results before it, and after an earlier error of the function."""
+
+    def items() -> Iterator[int]:
+        yield from range(7)
+        raise ValueError("no eighth")
+
+    found = []
+    with using_threads(threads), pytest.raises(ValueError, match="no eighth"):
+        for result in ahead(abs, items()):
+            found.append(result)
+    assert found == list(range(7))
+
+    def odd_one(item: int) -> int:
+        if item == 5:
+            raise ValueError("five")
+        return item
+
+    with using_threads(threads), pytest.raises(ValueError, match="five"):
+        list(ahead(odd_one, items()))
+
+
 @pytest.mark.parametrize("threads", [1, 2, 4])
 @pytest.mark.parametrize("count", [0, 1, 3, 1000])
 def test_parts_cover_everything_once(threads: int, count: int) -> None:

@@ -225,14 +225,22 @@ def _write_frames(
         register = partial(_registered, onto_depth, recording.depth_scale)
     rows: list[FrameRow] = []
     # Readers are no affair of threads: a video or a database knows where it is.
-    for checked in ahead(partial(_packed, register), _checked_frames(recording, checks, progress)):
-        if checked.damage:
-            checks.leave_out(checked.damage)
+    # Damage is noted here alone, in the order of the frames: those after them are checked ahead.
+    for packed in ahead(partial(_packed, register), _checked_frames(recording, checks, progress)):
+        if isinstance(packed, _Damaged):
+            checks.leave_out(packed.why)
             continue
-        rows.append(_write_packed(checked, len(rows), folder))
+        rows.append(_write_packed(packed, len(rows), folder))
         if watch:
-            watch.see(checked.index, checked.frame)
+            watch.see(packed.index, packed.frame)
     return rows
+
+
+@dataclass(frozen=True)
+class _Damaged:
+    """A frame that is left out; `why` names it and the damage."""
+
+    why: str
 
 
 @dataclass(frozen=True)
@@ -245,7 +253,6 @@ class _Checked:
         color_suffix: of its colour image; None: it has none.
         written: as it is written: with its colour on its depth.
         depth: packed.
-        damage: why it is left out after all, or "".
     """
 
     index: int
@@ -253,32 +260,36 @@ class _Checked:
     color_suffix: str | None
     written: RawFrame
     depth: bytes = b""
-    damage: str = ""
 
 
 def _checked_frames(
     recording: Recording, checks: FrameChecks, progress: Progress | None
-) -> Iterator[_Checked]:
-    """The frames that are whole, one after another; the others are left out."""
+) -> Iterator[_Checked | _Damaged]:
+    """The frames one after another, or what damages them."""
     for index in range(len(recording)):
         try:
             frame = recording.frame(index)
-            yield _Checked(index, frame, checks.check(frame), frame)
+            checked: _Checked | _Damaged = _Checked(index, frame, checks.check(frame), frame)
         except DamagedImageError as error:
-            checks.leave_out(str(error))
+            checked = _Damaged(str(error))
+        yield checked
         if progress:
             progress(index + 1, len(recording))
 
 
-def _packed(register: Callable[[RawFrame], RawFrame] | None, checked: _Checked) -> _Checked:
+def _packed(
+    register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
+) -> _Checked | _Damaged:
     """Pack a frame's depth, and bring its colour onto it."""
+    if isinstance(checked, _Damaged):
+        return checked
     depth = encode_depth(checked.frame.depth)
     if register is None:
         return replace(checked, depth=depth)
     try:
         registered = register(checked.frame)
     except DamagedImageError as error:
-        return replace(checked, damage=str(error))
+        return _Damaged(str(error))
     return replace(checked, depth=depth, written=registered, color_suffix=checked.color_suffix and ".png")
 
 

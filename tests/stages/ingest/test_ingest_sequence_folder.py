@@ -2,6 +2,9 @@
 
 import json
 import re
+import struct
+import zlib
+from dataclasses import replace as replaced
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +27,11 @@ from ingest_writers import (
 
 from kinectbench.core.errors import RecordingError, StorageError, TrackingError
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw
+from kinectbench.core.threads import using_threads
 from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.depth_code import encode_depth
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import ColorCalibration, Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.track import track
 
@@ -157,6 +162,58 @@ def test_damaged_colour_counts_as_a_damaged_frame(tmp_path: Path) -> None:
     assert [warning.split(": ")[0] for warning in warnings] == ["frame left out"] * 2
     assert "rgb/0.jpg" in warnings[0]
     assert "the JPEG is cut off" in warnings[1]
+
+
+def undecodable_png(image: np.ndarray) -> bytes:
+    """A PNG whose header and checksums are right, and whose pixels are none."""
+    whole = png(image)
+    junk = b"no stream of zlib's"
+    chunk = b"IDAT" + junk
+    return (
+        whole[: whole.index(b"IDAT") - 4]
+        + struct.pack(">I", len(junk))
+        + chunk
+        + struct.pack(">I", zlib.crc32(chunk))
+        + struct.pack(">I", 0)
+        + b"IEND"
+        + struct.pack(">I", zlib.crc32(b"IEND"))
+    )
+
+
+def beside(recording: Recording) -> Recording:
+    """The recording, its colour by a camera a little beside that of depth."""
+    T_color_depth = np.eye(4)
+    T_color_depth[0, 3] = 0.025
+    calibration = ColorCalibration(recording.camera, (), T_color_depth)
+    return replaced(recording, color_registered=False, color_calibration=calibration)
+
+
+def test_the_order_of_damage_is_that_of_the_frames(tmp_path: Path) -> None:
+    """However many threads: colour that cannot be registered, then depth, then a file that is missing."""
+    folder = write_tum(tmp_path / "r", frames=81)
+    (folder / "rgb/3.jpg").write_bytes(undecodable_png(color_image(3)))
+    cut_in_half(folder / "depth/5.png")
+    (folder / "rgb/6.jpg").unlink()
+    found = []
+    for threads in (1, 4):
+        target = tmp_path / f"by {threads}"
+        with using_threads(threads):
+            warnings = write_sequence(beside(open_recording(folder)), target)
+        numbers = [re.findall(r"/(\d+)\.(?:png|jpg)", warning)[0] for warning in warnings]
+        assert numbers == ["3", "5", "6"]
+        files = sorted(path for path in target.rglob("*") if path.is_file())
+        found.append({path.relative_to(target): path.read_bytes() for path in files})
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_the_first_error_is_told(tmp_path: Path, threads: int) -> None:
+    """Colour of another size is found when it is registered; depth of another size, before."""
+    folder = write_tum(tmp_path / "r", frames=12)
+    (folder / "rgb/3.jpg").write_bytes(jpeg(color_image(3)[::2, ::2]))
+    (folder / "depth/5.png").write_bytes(png(depth_image(5)[:, :32]))
+    with using_threads(threads), pytest.raises(RecordingError, match="its colour is 32x24"):
+        write_sequence(beside(open_recording(folder)), tmp_path / "s")
 
 
 def test_many_damaged_frames_are_refused(tmp_path: Path) -> None:
