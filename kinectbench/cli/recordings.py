@@ -109,16 +109,15 @@ def inspect(
     said = known.camera.model_dump(exclude_unset=True) if known and known.camera else {}
     camera = settings_from_options(CameraSettings, said, overrides or [], "camera")
     path = DEFAULT_CONFIG.parent / known.path if known else Path(recording)
-    ignored = known is not None and known.trajectory_mode == "ignore"
-    own_pixels = known is not None and known.segment_by is not None
     given = camera if said or overrides else None
-    fusion = Common().settings.fusion if known else None
     diagnosis, look = look_over(
         path,
         given,
-        without_trajectory=ignored,
-        fusion=fusion,
-        own_pixels=own_pixels,
+        without_trajectory=known is not None and known.trajectory_mode == "ignore",
+        fusion=Common().settings.fusion if known else None,
+        own_pixels=known is not None and known.segment_by is not None,
+        plane_world=known.plane_world if known else None,
+        boxed=known is not None and known.box is not None,
         follow_links=follow_links or (known is not None and known.follow_links),
     )
     if page is not None:

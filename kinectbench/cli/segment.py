@@ -70,12 +70,11 @@ def _candidates(root: Path, recording: str) -> "CandidatesFile":
 def _show(recording: str, listed: "CandidatesFile") -> None:
     from kinectbench.cli import console
     from kinectbench.settings.edit import box_line
+    from kinectbench.stages.segment.choose import NO_FLOOR
 
     console.say(f"{recording}: from above {listed.plan}")
     if not listed.floor_found:
-        console.say(
-            "  no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
-        )
+        console.say(f"  {NO_FLOOR}")
     for each in listed.candidates:
         size = " x ".join(f"{edge:.2f}" for edge in each.box.size_m)
         chosen = ", chosen without a box" if each.automatic else ""

@@ -2,15 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.types import Bools, Float32
 
 # Frames that are compared, and how few say nothing.
 FRAMES, MIN_FRAMES = 24, 6
+# Of the images that are compared: enough for things of 4 % of their width (own choice).
+COLUMNS = 160
 # A pixel with depth in this share of the frames has one over time; else it says nothing.
 SEEN_SHARE = 0.6
 # Noise alone spreads four fifths of a pixel's values over 2.6 of its standard deviations.
@@ -113,6 +117,26 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
         around_share=float((still & away).mean()),
         empty_share=float((seen.mean(axis=0) <= RARELY).mean()),
     )
+
+
+class SomeWatched(NamedTuple):
+    """Frames of a sequence that were compared: their depth, every how many pixels, and what came of it."""
+
+    depths_m: list[Float32]
+    step_px: int
+    watched: Watched | None
+
+
+def watch_some(sequence: Recorded) -> SomeWatched:
+    """`watch` some frames of a sequence, about 160 pixels wide; grey as `inspect` has it of its images."""
+    import cv2
+
+    step = max(1, round(sequence.camera.width / COLUMNS))
+    chosen = some_of(len(sequence))
+    depths_m = [sequence.depth_m(index)[::step, ::step] for index in chosen]
+    colors = [sequence.color_rgb(index) for index in chosen]
+    grays = [None if rgb is None else np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in colors]
+    return SomeWatched(depths_m, step, watch(depths_m, grays))
 
 
 def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:

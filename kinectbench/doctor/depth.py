@@ -32,7 +32,7 @@ CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
 # What poses that fit settle: by another scale or other intrinsics they would not.
-SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect"})
+SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect", "camera_height"})
 VALID_SHARE = 0.35
 HARMLESS_DAMAGE = 0.05
 

@@ -23,11 +23,11 @@ from kinectbench.doctor.depth import (
     range_by_look,
 )
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
-from kinectbench.doctor.floor import camera_heights_m, check_floor
+from kinectbench.doctor.floor import Ground, camera_heights_m, check_floor
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.still import check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
-from kinectbench.settings.models import CameraSettings, FusionSettings
+from kinectbench.settings.models import CameraSettings, FusionSettings, Vector4
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
@@ -77,6 +77,8 @@ def inspect(
     fusion: FusionSettings | None = None,
     own_pixels: bool = False,
     follow_links: bool = False,
+    plane_world: Vector4 | None = None,
+    boxed: bool = False,
 ) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
@@ -87,6 +89,8 @@ def inspect(
         fusion: how far depth is to make surface; None: by the recording.
         own_pixels: benchmark.yaml says `segment_by`: no floor is needed, and the camera may stand still.
         follow_links: links in it are followed, as benchmark.yaml may say.
+        plane_world: it gives the plane that the object stands on.
+        boxed: it gives a box around the object: no floor is needed.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
@@ -94,6 +98,7 @@ def inspect(
     recording, found = open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(found)), None
+    ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)
     if without_trajectory:
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     look = take_look(recording)
@@ -105,14 +110,13 @@ def inspect(
     facts = _facts(look)
     if look.frames and not HOPELESS & {finding.name for finding in early}:
         edges, poses = fit_edges(look), fit_trajectory(look)
-        if poses is not None and poses.proven:
-            found = [finding for finding in found if finding.name not in SETTLED_BY_POSES]
         depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
-        heights_m = camera_heights_m(look, poses, depth_range.max_depth_m)
-        late = [
-            *_late(look, edges, poses, None if own_pixels else heights_m),
-            *check_range(look, depth_range),
-        ]
+        heights_m = camera_heights_m(look, ground, poses, depth_range.max_depth_m)
+        late = [*_late(look, edges, poses), *check_range(look, depth_range)]
+        if not own_pixels:
+            late += [*check_floor(look, heights_m, ground), *check_still(look)]
+        if poses is not None and poses.proven:
+            found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
         # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
         explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
         turns = any(finding.name == "turntable" for finding in late)
@@ -129,19 +133,14 @@ def inspect(
     return Diagnosis(facts, gravest_first(found)), look
 
 
-def _late(
-    look: Look, edges: EdgeFit | None, poses: PoseFit | None, heights_m: NDArray[np.float64] | None
-) -> Iterator[Finding]:
-    """What only depth that is depth can tell; `heights_m` None: what the object stands on does not matter."""
+def _late(look: Look, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
+    """What only depth that is depth can tell."""
     of_color = list(check_edges(look, edges))
     yield from of_color
     # Edges that lie elsewhere say nothing of when they were seen.
     if not any(finding.severity == "warning" for finding in of_color):
         yield from check_color_delay(look)
     yield from check_trajectory(look, poses)
-    if heights_m is not None:
-        yield from check_floor(look, heights_m)
-        yield from check_still(look)
     yield from check_light(look)
 
 

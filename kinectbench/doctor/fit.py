@@ -15,6 +15,7 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.core.types import Float64
 from kinectbench.doctor.look import Look
@@ -241,23 +242,3 @@ def _fall(
     inside = before & (u >= 0) & (v >= 0) & (u < pair.camera.width - 1) & (v < pair.camera.height - 1)
     rows, columns = (np.rint(each[inside]).astype(np.int64) for each in (v, u))
     return points, rows, columns, inside
-
-
-def image_normals(surface: Float64, depth_m: NDArray[np.float32], reach_px: int = 1) -> Float64:
-    """Unit normals away from the camera, by neighbours in the image; NaN where one is missing.
-
-    Args:
-        surface: (height, width, 3) points, camera axes.
-        depth_m: (height, width), 0 where there is none.
-        reach_px: how far to each side the neighbours are.
-
-    Returns:
-        (height, width, 3).
-    """
-    known = np.where((depth_m > 0)[..., None], surface, np.nan)
-    across, down = np.full(surface.shape, np.nan), np.full(surface.shape, np.nan)
-    across[:, reach_px:-reach_px] = known[:, 2 * reach_px :] - known[:, : -2 * reach_px]
-    down[reach_px:-reach_px] = known[2 * reach_px :] - known[: -2 * reach_px]
-    normals = np.cross(across, down)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.asarray(normals / np.where(length > 0, length, np.nan))

@@ -1,25 +1,25 @@
 """Whether there is a floor, by the same function as the build's, and how high the camera is above it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, transform_points
+from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.doctor.delays import clock_ns, longest_gap_s, on_clock
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.fit import image_normals
 from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.doctor.trajectory import PoseFit
+from kinectbench.stages.ingest.recording import Recording
 
 # Frames that are looked at alone, or together by their poses, and every how many pixels: for the sake of time
 # (own choices).
 FRAMES, POSED_FRAMES, STEP_PX = 6, 40, 4
-# The build's points are as far apart (`stages.segment.select`).
-CELL_M = 0.03
 # Poses with a larger share of the depth against them make no scene to find a floor in.
 FITTING = 0.5
 # What a frame without a pose looks at, camera frame: as far as furniture is recorded, metres (own choice).
@@ -35,32 +35,56 @@ MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
 Points = NDArray[np.float64]
 
 
-def camera_heights_m(look: Look, poses: PoseFit | None = None, max_depth_m: float = np.inf) -> Points:
+@dataclass(frozen=True)
+class Ground:
+    """What is known of what the object stands on before anything is looked at.
+
+    Attributes:
+        recording: with all that it says of gravity, a trajectory that is ignored, too.
+        plane_world: (4,) a person's plane, in the world of the given poses; None: nobody gives one.
+        is_needed: no build without a floor: neither a plane nor a box nor masks are given.
+    """
+
+    recording: Recording
+    plane_world: Sequence[float] | None = None
+    is_needed: bool = True
+
+
+def camera_heights_m(
+    look: Look, ground: Ground, poses: PoseFit | None = None, max_depth_m: float = np.inf
+) -> Points:
     """(k,) height above the floor in each of some frames, metres; NaN where no floor is found.
 
     With given poses that fit, the floor is looked for once, in all the frames together and with all that the
-    build knows; else in each frame alone, as if it were a recording.
+    build knows; else in each frame alone, as if it were a recording. A person's plane is in the world of the
+    given poses, and means nothing without them.
 
     Args:
         look: at the recording.
+        ground: what is known of it.
         poses: how the given poses fit; None: there are none.
         max_depth_m: depth beyond makes no surface.
     """
     posed = None if poses is None or poses.best > FITTING else _posed(look, poses)
-    if posed is not None and len(posed[0]) > 1:
-        return _heights_together(
-            look, *posed, max_depth_m, gravity=poses is not None and poses.given == poses.best
-        )
+    if poses is not None and posed is not None and len(posed[0]) > 1:
+        # Gravity in the frame of poses that are meant otherwise is meant otherwise, too.
+        recording = ground.recording if poses.given == poses.best else _without_poses(ground.recording)
+        return _heights_together(look, *posed, max_depth_m, replace(ground, recording=recording))
     count = len(look.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
-    camera = look.small_camera
-    return np.array([_height_m(look.frames[i], camera) for i in indices])
+    return np.array([_height_m(look.frames[i], look.small_camera, ground.recording) for i in indices])
 
 
-def check_floor(look: Look, heights_m: Points) -> Iterator[Finding]:
+def _without_poses(recording: Recording) -> Recording:
+    return replace(recording, given_trajectory=None)
+
+
+def check_floor(look: Look, heights_m: Points, ground: Ground) -> Iterator[Finding]:
     """Judge whether there is a floor, and whether it is where floors are."""
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
+        if not ground.is_needed:
+            return
         what = f"a floor is in view in {seen.sum()} of {len(seen)} frames"
         advice = (
             "let the camera see what the object stands on around it; or give a `box`, or its plane: "
@@ -69,7 +93,11 @@ def check_floor(look: Look, heights_m: Points) -> Iterator[Finding]:
         yield Finding("no_floor", "warning" if not seen.any() else "note", what, look.where, advice)
         return
     height_m = float(np.nanmedian(heights_m))
-    if not LOWEST_M <= height_m <= HIGHEST_M:
+    if height_m <= 0:
+        what = "most cameras are below the plane that benchmark.yaml gives as `floor`"
+        advice = "its normal must point up, in the frame of the trajectory"
+        yield Finding("floor_above", "stops", what, look.where, advice)
+    elif not LOWEST_M <= height_m <= HIGHEST_M:
         what = f"the camera is {height_m:.2f} m above the floor, if depth has the right unit"
         yield Finding("camera_height", "warning", what, look.where, "check `depth_scale`")
 
@@ -89,25 +117,32 @@ def _posed(look: Look, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None
 
 
 def _heights_together(
-    look: Look, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, gravity: bool
+    look: Look, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> Points:
-    """(n,) heights of some of the frames above the one floor of all."""
+    """(n,) heights of some of the frames above the one floor of all; of all above a person's plane."""
     from kinectbench.stages.segment.floor import find_floor
-    from kinectbench.stages.segment.up import FloorHint
+    from kinectbench.stages.segment.near import near_scale
+    from kinectbench.stages.segment.select import CELL_M, thinned
+    from kinectbench.stages.segment.up import hint_of
 
-    camera, up = look.small_camera, look.recording.up_world
+    stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
+    hint = hint_of(ground.recording, stamps_ns, T_world_camera, ground.plane_world)
+    if hint.plane_world is not None:
+        return np.asarray(T_world_camera[:, :3, 3] @ hint.plane_world[:3] + hint.plane_world[3])
     clouds, normals = [], []
     for frame, T in zip(frames, T_world_camera, strict=True):
-        points, toward = _surface(np.where(frame.depth_m <= max_depth_m, frame.depth_m, 0), camera)
+        near_m = np.where(frame.depth_m <= max_depth_m, frame.depth_m, 0)
+        points, toward = _surface(near_m, look.small_camera)
         clouds.append(transform_points(T, points))
         normals.append(toward @ T[:3, :3].T)
-    thinned = _thinned(np.concatenate(clouds), np.concatenate(normals))
-    hint = FloorHint(np.array(up) if up is not None and gravity else None)
+    focus_world = convergence_point(T_world_camera)
+    cell_m = CELL_M * near_scale(T_world_camera, focus_world)
+    surface = thinned(np.concatenate(clouds), np.concatenate(normals), cell_m)
     heights_m = np.full(len(frames), np.nan)
-    if len(thinned[0]) < MIN_POINTS:
+    if len(surface.points) < MIN_POINTS:
         return heights_m
     try:
-        floor = find_floor(*thinned, T_world_camera, convergence_point(T_world_camera), 0, hint)
+        floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, 0, hint)
     except SegmentationError:
         return heights_m
     for index, points_world in enumerate(clouds):
@@ -117,20 +152,9 @@ def _heights_together(
     return heights_m
 
 
-def _thinned(points_world: Points, normals_world: Points) -> tuple[Points, Points]:
-    """One point per cubic cell, and its mean unit normal, as the build's surface is thinned."""
-    _, cell, counts = np.unique(
-        np.floor(points_world / CELL_M).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-    )
-    means = []
-    for values in (points_world, normals_world):
-        sums = [np.bincount(cell.reshape(-1), values[:, axis], len(counts)) for axis in range(3)]
-        means.append(np.stack(sums, axis=1) / counts[:, None])
-    return means[0], means[1] / np.maximum(np.linalg.norm(means[1], axis=1, keepdims=True), 1e-12)
-
-
-def _height_m(frame: SmallFrame, camera: Camera) -> float:
+def _height_m(frame: SmallFrame, camera: Camera, recording: Recording) -> float:
     from kinectbench.stages.segment.floor import find_floor
+    from kinectbench.stages.segment.up import hint_of
 
     if frame.depth_m.shape != (camera.height, camera.width):
         return float("nan")
@@ -139,8 +163,10 @@ def _height_m(frame: SmallFrame, camera: Camera) -> float:
         return float("nan")
     # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
     unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
+    alone = np.eye(4)[None]
+    hint = hint_of(recording, np.array([frame.stamp_ns], np.int64), alone)
     try:
-        floor = find_floor(points * unit, normals, np.eye(4)[None], FOCUS_CAMERA, 0)
+        floor = find_floor(points * unit, normals, alone, FOCUS_CAMERA, 0, hint)
     except SegmentationError:
         return float("nan")
     return float(floor.plane_world[3]) / unit
@@ -149,7 +175,7 @@ def _height_m(frame: SmallFrame, camera: Camera) -> float:
 def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[Points, Points]:
     """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel."""
     surface = camera.backproject(depth_m)
-    normals = -image_normals(surface, depth_m, reach_px=2)
+    normals = image_normals(surface, depth_m, reach_px=2)
     chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
     keep = np.zeros_like(chosen)
     keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]

@@ -3,12 +3,10 @@
 from collections.abc import Iterator
 
 from kinectbench.core.sequence import Sequence
-from kinectbench.core.still_camera import Watched, some_of, watch
+from kinectbench.core.still_camera import Watched, some_of, watch, watch_some
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.look import Look
 
-# Of the images that are compared: enough for things of 4 % of their width (own choice).
-COLUMNS = 160
 TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if an object turns on the spot"
 MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
 OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it brings masks of the object"
@@ -37,11 +35,7 @@ def check_still(look: Look) -> Iterator[Finding]:
 
 def turntable_warning(sequence: Sequence) -> str:
     """What `inspect` says of a still camera before which something moves, one line; "" if it is none."""
-    chosen = some_of(len(sequence))
-    step = max(1, round(sequence.camera.width / COLUMNS))
-    colors = (sequence.color_rgb(index) for index in chosen)
-    grays = [None if rgb is None else rgb[::step, ::step, 1] for rgb in colors]
-    watched = watch([sequence.depth_m(index)[::step, ::step] for index in chosen], grays)
+    watched = watch_some(sequence).watched
     if watched is None or not (watched.camera_still and watched.something_moves):
         return ""
     return f"{_what(watched)}; {_advice(sequence.masks is not None)}"

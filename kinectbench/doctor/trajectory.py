@@ -14,6 +14,7 @@ from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import (
+    MOST_FITTING_M,
     Pair,
     Reading,
     choose_pairs,
@@ -178,16 +179,19 @@ def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]
 
 def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
     if fit.reading.changes and not fit.fits:
-        left = f"and are still {1000 * fit.residual_m:.0f} mm off"
+        left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
         if not math.isfinite(fit.residual_m):
-            left = "and no surface falls on another even so"
+            left = "(even so no surface falls on another)"
         what = (
-            "the given poses fit the depth by no reading that was tried: they fit best if read as "
-            f"{fit.reading.text()}, {left}"
+            "the given poses fit the depth by no reading that was tried: they come nearest if read as: "
+            f"{fit.reading.text()} {left}"
         )
-        advice = (
-            "look at the poses' convention, the depth's scale and the intrinsics; or `trajectory: ignore`"
-        )
+        advice = "look at the poses' convention, the depth's scale and the intrinsics"
+        if fit.residual_m <= MOST_FITTING_M:
+            advice = (
+                "if they are meant so, write them anew; else look at the depth's scale and the intrinsics"
+            )
+        advice += "; or `trajectory: ignore`"
         yield Finding("trajectory_wrong", "stops", what, look.where, advice)
     elif fit.reading.changes:
         what = (

@@ -27,7 +27,7 @@ FORMAT_VERSION = 1
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 6,
-    "track": 5,
+    "track": 6,
     "fuse": 5,
     "segment": 24,
     "sample-views": 1,

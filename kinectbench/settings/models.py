@@ -174,7 +174,7 @@ class FusionSettings(Settings):
         None,
         ge=0.001,
         le=0.05,
-        description="edge of a voxel of the object; default: 5 mm, of what is small and near less",
+        description="edge of a voxel of the object; default: 5 mm, less for small things seen from near",
     )
     scene_voxel_size_m: float | None = Field(
         None,

@@ -22,22 +22,22 @@ from kinectbench.stages.ingest.readers import open_recording
 FIT_MM = 8.0
 
 
-@pytest.fixture(scope="module")
-def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_thing(folder: Path, **path: float) -> Path:
     """A small thing from .3 m away on, in no order of time, with exact poses."""
-    folder = tmp_path_factory.mktemp("near") / "mug"
     spec = {
         "object": "mug:seed=0",
-        "path": {
-            "order": "shuffled", "frames": 40, "distance_m": 0.32, "elevation_rad": 1.0, "swing_rad": 0.3,
-            "lowest_m": 0.1,
-        },
+        "path": {"order": "shuffled", "frames": 40, "swing_rad": 0.3, "lowest_m": 0.1, **path},
         "scene": {"walls": 0, "clutter": 0},
         "sensor": {"model": "phone_lidar", "width": 160, "height": 120},
         "save_depth": False,
-    }  # fmt: skip
+    }
     simulate(SimulationSpec.model_validate(spec), folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return small_thing(tmp_path_factory.mktemp("near") / "mug", distance_m=0.32, elevation_rad=1.0)
 
 
 def with_poses(recording: Path, folder: Path, change: object) -> Path:
@@ -59,6 +59,18 @@ def test_exact_poses_of_a_near_thing_are_proof(near: Path) -> None:
     assert "depth_scale" in advice(without)
     assert advice(diagnosis) == [] and diagnosis.facts["pose_residual_mm"] < FIT_MM  # type: ignore[operator]
     assert doubted_scale(open_recording(near)) == ""
+
+
+def test_exact_poses_settle_how_high_the_camera_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some 20 cm above the table: an unlikely height, of which nothing is to be said where poses prove it."""
+    low = small_thing(tmp_path / "mug", distance_m=0.3, elevation_rad=0.6)
+    diagnosis, look = inspect(low)
+    assert look is not None and advice(diagnosis) == []
+    assert diagnosis.facts["camera_height_m"] < 0.25  # type: ignore[operator]
+    fit = fit_trajectory(look)
+    assert fit is not None and fit.proven
+    monkeypatch.setattr("kinectbench.doctor.examine.fit_trajectory", lambda _: replace(fit, proven=False))
+    assert "camera_height" in advice(inspect(low)[0])
 
 
 def test_a_wrong_scale_is_still_told(near: Path) -> None:
@@ -115,4 +127,16 @@ def test_no_reading_that_leaves_over_50_mm_is_called_a_fit(
     bad = replace(fit, reading=reading, residual_m=residual_m, fits=fits(residual_m, far), proven=False)
     said = [found for found in check_trajectory(look, bad) if found.severity != "note"]
     assert [found.name for found in said] == ["trajectory_wrong"]
+    assert "come nearest if read as" in said[0].what
     assert "by no reading" in said[0].what and "nan" not in said[0].what and "do fit" not in said[0].what
+
+
+def test_a_reading_that_nearly_fits_is_told_with_what_is_left(near: Path) -> None:
+    """As of a noisy sensor: below 50 mm, but more than noise."""
+    look = take_look(open_recording(near))
+    fit = fit_trajectory(look)
+    assert fit is not None
+    nearly = replace(fit, reading=Reading(inverse=True), residual_m=0.012, fits=False, proven=False)
+    (said,) = (found for found in check_trajectory(look, nearly) if found.severity == "stops")
+    assert "read as: world to camera (inverse) (12 mm off, more than noise explains)" in said.what
+    assert "write them anew" in said.advice

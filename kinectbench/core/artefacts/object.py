@@ -55,9 +55,12 @@ class FloorFile(Stored):
     noise_m: float = Field(description="of the points on the floor, metres")
     inlier_share: float = Field(description="of the scene's surface, that lies on the plane")
     tilt_rad: float | None = Field(
-        None, description="between its normal and up as the cameras were held, radians"
+        None, description="between its normal and up by gravity, or else as the cameras were held, radians"
     )
-    found: bool | None = Field(None, description="false: no floor was found, and a box was given")
+    found: bool | None = Field(
+        None,
+        description="false: no plane was measured; z = 0 is level, at the lowest surface or below the object",
+    )
     scale: float | None = Field(
         None,
         description="by what floor_cut_m and low_cut_m are multiplied, where cameras were nearer than 1 m",

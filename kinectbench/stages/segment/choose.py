@@ -22,7 +22,10 @@ from kinectbench.stages.segment.select import (
 from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 
 MIN_BOX_POINTS = 20
-NO_FLOOR = "no floor was found: z = 0 is the lowest surface in view, level as the cameras were held"
+NO_FLOOR = (
+    "no floor was found: z = 0 is the lowest surface in view, level by gravity or, where that is not known, "
+    "as the cameras were held"
+)
 
 # A floor in view has a tenth of a scene's surface and more; one without depth, hardly any (own choice).
 LEAST_ON_PLANE = 0.01
@@ -40,7 +43,7 @@ class Segmentation:
         floor: the floor.
         box: upright box around the object (or the given one), floor frame.
         object_cells: (n, 3) int64, cells of `cell_m` in the floor frame that hold its surface.
-        other_cells: (m, 3) int64, the same for everything else that stands on the floor.
+        other_cells: (m, 3) int64, the same for everything else: what stands on the floor; with masks, specks.
         how: "automatic", "box", or "masks": all that was fused is the object.
         doubts: why the choice may be wrong, one line for people each.
         cell_m: edge of the cells: 30 mm, less where cameras were near.

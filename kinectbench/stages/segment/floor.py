@@ -1,7 +1,6 @@
 """The floor plane: not the largest plane, but the one the cameras stand above."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +11,22 @@ from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import SegmentationSettings
 from kinectbench.stages.segment.near import enlarged_transform, near_scale
-from kinectbench.stages.segment.support import FLAT_COSINE, Surface, carries_what_is_looked_at
+from kinectbench.stages.segment.planes import (
+    FLAT_COSINE,
+    INLIER_M,
+    MAX_NOISE_M,
+    Plane,
+    Surface,
+    floor_frame,
+    is_below,
+    is_flat,
+    noise_about_m,
+)
+from kinectbench.stages.segment.support import carries_what_is_looked_at
 from kinectbench.stages.segment.up import NOTHING_KNOWN, Facing, FloorHint, facings
 
 CANDIDATES = 6
 HYPOTHESES = 400
-INLIER_M = 0.02
 MIN_CAMERA_HEIGHT_M = 0.1
 MAX_BELOW_SHARE = 0.05
 # What lies farther below a plane than so many times the distance of its inliers (50 mm) is below it.
@@ -27,31 +36,19 @@ BELOW_M = 0.05
 MIN_INLIER_SHARE, MIN_PLANE_POINTS = 0.01, 50
 FOCUS_M = 1.2
 MIN_NEAR_POINTS = 100
-# Clutter that a plane happens to cut spreads evenly about it (30 mm); a real floor does not.
-MAX_NOISE_M = 0.02
 NO_FLOOR = (
-    "no floor found: no plane below all cameras that faces up; record with more of the floor in view, "
-    "or give a box: `kinectbench segment --suggest` lists some"
+    "no floor found: no plane that faces up lies below all cameras; record with more of what the object "
+    "stands on in view, or give its plane (`floor: {plane_world: [a, b, c, d]}`) or a box (`kinectbench "
+    "segment --suggest` lists some)"
 )
 ABOVE_CAMERAS = (
     "most cameras are below the plane that benchmark.yaml gives as `floor`; its normal must point up, in the "
     "frame of the trajectory"
 )
-# A plane this parallel to the one with most points, and this much lower, is the floor below a table top.
-PARALLEL_COSINE = 0.97
-LOWER_M = 0.2
 # Of the surface, what may lie below the lowest height that a scene without floor is given.
 LOWEST_SHARE = 0.001
 # The fused floor's surface strays this many of its standard deviations from the plane at most.
 FLOOR_SIGMAS = 4.0
-
-
-class Plane(NamedTuple):
-    """A plane of the scene: (4,) with its unit normal up, its points, and whether hardly any lies below."""
-
-    plane: Float64
-    points: int
-    is_lowest: bool
 
 
 @dataclass(frozen=True)
@@ -129,9 +126,8 @@ def find_floor(
     if hint.plane_world is not None:
         given = _given_floor(hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2)
         return replace(given, scale=scale)
-    T_larger_camera = enlarged_transform(T_world_camera, scale)
-    larger = points_world / scale, normals_world, T_larger_camera, focus_world / scale
-    floor = _find_floor(*larger, seed, hint.up_world, INLIER_M * scale)
+    surface = Surface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
+    floor = _find_floor(surface, enlarged_transform(T_world_camera, scale), seed, hint.up_world)
     plane = floor.plane_world * [1, 1, 1, scale]
     return replace(
         floor,
@@ -142,35 +138,24 @@ def find_floor(
     )
 
 
-def _find_floor(
-    points_world: Float64,
-    normals_world: Float64,
-    T_world_camera: Float64,
-    focus_world: Float64,
-    seed: int,
-    up_world: Float64 | None,
-    inlier_m: float,
-) -> Floor:
+def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
     """`find_floor` by the planes, in a world in which the cameras are 1 m and more from what they look at.
 
     There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
     lies on it must not pass for floor.
     """
-    surface = Surface(points_world, normals_world, focus_world, inlier_m)
     for facing in facings(T_world_camera, up_world):
-        planes = _qualifying_planes(
-            points_world, normals_world, T_world_camera[:, :3, 3], facing, seed, inlier_m
-        )
+        planes = _qualifying_planes(surface, T_world_camera[:, :3, 3], facing, seed)
         lowest = [plane for plane in planes if plane.is_lowest]
-        chosen = _lowest(lowest, points_world, focus_world, inlier_m) if lowest else None
+        chosen = _lowest(lowest, surface) if lowest else None
         chosen = _support(planes, chosen, surface) or chosen
         if chosen is None:
             continue
-        count, plane = chosen.points, chosen.plane
-        plane, noise_m = _refined_near(plane, points_world, normals_world, focus_world, inlier_m)
+        plane, noise_m = _refined_near(chosen.plane, surface)
         if noise_m <= MAX_NOISE_M:
             tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
-            return Floor(plane, floor_frame(plane), noise_m, count / len(points_world), tilt_rad)
+            share = chosen.points / len(surface.points_world)
+            return Floor(plane, floor_frame(plane), noise_m, share, tilt_rad)
     raise SegmentationError(NO_FLOOR)
 
 
@@ -182,22 +167,21 @@ def _given_floor(
     if np.median(above_m) <= 0:
         raise SegmentationError(ABOVE_CAMERAS)
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
-    noise_m = _noise_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
+    noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
     tilt_rad = _tilt_rad(plane_world, T_world_camera, None)
     return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
 
 
-def _refined_near(
-    plane: Float64, points_world: Float64, normals_world: Float64, focus_world: Float64, inlier_m: float
-) -> tuple[Float64, float]:
+def _refined_near(plane: Float64, surface: Surface) -> tuple[Float64, float]:
     """A plane refined near the focus, and the surface's noise about it, metres."""
-    along = normals_world @ plane[:3] > FLAT_COSINE
-    flat = along & (np.linalg.norm(points_world - focus_world, axis=1) < FOCUS_M)
+    points_world, inlier_m = surface.points_world, surface.inlier_m
+    flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
+    flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
     near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * BELOW_M)]
     if len(near) < MIN_NEAR_POINTS:
-        return plane, _noise_m(plane, points_world, inlier_m)
+        return plane, noise_about_m(plane, points_world, inlier_m)
     plane = _refine(near, plane, 2 * BELOW_M if inlier_m == INLIER_M else inlier_m, inlier_m)
-    return plane, _noise_m(plane, near, inlier_m)
+    return plane, noise_about_m(plane, near, inlier_m)
 
 
 def level_floor(
@@ -217,20 +201,6 @@ def level_floor(
     lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
     plane = np.append(up, -lowest_m)
     return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False, scale=scale)
-
-
-def floor_frame(plane_world: Float64) -> Float64:
-    """T_floor_world of a plane (4,) with upward unit normal, by the rule in `Floor`."""
-    z_axis = plane_world[:3]
-    for axis in (np.array([1.0, 0, 0]), np.array([0, 0, 1.0])):
-        along = axis - (axis @ z_axis) * z_axis
-        if np.linalg.norm(along) > 0.1:
-            break
-    x_axis = along / np.linalg.norm(along)
-    T_world_floor = np.eye(4)
-    T_world_floor[:3, :3] = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
-    T_world_floor[:3, 3] = -plane_world[3] * z_axis
-    return invert_rigid(T_world_floor)
 
 
 def floor_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
@@ -254,15 +224,9 @@ def low_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
     return min(max(settings.low_cut_m * floor.scale, FLOOR_SIGMAS * floor.noise_m), cut_m)
 
 
-def _qualifying_planes(
-    points_world: Float64,
-    normals_world: Float64,
-    cameras_world: Float64,
-    facing: Facing,
-    seed: int,
-    inlier_m: float,
-) -> list[Plane]:
+def _qualifying_planes(surface: Surface, cameras_world: Float64, facing: Facing, seed: int) -> list[Plane]:
     """Of up to six planes of the scene those that cameras look down on, and that may be horizontal."""
+    points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
     rng = np.random.default_rng(seed)
     left = facing(normals_world)
     planes: list[Plane] = []
@@ -286,23 +250,9 @@ def _qualifying_planes(
 
 def _support(planes: list[Plane], floor: Plane | None, surface: Surface) -> Plane | None:
     """The nearest plane above the floor that carries what is looked at; None: the floor does."""
-
-    def height_m(plane: Plane) -> float:
-        """Of the focus above the plane."""
-        return float(surface.focus_world @ plane.plane[:3] + plane.plane[3])
-
-    higher = [
-        plane
-        for plane in planes
-        if floor is None
-        or (
-            plane.plane[:3] @ floor.plane[:3] > PARALLEL_COSINE
-            and height_m(plane) < height_m(floor) - LOWER_M
-        )
-    ]
-    for plane in sorted(higher, key=height_m):
-        flat = _noise_m(plane.plane, surface.points_world, surface.inlier_m) < MAX_NOISE_M
-        if flat and carries_what_is_looked_at(plane.plane, surface):
+    higher = [plane for plane in planes if floor is None or is_below(floor, plane, surface)]
+    for plane in sorted(higher, key=surface.focus_above_m):
+        if is_flat(plane, surface) and carries_what_is_looked_at(plane.plane, surface):
             return plane
     return None
 
@@ -336,33 +286,11 @@ def _refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) ->
     return plane
 
 
-def _lowest(
-    planes: list[Plane],
-    points_world: Float64,
-    focus_world: Float64,
-    inlier_m: float,
-) -> Plane:
+def _lowest(planes: list[Plane], surface: Surface) -> Plane:
     """The plane with most points, or the lowest parallel one well below it."""
     most = max(planes, key=lambda each: each.points)
-
-    def height_m(each: Plane) -> float:
-        """Of the focus above the plane."""
-        return float(focus_world @ each.plane[:3] + each.plane[3])
-
-    lower = [
-        each
-        for each in planes
-        if each.plane[:3] @ most.plane[:3] > PARALLEL_COSINE
-        and height_m(each) > height_m(most) + LOWER_M
-        and _noise_m(each.plane, points_world, inlier_m) < MAX_NOISE_M
-    ]
-    return max([most, *lower], key=height_m)
-
-
-def _noise_m(plane: Float64, points_world: Float64, inlier_m: float = INLIER_M) -> float:
-    """Robust standard deviation of the points about a plane that passes through them, metres."""
-    distance_m = np.abs(points_world @ plane[:3] + plane[3])
-    return float(1.4826 * np.median(distance_m[distance_m < 2 * inlier_m]))
+    lower = [each for each in planes if is_below(each, most, surface) and is_flat(each, surface)]
+    return max([most, *lower], key=surface.focus_above_m)
 
 
 def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None) -> float:

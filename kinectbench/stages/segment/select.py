@@ -113,7 +113,7 @@ class SurfacePoints:
 
 
 def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
-    """Thin a mesh out to one point per cell, so that area counts and vertex density does not."""
+    """`thinned` vertices of a mesh; their normals count by the area of the faces around them."""
     corners = mesh.vertices[mesh.faces]
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.vertices)
@@ -122,14 +122,25 @@ def surface_points(mesh: TriangleMesh, cell_m: float = CELL_M) -> SurfacePoints:
             normals[:, axis] += np.bincount(
                 mesh.faces[:, corner], weights=face_normals[:, axis], minlength=len(mesh.vertices)
             )
+    return thinned(mesh.vertices, normals, cell_m)
+
+
+def thinned(points_world: Float64, normals_world: Float64, cell_m: float = CELL_M) -> SurfacePoints:
+    """Thin points (n, 3) out to one per cell, so that area counts and their density does not.
+
+    Args:
+        points_world: (n, 3), metres.
+        normals_world: (n, 3), each as long as it counts.
+        cell_m: edge of the cells.
+    """
     cells, owner, counts = np.unique(
-        np.floor(mesh.vertices / cell_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+        np.floor(points_world / cell_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
     )
     owner = owner.reshape(-1)
     points, mean_normals = np.zeros((len(cells), 3)), np.zeros((len(cells), 3))
     for axis in range(3):
-        points[:, axis] = np.bincount(owner, weights=mesh.vertices[:, axis], minlength=len(cells)) / counts
-        mean_normals[:, axis] = np.bincount(owner, weights=normals[:, axis], minlength=len(cells))
+        points[:, axis] = np.bincount(owner, weights=points_world[:, axis], minlength=len(cells)) / counts
+        mean_normals[:, axis] = np.bincount(owner, weights=normals_world[:, axis], minlength=len(cells))
     mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
     return SurfacePoints(points, mean_normals, cells, owner)
 

@@ -1,11 +1,10 @@
 """Whether what the cameras look at stands on a higher plane than the floor: a table, a shelf, a counter."""
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 
+from kinectbench.core.geometry import transform_points
 from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.stages.segment.planes import FLAT_COSINE, Surface, floor_frame
 from kinectbench.stages.segment.select import GROUNDED_M, SMALL_CELLS, connected, fit_box
 
 # The focus may lie so far below what a flat thing stands on: people do not aim at a finger's breadth.
@@ -19,36 +18,6 @@ MAX_SHARE_OF_PLANE = 0.5
 MAX_BESIDE = 0.5
 # Points lie so many times their usual distance apart at most (own choice): cells of that edge touch.
 SPACINGS = 2.0
-# Of the points so many have a neighbour as near as is usual.
-USUAL_SHARE = 0.9
-# Surface lies along a plane if its normal is within 26 degrees of the plane's (own choice): fused depth is
-# as rough as that.
-FLAT_COSINE = 0.9
-
-
-@dataclass(frozen=True)
-class Surface:
-    """What of a scene is judged; lengths as if cameras were 1 m and more away.
-
-    Attributes:
-        points_world: (n, 3) spread evenly, metres.
-        normals_world: (n, 3) unit.
-        focus_world: (3,) where the cameras look.
-        inlier_m: so near to a plane points are on it.
-    """
-
-    points_world: Float64
-    normals_world: Float64
-    focus_world: Float64
-    inlier_m: float
-
-    @cached_property
-    def spacing_m(self) -> float:
-        """How far a point's nearest neighbour usually is; planes are judged by it one after another."""
-        from scipy.spatial import cKDTree
-
-        points = self.points_world
-        return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], USUAL_SHARE))
 
 
 def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
@@ -64,10 +33,9 @@ def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
     focus_m = float(surface.focus_world @ plane[:3] + plane[3])
     if focus_m < -FOCUS_BELOW_M:
         return False
-    local = surface.points_world @ _level(plane).T
-    focus = _level(plane) @ surface.focus_world
-    local[:, 2] += plane[3]
-    focus[2] += plane[3]
+    T_level_world = floor_frame(plane)
+    local = transform_points(T_level_world, surface.points_world)
+    focus = transform_points(T_level_world, surface.focus_world)
     cell_m = SPACINGS * surface.spacing_m
     on_plane = (np.abs(height_m) < 2 * surface.inlier_m) & (surface.normals_world @ plane[:3] > FLAT_COSINE)
     thing = _nearest_piece(local[height_m > CUT_M], focus, cell_m)
@@ -99,11 +67,3 @@ def _nearest_piece(points: Float64, focus: Float64, cell_m: float) -> Float64 | 
         return None
     nearest: Bools = label == np.argmin(distance_m)
     return np.asarray(points[nearest])
-
-
-def _level(plane: Float64) -> Float64:
-    """Rotation (3, 3) into axes whose z is the plane's normal."""
-    z = plane[:3]
-    x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])

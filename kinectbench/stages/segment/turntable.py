@@ -7,15 +7,18 @@ import numpy as np
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.own_pixels import Masks
 from kinectbench.core.sequence import Sequence
-from kinectbench.core.still_camera import Watched, some_of, watch
+from kinectbench.core.still_camera import Watched, watch_some
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.stages.segment.floor import MIN_PLANE_POINTS, Floor, find_floor, floor_frame
+from kinectbench.stages.segment.floor import MIN_PLANE_POINTS, Floor, find_floor
+from kinectbench.stages.segment.planes import floor_frame
 from kinectbench.stages.segment.select import connected
 
-COLUMNS = 160
+# Neighbours whose points make a normal, to each side (own choice).
+NORMAL_REACH_PX = 2
 # What turns is wider than specks of this many points in a cell of this edge (own choices).
 CELL_M, MIN_POINTS = 0.02, 4
 # Around what was seen to move there is this much more of what turns, which did not change meanwhile.
@@ -113,10 +116,7 @@ def find_turntable(sequence: Sequence) -> Turntable:
     Raises:
         SegmentationError: as `turntable_masks`.
     """
-    step = max(1, round(sequence.camera.width / COLUMNS))
-    chosen = some_of(len(sequence))
-    depths_m = [sequence.depth_m(index)[::step, ::step] for index in chosen]
-    watched = watch(depths_m, [_gray(sequence, index) for index in chosen])
+    depths_m, step, watched = watch_some(sequence)
     if watched is None or not watched.something_moves:
         raise SegmentationError(MOVES.format(what="nothing moves before it"))
     if not (watched.camera_still or watched.plain):
@@ -172,7 +172,7 @@ def _plate_m(
     """
     lowest_m = float(np.quantile(moving_floor[:, 2], LOWEST_SHARE))
     surface = camera.backproject(watched.still_m)
-    level = _normals(surface, watched.still_m) @ floor.plane_world[:3] > LEVEL_COSINE
+    level = image_normals(surface, watched.still_m, NORMAL_REACH_PX) @ floor.plane_world[:3] > LEVEL_COSINE
     points = transform_points(floor.T_floor_world, surface[level])
     near = np.linalg.norm(points[:, :2] - center, axis=1) < PLATE_RATIO * radius_m
     heights_m = points[near & (np.abs(points[:, 2]) < max(lowest_m, 0) + CLEAR_M), 2]
@@ -217,7 +217,7 @@ def _largest(points: Float64) -> Float64:
 def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
     """The plane that what moves (n, 3) stands on; None if there is none below it."""
     surface = camera.backproject(watched.still_m)
-    normals = _normals(surface, watched.still_m)
+    normals = image_normals(surface, watched.still_m, NORMAL_REACH_PX)
     chosen = np.isfinite(normals).all(axis=-1)
     if chosen.sum() < MIN_PLANE_POINTS:
         return None
@@ -228,18 +228,3 @@ def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
         return None
     heights_m = transform_points(floor.T_floor_world, moving)[:, 2]
     return floor if (heights_m > 0).mean() >= ABOVE_SHARE else None
-
-
-def _normals(surface: Float64, depth_m: Float32) -> Float64:
-    """Unit normals (height, width, 3) towards the camera, by pixels two to either side; NaN without them."""
-    known = np.where((depth_m > 0)[..., None], surface, np.nan)
-    across, down = np.full(surface.shape, np.nan), np.full(surface.shape, np.nan)
-    across[:, 2:-2], down[2:-2] = known[:, 4:] - known[:, :-4], known[4:] - known[:-4]
-    normals = np.cross(down, across)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.asarray(normals / np.where(length > 0, length, np.nan))
-
-
-def _gray(sequence: Sequence, index: int) -> np.ndarray | None:
-    rgb = sequence.color_rgb(index)
-    return None if rgb is None else rgb.mean(axis=-1).astype(np.uint8)

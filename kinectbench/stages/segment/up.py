@@ -3,14 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
+from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import Bools, Float64, Int64
 
 # Given poses that stand farther apart are not bridged for gravity; directions change little meanwhile.
 MAX_GAP_S = 1.0
@@ -48,7 +50,34 @@ class FloorHint:
 NOTHING_KNOWN = FloorHint()
 
 
+class KnowsUp(Protocol):
+    """What a recording says of up, opened or as a sequence."""
+
+    @property
+    def given_trajectory(self) -> GivenTrajectory | None:
+        """The trajectory that came with it."""
+        ...
+
+    @property
+    def up_world(self) -> Float64 | tuple[float, float, float] | None:
+        """(3,) unit: up in the frame of that trajectory, by gravity."""
+        ...
+
+    @property
+    def up_cameras(self) -> tuple[UpSample, ...]:
+        """Up in some frames' own axes, by an accelerometer."""
+        ...
+
+
 def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float] | None = None) -> FloorHint:
+    """`hint_of` a recording with the poses that are used of it."""
+    good = trajectory.good_frames
+    return hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
+
+
+def hint_of(
+    known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
+) -> FloorHint:
     """What a recording and a person say of the floor, in the world of the poses that are used.
 
     Gravity is taken over frame by frame, so that it holds where given poses were refined or left aside. An
@@ -56,25 +85,24 @@ def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float
     some drivers have, and left aside (own rule).
 
     Args:
-        sequence: the recording, with its given trajectory, if any.
-        trajectory: the poses that are used.
+        known: the recording, with its given trajectory, if any.
+        stamps_ns: (n,) of the frames with a pose.
+        T_world_camera: (n, 4, 4) their poses.
         plane: a person's plane (a, b, c, d) in that world, its normal of any length but 0.
     """
     plane_world = None if plane is None else np.array(plane) / np.linalg.norm(plane[:3])
-    given, good = sequence.given_trajectory, trajectory.good_frames
-    if sequence.up_world is not None and given is not None:
-        T_given = poses_at(given, sequence.stamps_ns[good], MAX_GAP_S)
-        known = np.isfinite(T_given[:, 0, 0])
-        up_cameras = np.swapaxes(T_given[known, :3, :3], 1, 2) @ sequence.up_world
-        return FloorHint(_up_world(trajectory.T_world_camera[good][known], up_cameras), plane_world)
-    up_at = {sample.stamp_ns: sample.up_camera for sample in sequence.up_cameras}
-    stamps_ns = sequence.stamps_ns[good].tolist()
-    measured = [k for k, stamp_ns in enumerate(stamps_ns) if stamp_ns in up_at]
+    if known.up_world is not None and known.given_trajectory is not None:
+        T_given = poses_at(known.given_trajectory, stamps_ns, MAX_GAP_S)
+        posed = np.isfinite(T_given[:, 0, 0])
+        up_cameras = np.swapaxes(T_given[posed, :3, :3], 1, 2) @ np.array(known.up_world)
+        return FloorHint(_up_world(T_world_camera[posed], up_cameras), plane_world)
+    up_at = {sample.stamp_ns: sample.up_camera for sample in known.up_cameras}
+    measured = [k for k, stamp_ns in enumerate(stamps_ns.tolist()) if stamp_ns in up_at]
     if not measured:
         return FloorHint(None, plane_world)
-    T_world_camera = trajectory.T_world_camera[good][measured]
-    up_world = _up_world(T_world_camera, np.array([up_at[stamps_ns[k]] for k in measured]))
-    if up_world is not None and up_world @ from_above(T_world_camera)[2] < -MIN_UP_COSINE:
+    T_measured = T_world_camera[measured]
+    up_world = _up_world(T_measured, np.array([up_at[int(stamps_ns[k])] for k in measured]))
+    if up_world is not None and up_world @ from_above(T_measured)[2] < -MIN_UP_COSINE:
         up_world = None
     return FloorHint(up_world, plane_world)
 

@@ -9,8 +9,9 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.stages.segment.choose import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.evidence import FloorLayers
-from kinectbench.stages.segment.floor import Floor, floor_frame, level_floor
+from kinectbench.stages.segment.floor import Floor, level_floor
 from kinectbench.stages.segment.near import cell_scale, near_scale
+from kinectbench.stages.segment.planes import floor_frame
 from kinectbench.stages.segment.select import CELL_M, connected, fit_box, spacing_m, surface_points
 from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 

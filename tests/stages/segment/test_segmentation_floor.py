@@ -6,7 +6,8 @@ from analytic_scenes import ring
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
-from kinectbench.stages.segment.floor import find_floor, floor_frame
+from kinectbench.stages.segment.floor import find_floor
+from kinectbench.stages.segment.planes import floor_frame
 
 CELL_M = 0.03
 FOCUS = np.array([0.0, 0.0, 0.3])
@@ -75,7 +76,9 @@ def test_same_seed_same_floor():
 def test_no_floor():
     points, normals = room(floor=False)
     wall = normals[:, 1] > 0.5
-    with pytest.raises(SegmentationError, match=r"no floor found.*more of the floor"):
+    with pytest.raises(
+        SegmentationError, match=r"no floor found.*more of what the object stands on.*plane_world"
+    ):
         found_in("upright", points[wall], normals[wall])
 
 

@@ -13,7 +13,7 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.settings.models import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.views import sample_views
-from kinectbench.stages.segment import support
+from kinectbench.stages.segment import planes, support
 from kinectbench.stages.segment.choose import segment
 from kinectbench.stages.segment.find_object import find_scene
 from kinectbench.stages.segment.select import MIN_CELLS
@@ -207,7 +207,7 @@ def test_of_many_planes_the_surface_is_measured_once(monkeypatch):
     ground = np.stack([*np.meshgrid(np.arange(50.0), np.arange(50.0)), np.zeros((50, 50))], -1) / 100
     points = ground.reshape(-1, 3)
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
-    surface = support.Surface(points, up, np.array([0.25, 0.25, 0.1]), 0.02)
+    surface = planes.Surface(points, up, np.array([0.25, 0.25, 0.1]), 0.02)
     for height_m in (0.0, -0.1, -0.2):
         support.carries_what_is_looked_at(np.array([0.0, 0.0, 1.0, height_m]), surface)
     assert made == [2500] and surface.spacing_m == pytest.approx(0.01)

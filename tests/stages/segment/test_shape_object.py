@@ -13,9 +13,10 @@ from same_fields import assert_same_fields
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
-from kinectbench.stages.segment.floor import Floor, floor_frame
+from kinectbench.stages.segment.floor import Floor
 from kinectbench.stages.segment.grids import FLOOR_LAYERS, MARGIN_M, object_grid, surround_grid
 from kinectbench.stages.segment.object_model import read_object, write_object
+from kinectbench.stages.segment.planes import floor_frame
 
 pytestmark = pytest.mark.xdist_group("chair_model")
 FLOOR = Floor(np.array([0.0, 0, 1, 0.3]), floor_frame(np.array([0.0, 0, 1, 0.3])), 0.001, 0.5)

@@ -1,0 +1,25 @@
+"""Normals of what a depth image shows, by the differences between neighbouring pixels."""
+
+import numpy as np
+
+from kinectbench.core.types import Float32, Float64
+
+
+def image_normals(surface: Float64, depth_m: Float32, reach_px: int = 1) -> Float64:
+    """Unit normals towards the camera, by neighbours in the image; NaN where one is missing.
+
+    Args:
+        surface: (height, width, 3) points, camera axes.
+        depth_m: (height, width), 0 where there is none.
+        reach_px: how far to each side the neighbours are.
+
+    Returns:
+        (height, width, 3).
+    """
+    known = np.where((depth_m > 0)[..., None], surface, np.nan)
+    across, down = np.full(surface.shape, np.nan), np.full(surface.shape, np.nan)
+    across[:, reach_px:-reach_px] = known[:, 2 * reach_px :] - known[:, : -2 * reach_px]
+    down[reach_px:-reach_px] = known[2 * reach_px :] - known[: -2 * reach_px]
+    normals = np.cross(down, across)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.asarray(normals / np.where(length > 0, length, np.nan))

@@ -1,0 +1,182 @@
+"""`inspect` and a build agree on whether there is a floor, with all that is known of it."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import (
+    OrientedBox,
+    quaternion_xyzw_from_rotation,
+    rotation_from_quaternion_xyzw,
+)
+from kinectbench.core.sequence import UpSample
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.doctor import inspect
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.settings.models import FusionSettings, SegmentationSettings, TrackingSettings
+from kinectbench.stages.fuse import fuse
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.readers.tum import TumRecording
+from kinectbench.stages.ingest.recording import Recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.segment.choose import segment
+from kinectbench.stages.segment.up import FloorHint, floor_hint
+from kinectbench.stages.track import track
+
+Plane = tuple[float, float, float, float]
+# Of a simulated world, whose z axis is up and whose floor is at 0.
+FLOOR: Plane = (0.0, 0.0, 1.0, 0.0)
+BOX = OrientedBox((0.0, 0.0, 0.1), (0.6, 0.6, 0.4), 0.0)
+
+
+def simulated(folder: Path, elevation_deg: float, distance_m: float = 0.6) -> Path:
+    """A kettle on a floor, seen from an elevation, with exact poses: TUM's layout, 24 frames, 160 x 120."""
+    spec = {
+        "object": "kettle:seed=1",
+        "path": {
+            "frames": 24, "arc_rad": 1.0, "distance_m": distance_m, "reach_share": 0.0, "swing_rad": 0.02,
+            "elevation_rad": float(np.radians(elevation_deg)), "lowest_m": 0.1, "shake_m": 0.003,
+        },
+        "scene": {"walls": 1, "clutter": 0},
+        "sensor": {"model": "phone_lidar", "width": 160, "height": 120},
+        "save_depth": False,
+    }  # fmt: skip
+    simulate(SimulationSpec.model_validate(spec), folder)
+    return folder
+
+
+def upside_down(recording: Path, folder: Path) -> Path:
+    """The same as if the camera had been held upside down."""
+    shutil.copytree(recording, folder)
+    for image in [*folder.glob("depth/*"), *folder.glob("rgb/*")]:
+        cv2.imwrite(str(image), cv2.imread(str(image), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
+    rows = np.loadtxt(folder / "groundtruth.txt")
+    turned = rotation_from_quaternion_xyzw(rows[:, 4:]) @ np.diag([-1.0, -1.0, 1.0])
+    rows[:, 4:] = [quaternion_xyzw_from_rotation(rotation) for rotation in turned]
+    np.savetxt(folder / "groundtruth.txt", rows, fmt="%.9f")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int, bool], Path]:
+    """By elevation in degrees, and whether the camera is held upside down."""
+
+    @cache
+    def made(elevation_deg: int, turned: bool) -> Path:
+        folder = tmp_path_factory.mktemp("floor") / "kettle"
+        if turned:
+            return upside_down(made(elevation_deg, False), folder)
+        return simulated(folder, elevation_deg)
+
+    return made
+
+
+def build_complaint(
+    path: Path, work: Path, plane: Plane | None = None, box: OrientedBox | None = None
+) -> str:
+    """Why a build finds no object in a recording, "" if it does."""
+    write_sequence(open_recording(path), work)
+    sequence = read_sequence(work)
+    trajectory = track(sequence, "trust", TrackingSettings())
+    scene = fuse(sequence, trajectory, FusionSettings()).mesh
+    try:
+        segment(scene, trajectory, box, SegmentationSettings(), floor_hint(sequence, trajectory, plane))
+    except SegmentationError as error:
+        return str(error)
+    return ""
+
+
+def complaints(path: Path, plane: Plane | None = None, box: OrientedBox | None = None) -> set[str]:
+    """What `inspect` says of the floor, by its names."""
+    diagnosis, _ = inspect(path, plane_world=plane, boxed=box is not None)
+    said = {found.name for found in diagnosis.findings if found.severity != "note"}
+    return said & {"no_floor", "floor_above"}
+
+
+@pytest.mark.parametrize(
+    ("elevation_deg", "turned", "gravity", "plane", "box", "said"),
+    [
+        (30, False, False, None, None, set()),
+        (53, False, False, None, None, set()),
+        (76, False, False, None, None, set()),
+        (40, True, False, None, None, {"no_floor"}),
+        (40, True, True, None, None, set()),
+        (40, True, False, FLOOR, None, set()),
+        (40, True, False, None, BOX, set()),
+        (40, False, False, (0.0, 0.0, -1.0, 0.0), None, {"floor_above"}),
+    ],
+)
+def test_the_same_floor_or_none(
+    recordings: Callable[[int, bool], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    elevation_deg: int,
+    turned: bool,
+    gravity: bool,
+    plane: Plane | None,
+    box: OrientedBox | None,
+    said: set[str],
+) -> None:
+    monkeypatch.setattr(TumRecording, "up_world", (0.0, 0.0, 1.0) if gravity else None)
+    path = recordings(elevation_deg, turned)
+    assert complaints(path, plane, box) == said
+    built = build_complaint(path, tmp_path / "work", plane, box)
+    assert ("no floor found" in built) == ("no_floor" in said)
+    assert ("below the plane" in built) == ("floor_above" in said)
+
+
+def with_accelerometer(path: Path) -> Recording:
+    """A recording every third of whose frames has an up of its own."""
+    recording = open_recording(path)
+    assert recording.given_trajectory is not None
+    stamps_ns = recording.stamps_ns[::3]
+    poses = poses_at(recording.given_trajectory, stamps_ns, 1.0)
+    up = np.array([0.0, 0.0, 1.0])
+    samples = [
+        UpSample(int(stamp_ns), tuple((T[:3, :3].T @ up).tolist()))
+        for stamp_ns, T in zip(stamps_ns, poses, strict=True)
+        if np.isfinite(T).all()
+    ]
+    return replace(recording, up_cameras=tuple(samples))
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_an_accelerometer_counts(
+    recordings: Callable[[int, bool], Path], monkeypatch: pytest.MonkeyPatch, ignored: bool
+) -> None:
+    """In the world of the poses, or in the axes of each camera."""
+    recording = with_accelerometer(recordings(53, False))
+    hints: list[FloorHint] = []
+
+    def find_floor(*args: object) -> None:
+        hints.extend(each for each in args if isinstance(each, FloorHint))
+        raise SegmentationError("looked at")
+
+    monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_: recording)
+    monkeypatch.setattr("kinectbench.stages.segment.floor.find_floor", find_floor)
+    inspect(recording.path, without_trajectory=ignored)
+    ups = [hint.up_world for hint in hints if hint.up_world is not None]
+    if not ignored:
+        (up_world,) = ups
+        np.testing.assert_allclose(up_world, [0, 0, 1], atol=1e-3)
+        return
+    own = {sample.up_camera for sample in recording.up_cameras}
+    assert ups and all(any(np.allclose(up, each) for each in own) for up in ups)
+
+
+def test_gravity_of_poses_that_are_ignored_counts(
+    recordings: Callable[[int, bool], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a build, which takes it over frame by frame."""
+    path = recordings(40, True)
+    assert {f.name for f in inspect(path, without_trajectory=True)[0].findings} >= {"no_floor"}
+    monkeypatch.setattr(TumRecording, "up_world", (0.0, 0.0, 1.0))
+    assert "no_floor" not in {f.name for f in inspect(path, without_trajectory=True)[0].findings}
