@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 1,
     "pairs": 2,
     "suggest": 4,
-    "publish": 13,
+    "publish": 14,
     "synthesize": 2,
     "score": 4,
     "baselines": 1,
