@@ -109,28 +109,36 @@ def inspect(
     found += early
     facts = _facts(look)
     if look.frames and not HOPELESS & {finding.name for finding in early}:
-        edges, poses = fit_edges(look), fit_trajectory(look)
-        depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
-        heights_m = camera_heights_m(look, ground, poses, depth_range.max_depth_m)
-        late = [*_late(look, edges, poses), *check_range(look, depth_range)]
-        if not own_pixels:
-            late += [*check_floor(look, heights_m, ground), *check_still(look)]
-        if poses is not None and poses.proven:
-            found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
-        # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
-        explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
-        turns = any(finding.name == "turntable" for finding in late)
-        found += [
-            finding
-            for finding in late
-            if not (explained and finding.name == "trajectory_wrong")
-            and not (turns and (finding.name == "arc" or finding.name.startswith("trajectory")))
-        ]
-        facts |= _late_facts(edges, poses, heights_m)
-        if poses is not None:
-            known = ("max_depth_m", "beyond_share")
-            facts |= {name: getattr(depth_range, name) for name in known}
+        more, found = _examined(look, ground, found, fusion, own_pixels=own_pixels)
+        facts |= more
     return Diagnosis(facts, gravest_first(found)), look
+
+
+def _examined(
+    look: Look, ground: Ground, found: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
+) -> tuple[dict[str, object], list[Finding]]:
+    """What depth that is depth tells: further facts, and all findings, less those that poses settle."""
+    edges, poses = fit_edges(look), fit_trajectory(look)
+    depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
+    heights_m = camera_heights_m(look, ground, poses, depth_range.max_depth_m)
+    late = [*_late(look, edges, poses), *check_range(look, depth_range)]
+    if not own_pixels:
+        late += [*check_floor(look, heights_m, ground), *check_still(look)]
+    if poses is not None and poses.proven:
+        found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
+    # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
+    explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
+    turns = any(finding.name == "turntable" for finding in late)
+    found = found + [
+        finding
+        for finding in late
+        if not (explained and finding.name == "trajectory_wrong")
+        and not (turns and (finding.name == "arc" or finding.name.startswith("trajectory")))
+    ]
+    facts = _late_facts(edges, poses, heights_m)
+    if poses is not None:
+        facts |= {name: getattr(depth_range, name) for name in ("max_depth_m", "beyond_share")}
+    return facts, found
 
 
 def _late(look: Look, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
