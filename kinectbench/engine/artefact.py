@@ -29,7 +29,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 6,
     "track": 6,
     "fuse": 5,
-    "segment": 24,
+    "segment": 25,
     "sample-views": 1,
     "pairs": 2,
     "suggest": 4,
