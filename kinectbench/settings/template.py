@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import name_problem
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
 from kinectbench.settings.words import field_range, model_of
 
@@ -113,7 +114,8 @@ def _text(value: Any) -> str:
 def _safe(text: str, otherwise: str) -> str:
     """A name that is allowed as an id, as near to the text as possible."""
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
+    name = re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
+    return f"{name}_" if name_problem(name) else name
 
 
 def _unique_ids(paths: Sequence[str], suffixes: Sequence[str]) -> list[str]:
@@ -122,11 +124,12 @@ def _unique_ids(paths: Sequence[str], suffixes: Sequence[str]) -> list[str]:
     whole = [ending.sub("", path.strip("/")) for path in paths]
     last = [path.rsplit("/", 1)[-1] for path in whole]
     times = Counter(name.lower() for name in last)
-    ids: list[str] = []
+    ids, taken, numbers = list[str](), set[str](), Counter[str]()
     for path, name in zip(whole, last, strict=True):
         base = candidate = _safe(name if times[name.lower()] == 1 else path, "recording")
-        number = 2
-        while candidate.lower() in {taken.lower() for taken in ids}:
-            candidate, number = f"{base}_{number}", number + 1
+        while candidate.lower() in taken:
+            numbers[base.lower()] += 1
+            candidate = f"{base}_{numbers[base.lower()] + 1}"
         ids.append(candidate)
+        taken.add(candidate.lower())
     return ids

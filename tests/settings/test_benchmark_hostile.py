@@ -13,6 +13,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import MOST_BYTES, SHOWN, load_benchmark
+from kinectbench.settings.template import init_benchmark
 
 
 @pytest.mark.parametrize("what", ["pipe", "zero"])
@@ -120,3 +121,13 @@ def test_thousands_of_recordings_are_read_soon(tmp_path: Path) -> None:
     ) as told:
         load_benchmark(tmp_path / "benchmark.yaml", ["recordings.x.split=train"])
     assert len(str(told.value)) < 500
+
+
+def test_init_gives_names_that_can_be_used_and_soon(tmp_path: Path) -> None:
+    found = [(f"{n}/{name}", "tum") for n in range(1000) for name in (*OURS, "same")]
+    started = time.process_time()
+    text = init_benchmark(tmp_path / "baselines", found, ())
+    assert time.process_time() - started < 4
+    (tmp_path / "benchmark.yaml").write_text(text, encoding="utf-8")
+    settings = load_benchmark(tmp_path / "benchmark.yaml")
+    assert len({one.id.lower() for one in settings.recordings}) == len(found)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import NAME
+from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Split
 from kinectbench.release.exchange.layouts import SYNSETS
 from kinectbench.settings.models import Settings, check_name
@@ -139,8 +139,8 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
 
 def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
     """The models of one category's folder."""
-    if not NAME.fullmatch(category):
-        yield LeftOut(folder.name, "a category needs a name of letters, digits, '.', '_' and '-'")
+    if problem := name_problem(category):
+        yield LeftOut(folder.name, f"a category's name: {problem}")
         return
     for path in sorted(folder.iterdir()):
         if path.is_dir():
@@ -150,10 +150,11 @@ def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
             model = Model(category, path.stem, str(path))
         else:
             continue  # materials, textures, lists
-        if not NAME.fullmatch(model.name) or len(model.name) > LONGEST_NAME:
-            yield LeftOut(
-                replace(model, name=path.name).label, "its name is not made of letters, digits, '.', '_', '-'"
-            )
+        problem = name_problem(model.name)
+        if len(model.name) > LONGEST_NAME:
+            problem = f"longer than {LONGEST_NAME} characters"
+        if problem:
+            yield LeftOut(replace(model, name=path.name).label, f"its name: {problem}")
         else:
             yield model if model.path else LeftOut(model.label, "no mesh file in its folder")
 

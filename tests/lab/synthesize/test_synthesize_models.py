@@ -10,6 +10,7 @@ from synthesis_shapes import asymmetric, mesh_of, open_box, write_shapenet
 
 from kinectbench.core.errors import SettingsError, ShapeError
 from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.storage import name_problem
 from kinectbench.lab.synthesize.mesh_check import check_mesh, load_model
 from kinectbench.lab.synthesize.models import (
     LeftOut,
@@ -55,7 +56,7 @@ def test_what_is_left_out_at_first_sight(tmp_path: Path):
     models, left_out = folder_models(tmp_path, ())
     assert [model.label for model in models] == ["bench/t0", "chair/c0"]
     assert sorted(left_out) == [
-        LeftOut("bench/a b.obj", "its name is not made of letters, digits, '.', '_', '-'"),
+        LeftOut("bench/a b.obj", f"its name: {name_problem('a b')}"),
         LeftOut("chair/empty", "no mesh file in its folder"),
         LeftOut("table/t0", "the same name as a model of bench"),
     ]
