@@ -175,6 +175,8 @@ def _judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
         if len(line) > LONGEST_LINE:
             return f"a line of more than {LONGEST_LINE} characters", line[:100]
     lines = err.decode(errors="replace").splitlines()
+    if any("internal error: " in line for line in lines):
+        return "internal error", repr(lines[:3])
     foreign = [s for s in lines if s and not s.startswith(OWN_LINES) and not any(p in s for p in OWN_PARTS)]
     if foreign:
         return "words that are not the command's own", repr("\n".join(foreign)[:300])

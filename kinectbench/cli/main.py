@@ -4,7 +4,8 @@ import gc
 import io
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Annotated, Any, cast
 
 import typer
@@ -42,6 +43,7 @@ app = typer.Typer(
 
 # What typer makes of KeyboardInterrupt.
 INTERRUPTED = 130
+STDERR = 2
 
 # The commands as `kinectbench --help` shows them, in the order of their use.
 PANELS: Mapping[str, Mapping[str, Command]] = {
@@ -90,7 +92,7 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
     _show_what_can_be_shown()
-    with interrupts_remembered():
+    with interrupts_remembered(), _own_words_only():
         status, messages = _run()
     if status == INTERRUPTED:
         ignore_interrupts()  # a second one would interrupt the end
@@ -117,6 +119,37 @@ def _show_what_can_be_shown() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+
+
+@contextmanager
+def _own_words_only() -> Iterator[None]:
+    """Within the block only Python writes to standard error.
+
+    libjpeg, libpng and FFmpeg complain there of every damaged image in words of their own, beside the line
+    that is said of it; worker processes inherit their silence.
+    """
+    try:
+        ours = sys.stderr.fileno() == STDERR
+    except (AttributeError, OSError):  # closed, or somebody's own, such as a test's
+        ours = False
+    if not ours:
+        yield
+        return
+    plain, sys.stderr = (
+        sys.stderr,
+        os.fdopen(os.dup(STDERR), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors),
+    )
+    kept = os.dup(STDERR)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, STDERR)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        sys.stderr.close()
+        os.dup2(kept, STDERR)
+        os.close(kept)
+        sys.stderr = plain
 
 
 def _run() -> tuple[int, tuple[str, ...]]:

@@ -3,6 +3,8 @@
 import json
 import shutil
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +12,8 @@ import cv2
 import numpy as np
 import pytest
 from command_lines import ONE, Command, check_line
-from small_benchmark import STAGE_FOLDERS, copied, hashes, leftovers, small_spec
+from ingest_writers import write_tum
+from small_benchmark import STAGE_FOLDERS, copied, hashes, leftovers, run, small_spec
 
 from kinectbench.lab.simulate.simulate import simulate
 
@@ -307,3 +310,17 @@ def test_a_lost_folder_of_masks_stops_a_build_at_its_start(command: Command, one
         command(one, "build", "--set", "recordings.chair.masks=masks/none"), 1, "no such folder of masks"
     )
     assert not list((one / "build").glob("chair/*/"))
+
+
+def test_what_libraries_say_of_a_damaged_image_is_not_shown(tmp_path: Path) -> None:
+    """libjpeg complains on standard error by itself; only in a process of its own is that the command's."""
+    folder = write_tum(tmp_path / "r")
+    image = folder / "rgb" / "1.jpg"
+    data = bytearray(image.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 64] = b"\xff\xd0" * 32
+    image.write_bytes(data)
+    alone = [sys.executable, "-c", "import cv2, sys; cv2.imread(sys.argv[1])", str(image)]
+    assert "Corrupt JPEG" in subprocess.run(alone, capture_output=True, text=True, check=True).stderr
+    found = run(tmp_path, "inspect", "r")
+    assert "Corrupt" not in found.err and found.out
