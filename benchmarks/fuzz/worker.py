@@ -12,7 +12,7 @@ import signal
 import sys
 import traceback
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -63,7 +63,6 @@ def serve(connection: Connection, told: Path, call: Call) -> None:
     faulthandler.register(signal.SIGUSR1, file=stack, all_threads=False)
     for name, descriptor in ((OUT, 1), (ERR, 2)):
         os.dup2(os.open(told / name, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND), descriptor)
-    _watch_lines()
     while True:
         try:
             message = connection.recv()
@@ -78,33 +77,9 @@ def _limit() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_FILE_MB << 20, MOST_FILE_MB << 20))
 
 
-_long: list[str] = []
-
-
-def _watch_lines() -> None:
-    """Remember messages of more than one line, which `console.lines` would print as several."""
-    from kinectbench.cli import console
-
-    plain = console.lines
-
-    def lines(kind: str, messages: Sequence[str], style: str) -> None:
-        _long.extend(message for message in messages if not _single(message))
-        plain(kind, messages, style)
-
-    console.lines = lines
-
-
-def _single(message: str) -> bool:
-    """Whether a message is one line, or one for each of several places in a file of settings."""
-    first, *more = message.splitlines() or [""]
-    file = first.partition(":")[0]
-    return all(line.startswith(f"{file}:") for line in more)
-
-
 def _run(folder: Path, arguments: tuple[str, ...], told: Path, call: Call) -> Ran:
     for descriptor in (1, 2):
         os.ftruncate(descriptor, 0)
-    _long.clear()
     os.chdir(folder)
     Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # the peak starts anew
     before_kb = _memory_kb("VmRSS")
@@ -167,8 +142,6 @@ def _judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
     """What is wrong with what a command has printed, as a class and in detail."""
     if status not in STATUSES:
         return f"exit status {status}", ""
-    if _long:
-        return "several lines for one message", repr(_long[0][:300])
     for line in (out + err).decode(errors="replace").split("\n"):
         if any(unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" for c in line):
             return "control characters", repr(line[:300])

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import RecordingSummary
 
 PLAIN_WIDTH = 160
+# Of a message: what a library says of a file may quote a good part of it. Ours have up to 400 (own choice).
+LONGEST = 900
 # Where no bar can be drawn, one is a line as often as this; what is done sooner says nothing.
 LOG_EVERY_S = 10.0
 # What each stage can say of a recording, by the field of its summary.
@@ -62,8 +64,11 @@ if not out.is_terminal:
 
 
 def one_line(text: str) -> str:
-    """A text as it may be shown in one line: ends of lines as spaces, other control characters as `?`."""
-    return printable(re.sub(r"[\t\r\n]+", " ", text), most=len(text))
+    """A text as it may be shown in one line: ends of lines as spaces, other control characters as `?`.
+
+    The middle of what is longer than `LONGEST` characters is left out.
+    """
+    return printable(re.sub(r"[\t\r\n]+", " ", text), most=LONGEST)
 
 
 def say(*texts: str) -> None:

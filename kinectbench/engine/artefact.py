@@ -16,6 +16,9 @@ from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, replaced_folder, sha256_file, sha256_text
 
 FORMAT_VERSION = 1
+# A larger file of which the disk holds so much less is mostly a hole; file systems that compress make a
+# recording less than ten times smaller (own choices).
+HOLES_FROM_BYTES, MOST_OF_HOLES = 1 << 28, 1000
 
 # Versions of what is kept on disk and used again. What was written by another version is made again; what was
 # written by the same version is kept, whatever version the package has. A change of what an algorithm writes
@@ -120,7 +123,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
         cache: the folder to keep sizes, times and hashes in; None: hash every time.
 
     Raises:
-        RecordingError: a file cannot be read.
+        RecordingError: a file cannot be read, or is mostly a hole.
     """
     known = {} if cache is None else _known(cache)
     entries: dict[str, SourceFile] = {}
@@ -128,6 +131,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
         name = Path(os.path.relpath(path, root)).as_posix() if path != root else ""
         try:
             stat = path.stat()
+            _refuse_holes(path, stat)
             seen = known.get(name)
             fresh = seen is not None and seen[:2] == (stat.st_size, stat.st_mtime_ns)
             digest = seen.sha256 if seen is not None and fresh else sha256_file(path)
@@ -139,6 +143,15 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
         with replaced_file(cache / Sources.FILE) as temporary:
             temporary.write_text(sources.text(), encoding="utf-8")
     return sha256_text(canonical_json(sources.sha256))
+
+
+def _refuse_holes(path: Path, stat: os.stat_result) -> None:
+    """Refuse a file that says it is large and holds next to nothing: reading its zeros may take hours."""
+    there = 512 * stat.st_blocks
+    if stat.st_size > HOLES_FROM_BYTES and there * MOST_OF_HOLES < stat.st_size:
+        raise RecordingError(
+            f"{path}: of its {stat.st_size} bytes the disk holds {there}, the rest is a hole; copy it again"
+        )
 
 
 def _known(folder: Path) -> dict[str, SourceFile]:

@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from kinectbench.cli import score
+from kinectbench.cli import console, score
 from kinectbench.cli.common import Common, takes
 from kinectbench.cli.main import PANELS
 from kinectbench.core.voxels.resample import HALF_PIXEL
@@ -169,3 +169,8 @@ def test_defaults_that_the_command_line_repeats_are_those_of_scoring() -> None:
     shown, own = (inspect.signature(function).parameters for function in (score.compare, compare))
     assert all(shown[name].default == own[name].default for name in ("metric", "protocol"))
     assert inspect.signature(score.score).parameters["upsampling"].default == HALF_PIXEL
+
+
+def test_a_message_that_quotes_without_end_is_cut_in_its_middle() -> None:
+    line = console.one_line(f"a.npz: {'x' * 10_000}; write it again")
+    assert len(line) <= console.LONGEST and line.startswith("a.npz: xx") and line.endswith("; write it again")

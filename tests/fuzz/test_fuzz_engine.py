@@ -12,8 +12,6 @@ from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer, Worker, again, fuzz, plant
 from fuzz.places import PLACES, of_folder, of_place
 
-from kinectbench.cli import console
-
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory and time are asked of /proc")
 
 
@@ -36,10 +34,6 @@ def faulty(arguments: tuple[str, ...]) -> int:
         return 1
     if name in TEXTS:
         sys.stderr.write(TEXTS[name])
-    if name == "lines":
-        console.lines("error", ["a\nb"], "red")
-    if name == "list":
-        console.lines("error", ["a.yaml:1: x\na.yaml:2: y"], "red")
     return 0
 
 
@@ -60,8 +54,7 @@ FAULTS = {
     "steers": "control characters",
     "foreign": "words that are not the command's own",
     "long": "a line of more than 1000 characters",
-    "lines": "several lines for one message",
-    "list": "",
+    "unforeseen": "internal error",
     "well": "",
 }
 

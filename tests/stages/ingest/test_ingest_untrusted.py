@@ -296,3 +296,13 @@ def test_numbers_that_no_camera_has(tmp_path: Path, said: str) -> None:
     key, value = said.replace('"', "").split(": ")
     with pytest.raises(RecordingError, match=r"are no camera's|units of 16-bit depth"):
         open_recording(write_tum(tmp_path / "s"), CameraSettings(**{key: float(value)}))
+
+
+def test_a_file_that_is_mostly_a_hole_is_not_read(tmp_path: Path) -> None:
+    """To hash a terabyte of zeros that no disk holds takes half an hour."""
+    folder = write_tum(tmp_path / "r")
+    os.truncate(folder / "rgb" / "0.jpg", 1 << 40)
+    started = time.monotonic()
+    with pytest.raises(RecordingError, match=r"0\.jpg: of its 1099511627776 bytes .* is a hole"):
+        content_hash(source_files(folder), folder)
+    assert time.monotonic() - started < 5

@@ -137,3 +137,12 @@ def test_fuzzed_archives_neither_crash_nor_allocate(tmp_path: Path, data: st.Dat
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert peak < 8 << 20
+
+
+def test_bytes_lost_before_the_index_are_damage(tmp_path: Path) -> None:
+    """Members then begin before the archive does, where nothing can be read."""
+    content = redwood(tmp_path / "whole.zip").read_bytes()
+    path = tmp_path / "short.zip"
+    path.write_bytes(content[:100] + content[104:])
+    frames = list(every_frame(open_recording(path, SMALL)))
+    assert any(isinstance(frame, DamagedImageError) for frame in frames)

@@ -19,8 +19,9 @@ MOST_MEMBERS, ROW_BYTES = 350_000, 128
 # An image or JSON of a recording is smaller: 16-bit depth of 4096x4096 pixels has 32 MB (own choice).
 LARGEST_MEMBER_BYTES = 64 << 20
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# What zipfile raises for an archive that is damaged, encrypted, or packed in a way it does not know.
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, NotImplementedError)
+# What zipfile raises for an archive that is damaged, encrypted, or packed in a way it does not know; OSError
+# where a member lies before the archive's begin.
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, NotImplementedError, OSError)
 
 
 @dataclass
