@@ -42,6 +42,7 @@ TEXTS = {
     "foreign": "libpng warning",
     "long": "error: " + "x" * 2000,
     "well": "note: a",
+    "unforeseen": "error: internal error: X",
 }
 FAULTS = {
     "waits": "waits for ever, in ?",
