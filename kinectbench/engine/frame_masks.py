@@ -7,6 +7,7 @@ from kinectbench.core.own_pixels import Masks, whole
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools
+from kinectbench.core.upright import upright_masks
 from kinectbench.engine.stages import Job
 from kinectbench.settings.models import Vector4
 from kinectbench.stages.sample_views.views import read_masks
@@ -24,7 +25,7 @@ def frame_masks(job: Job, sequence: Sequence) -> Masks | None:
     if job.recording.segment_by == "turntable":
         return turntable_masks(sequence)
     if job.masks is not None:
-        return _of_folder(job.masks, sequence)
+        return upright_masks(sequence, _of_folder(job.masks, sequence))
     if sequence.masks is None:
         raise SegmentationError(
             f"{job.source}: `segment_by: masks` asks for masks, but the recording brings none: put one PNG "

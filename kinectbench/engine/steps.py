@@ -14,6 +14,7 @@ from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
 from kinectbench.core.types import Progress
+from kinectbench.core.upright import upright
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
 from kinectbench.engine.frame_masks import frame_masks, plane_given
 from kinectbench.engine.object import build_object
@@ -39,10 +40,14 @@ NOTHING_TO_CHOOSE = (
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
-    """The sequence, its depth as the tracker calibrated it, and the trajectory of `build/<recording>/`."""
+    """The sequence as the tracker saw it, and the trajectory of `build/<recording>/`.
+
+    Its depth is calibrated, and a rolling shutter that was found is undone.
+    """
     sequence = read_sequence(build / "sequence")
     trajectory = read_trajectory(build / "trajectory", sequence.stamps_ns)
-    return sequence.calibrated(trajectory.depth_calibration), trajectory
+    calibrated = sequence.calibrated(trajectory.depth_calibration)
+    return upright(calibrated, trajectory.shutter), trajectory
 
 
 def read_own(job: Job) -> tuple[Sequence, Trajectory]:

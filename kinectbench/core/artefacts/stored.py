@@ -193,6 +193,8 @@ def _scaled_in_file(factor: float, decimals: int) -> tuple[Any, ...]:
 
 # Metres in memory, millimetres to a hundredth in the file.
 MillimetresInFile = Annotated[float, *_scaled_in_file(1000.0, 2)]
+# Seconds in memory, milliseconds to a hundredth in the file; the key is an alias of the field's own.
+MillisecondsInFile = Annotated[float, *_scaled_in_file(1000.0, 2)]
 # Radians in memory, degrees to a hundredth in the file.
 DegreesInFile = Annotated[float, *_scaled_in_file(180.0 / np.pi, 2)]
 

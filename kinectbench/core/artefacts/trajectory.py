@@ -5,7 +5,14 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from kinectbench.core.artefacts.stored import DegreesInFile, MillimetresInFile, Part, ScaledPart, Stored
+from kinectbench.core.artefacts.stored import (
+    DegreesInFile,
+    MillimetresInFile,
+    MillisecondsInFile,
+    Part,
+    ScaledPart,
+    Stored,
+)
 from kinectbench.core.geometry.depth import TERMS, DepthCalibration
 from kinectbench.core.types import Float64
 
@@ -163,6 +170,16 @@ class TrajectoryHealth(ScaledPart, Stored):
     loops: tuple[LoopClosure, ...] = Field((), description="loop closures in the pose graph")
     refused_loops: tuple[LoopClosure, ...] = Field((), description="loop closures tried and not believed")
     given: GivenFigures | None = Field(None, description="of a given trajectory; null without one")
+    readout_s: MillisecondsInFile | None = Field(
+        None,
+        alias="readout_ms",
+        description="rolling shutter that was undone, from the first row to the last, ms; null: none",
+    )
+    color_delay_s: MillisecondsInFile | None = Field(
+        None,
+        alias="color_delay_ms",
+        description="by how much colour was found to be later than depth, which is undone, ms; null: none",
+    )
     covisibility: Covisibility = Field(Covisibility(), description="what keyframes see of each other")
     per_frame: tuple[FrameHealth, ...] = Field((), description="a row for each frame")
 

@@ -9,6 +9,7 @@ import numpy as np
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, TrajectoryHealth
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import read_trajectory as read_tum
 from kinectbench.core.trajectory.trajectory_file import trajectory_text
@@ -46,6 +47,15 @@ class Trajectory:
     def good_frames(self) -> Int64:
         """Indices of the frames that have a pose, ascending."""
         return np.flatnonzero(np.isfinite(self.T_world_camera).all(axis=(1, 2)))
+
+    @cached_property
+    def shutter(self) -> RollingShutter | None:
+        """The rolling shutter that was undone when the poses were found, and how the camera moves; or None."""
+        if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
+            return None
+        one_world = np.zeros(len(self.stamps_ns), np.int64)
+        motion = motions(self.T_world_camera, one_world, self.stamps_ns / 1e9)
+        return RollingShutter(self.health.readout_s or 0.0, self.health.color_delay_s or 0.0, motion)
 
     def assumed_pose_sigma_m(self, frame: int) -> float:
         """`pose_sigma_m`, or for a pose that nobody could check the largest plausible error, metres."""

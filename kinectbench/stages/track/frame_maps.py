@@ -23,6 +23,7 @@ from kinectbench.core.geometry.depth import (
     DepthCalibration,
     corrected_depth_m,
 )
+from kinectbench.core.geometry.rolling_shutter import RollingShutter, upright_depth, upright_gray
 from kinectbench.core.images import image_sharpness
 from kinectbench.core.sequence import Sequence, depth_in_metres
 from kinectbench.core.types import Float32
@@ -34,7 +35,6 @@ from kinectbench.stages.track.map_kernels import (
     reduced_depth,
     smoothed,
 )
-from kinectbench.stages.track.rolling_shutter import RollingShutter, upright_depth, upright_gray
 
 WORKING_WIDTH_PX = 320
 # At most so many points are registered, per level, finest first.

@@ -90,6 +90,8 @@ def health(
         loops=tuple(_loop(each) for each in case.loops),
         refused_loops=tuple(_loop(each) for each in case.refused_loops),
         given=None if given is None else given.figures,
+        readout_s=known(tracked.readout_s) if tracked.readout_s else None,
+        color_delay_s=known(tracked.color_delay_s) if tracked.color_delay_s else None,
         covisibility=_covisibility(case),
         per_frame=_frame_rows(case),
     )

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.geometry.rigid import twist_from_rigid
+from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.odometry import Followed, Odometry
 from kinectbench.stages.track.registration import Registration, measure, register
-from kinectbench.stages.track.rolling_shutter import RollingShutter
 
 # Two frames tell if what they see moves past them at speeds that differ by so much: the outermost rows of a
 # Kinect are 4.5 mrad off then, a pixel of the working resolution. No pair of simulated orbits at an easy pace
@@ -23,8 +22,6 @@ from kinectbench.stages.track.rolling_shutter import RollingShutter
 TELLING_RAD_PER_S = 0.3
 # So many frames tell, and such a share of all: a knock alone is not worth following all frames again.
 MIN_TELLING, MIN_TELLING_SHARE, PAIRS = 16, 0.05, 12
-# Frames farther apart in time do not tell how fast the camera moves at one of them (own choice).
-MAX_STEP_S = 0.1
 # Where in the view its flow is taken: x and y at z = 1.
 FLOW_AT = np.array([(x, y, 1.0) for x in (-0.3, 0.0, 0.3) for y in (-0.25, 0.0, 0.25)])
 FRAMES_ASKED = 8
@@ -73,40 +70,10 @@ def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
 
 
 def motions_of(frames: Sequence[Followed | None], stamps_s: Float64) -> Float64:
-    """How the camera moves at each frame, (n, 12) as `RollingShutter.motion`.
-
-    Args:
-        frames: as they were followed; where no neighbour says, what lies between those around is taken.
-        stamps_s: (n,) of the frames, seconds.
-    """
-    n = len(frames)
-    rates = np.full((n, 6), np.nan)
-    for index in range(n):
-        around = [k for k in (index - 1, index, index + 1) if 0 <= k < n and _of_one(frames, k, index)]
-        if len(around) < 2 or not 0 < stamps_s[around[-1]] - stamps_s[around[0]] <= 2 * MAX_STEP_S:
-            continue
-        first, last = (frames[k] for k in (around[0], around[-1]))
-        assert first is not None and last is not None
-        step = twist_from_rigid(invert_rigid(first.T_segment_camera) @ last.T_segment_camera)
-        rates[index] = step / (stamps_s[around[-1]] - stamps_s[around[0]])
-    known = np.flatnonzero(np.isfinite(rates[:, 0]))
-    if len(known) < 2:
-        return np.zeros((n, 12))
-    between = np.column_stack([np.interp(np.arange(n), known, rates[known, k]) for k in range(6)])
-    return np.column_stack([between, np.gradient(between, _ascending(stamps_s), axis=0)])
-
-
-def _ascending(stamps_s: Float64) -> Float64:
-    """Times that ascend by a tenth of the usual step at least."""
-    steps = np.diff(stamps_s)
-    least = 0.1 * max(float(np.median(steps)), 1e-6)
-    return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
-
-
-def _of_one(frames: Sequence[Followed | None], a: int, b: int) -> bool:
-    """Whether two frames lie in one segment."""
-    one, other = frames[a], frames[b]
-    return one is not None and other is not None and one.segment == other.segment
+    """How the camera moves at each frame, (n, 12): `motions` of frames as they were followed."""
+    T = np.array([np.full((4, 4), np.nan) if each is None else each.T_segment_camera for each in frames])
+    segment = np.array([-1 if each is None else each.segment for each in frames], np.int64)
+    return motions(T.reshape(-1, 4, 4), segment, stamps_s)
 
 
 def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:

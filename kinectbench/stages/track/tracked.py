@@ -56,6 +56,8 @@ class Tracked:
         degenerate: (n,) bool, its depth alone leaves a motion open (as one plane in view does).
         sharpness: of the colour, by frame, where it was read (`image_sharpness`).
         calibration: of the depth, as the poses were found with it.
+        readout_s: of the rolling shutter that was undone in all frames; 0: none.
+        color_delay_s: by how much colour was found to be taken later than depth, likewise.
     """
 
     T_world_camera: Float64
@@ -70,3 +72,5 @@ class Tracked:
     degenerate: NDArray[np.bool_]
     sharpness: Mapping[int, float] = field(default_factory=dict)
     calibration: DepthCalibration = NO_CALIBRATION
+    readout_s: float = 0.0
+    color_delay_s: float = 0.0

@@ -101,6 +101,8 @@ def _place(
         degenerate=np.array([each.reason == OPEN_MOTION for each in placed]),
         sharpness=maps.sharpness,
         calibration=graph.calibration,
+        readout_s=maps.shutter.readout_s if maps.shutter else 0.0,
+        color_delay_s=maps.shutter.color_delay_s if maps.shutter else 0.0,
     )
 
 

@@ -11,11 +11,11 @@ from tracking_scenes import couch, errors_m
 
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.geometry.rigid import rigid_from_twist
+from kinectbench.core.geometry.rolling_shutter import upright_depth, upright_gray
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import Followed, follow
-from kinectbench.stages.track.rolling_shutter import upright_depth, upright_gray
 from kinectbench.stages.track.shutter_search import find_shutter, flow_rad_per_s, motions_of
 from kinectbench.stages.track.tracker import track_frames
 
@@ -170,6 +170,7 @@ def test_fast_turns_are_tracked(monkeypatch):
     recording = turns(0.03, 0.01)
     T_true = recording.simulation.T_world_camera
     tracked = track_frames(recording.sequence)
+    assert (tracked.readout_s, tracked.color_delay_s) == pytest.approx((0.03, 0.01), abs=0.004)
     assert np.isfinite(tracked.T_world_camera).all()
     right_m = np.sqrt(np.mean(errors_m(tracked.T_world_camera, T_true) ** 2))
     monkeypatch.setattr("kinectbench.stages.track.tracker.find_shutter", lambda *_: None)

@@ -11,14 +11,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera
-from kinectbench.core.types import Float64
+from kinectbench.core.geometry.camera import Camera
+from kinectbench.core.geometry.rigid import invert_rigid, twist_from_rigid
+from kinectbench.core.types import Bools, Float64, Int64
 
 # Where a pixel was taken depends on its row, and its row on where it was taken: each pass divides the error
 # by the rows of a frame over those it moves past, at least 10.
 PASSES = 3
 # Neighbouring pixels are of one surface if their depths differ by less than this share (own choice).
 SAME_SURFACE = 0.03
+# Frames farther apart in time do not tell how fast the camera moves at one of them (own choice).
+MAX_STEP_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -60,10 +63,10 @@ def upright_gray(
     readout_s: float,
     delay_s: float,
 ) -> NDArray[np.uint8]:
-    """Gray (height, width) as it would be, taken at once and together with the middle of the depth.
+    """Gray or colour as it would be, taken at once and together with the middle of the depth.
 
     Args:
-        gray: (height, width) uint8.
+        gray: (height, width) or (height, width, 3) uint8.
         depth_m: (height, width), upright; where it is 0 only the turn is undone.
         camera: of this size.
         motion: (12,) of the camera, as `RollingShutter.motion`.
@@ -75,6 +78,50 @@ def upright_gray(
     u, v = _taken_at(depth_m, camera.intrinsics, motion, readout_s, delay_s)
     moved = cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(moved, np.uint8)
+
+
+def upright_mask(
+    mask: Bools, depth_m: NDArray[np.float32], camera: Camera, motion: Float64, readout_s: float
+) -> Bools:
+    """A mask (height, width) of depth as recorded, as one of upright depth (height, width) in metres."""
+    import cv2
+
+    u, v = _taken_at(depth_m, camera.intrinsics, motion, readout_s, 0.0)
+    return np.asarray(cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST), dtype=bool)
+
+
+def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Float64:
+    """How the camera moves at each frame, (n, 12) as `RollingShutter.motion`.
+
+    Args:
+        T_segment_camera: (n, 4, 4), NaN where it is not known; where no neighbour says how a frame moves,
+            what lies between those around is taken.
+        segment: (n,) the world that each pose is in: those of two worlds say nothing of each other.
+        stamps_s: (n,) of the frames, seconds.
+    """
+    n = len(stamps_s)
+    known: Bools = np.isfinite(T_segment_camera[:, 0, 0])
+    rates = np.full((n, 6), np.nan)
+    for index in np.flatnonzero(known):
+        around = [k for k in (index - 1, index, index + 1) if 0 <= k < n and known[k]]
+        around = [k for k in around if segment[k] == segment[index]]
+        apart_s = stamps_s[around[-1]] - stamps_s[around[0]]
+        if len(around) < 2 or not 0 < apart_s <= 2 * MAX_STEP_S:
+            continue
+        step = twist_from_rigid(invert_rigid(T_segment_camera[around[0]]) @ T_segment_camera[around[-1]])
+        rates[index] = step / apart_s
+    told = np.flatnonzero(np.isfinite(rates[:, 0]))
+    if len(told) < 2:
+        return np.zeros((n, 12))
+    between = np.column_stack([np.interp(np.arange(n), told, rates[told, k]) for k in range(6)])
+    return np.column_stack([between, np.gradient(between, _ascending(stamps_s), axis=0)])
+
+
+def _ascending(stamps_s: Float64) -> Float64:
+    """Times that ascend by a tenth of the usual step at least."""
+    steps = np.diff(stamps_s)
+    least = 0.1 * max(float(np.median(steps)), 1e-6)
+    return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
@@ -96,7 +143,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
     """Where the pixels of the middle were taken, u and v: (height, width) each."""
     height, width = depth_m.shape
@@ -115,7 +162,7 @@ def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[
     return at_u, at_v
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
     """Depth between pixels, moved to the middle; of the nearest pixel where the four are of two surfaces."""
     height, width = depth.shape

@@ -1,0 +1,94 @@
+"""A recording whose rolling shutter is undone: its images as they would be, each taken at once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry.rolling_shutter import (
+    RollingShutter,
+    upright_depth,
+    upright_gray,
+    upright_mask,
+)
+from kinectbench.core.sequence import FrameStore, Sequence, depth_in_metres
+from kinectbench.core.types import Bools, Float32
+
+# Colour that was moved is encoded without loss, and quickly.
+PNG_LEVEL = 1
+
+
+@dataclass(frozen=True)
+class UprightFrames:
+    """The frames of a recording, depth and registered colour moved to the middle of each frame's time.
+
+    Attributes:
+        frames: as they were recorded.
+        camera: of them.
+        depth_scale: native units per metre.
+        shutter: what is undone.
+        color_registered: colour pixels lie on depth pixels; other colour stays as it is.
+    """
+
+    frames: FrameStore
+    camera: Camera
+    depth_scale: float
+    shutter: RollingShutter
+    color_registered: bool
+
+    def depth_native(self, index: int) -> NDArray[np.uint16]:
+        """Depth of one frame, upright: (height, width) uint16, 0 = no measurement."""
+        native, shutter = self.frames.depth_native(index), self.shutter
+        if not shutter.readout_s:
+            return native
+        return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
+
+    def color_encoded(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of one frame, upright and together with its depth: (suffix, bytes), or None."""
+        import cv2
+
+        encoded, shutter = self.frames.color_encoded(index), self.shutter
+        if encoded is None or not self.color_registered:
+            return encoded
+        bgr = np.asarray(cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_COLOR), np.uint8)
+        motion, times_s = shutter.motion[index], (shutter.readout_s, shutter.color_delay_s)
+        moved = upright_gray(bgr, self._depth_m(index), self.camera, motion, *times_s)
+        return ".png", cv2.imencode(".png", moved, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])[1].tobytes()
+
+    def mask(self, index: int, mask: Bools) -> Bools:
+        """A mask (height, width) of a frame as it was recorded, as one of its upright depth."""
+        shutter = self.shutter
+        if not shutter.readout_s:
+            return mask
+        motion = shutter.motion[index]
+        return upright_mask(mask, self._depth_m(index), self.camera, motion, shutter.readout_s)
+
+    def _depth_m(self, index: int) -> Float32:
+        return depth_in_metres(self.depth_native(index), self.depth_scale)
+
+
+def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
+    """The same recording with its rolling shutter undone, in its masks, too; None: as it is."""
+    if shutter is None:
+        return sequence
+    frames = UprightFrames(
+        sequence.frames, sequence.camera, sequence.depth_scale, shutter, sequence.color_registered
+    )
+    changed = replace(sequence, frames=frames)
+    return replace(changed, masks=upright_masks(changed, sequence.masks)) if sequence.masks else changed
+
+
+def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> Callable[[int], Bools | None]:
+    """Masks of a recording's frames as they were recorded, for a sequence whose frames may be upright."""
+    frames = sequence.frames
+    if not isinstance(frames, UprightFrames):
+        return masks
+
+    def moved(index: int) -> Bools | None:
+        """The mask of a frame: (height, width) bool, or None if it has none."""
+        mask = masks(index)
+        return None if mask is None else frames.mask(index, mask)
+
+    return moved
