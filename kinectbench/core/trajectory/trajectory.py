@@ -50,7 +50,7 @@ class Trajectory:
 
     @cached_property
     def shutter(self) -> RollingShutter | None:
-        """The rolling shutter that was undone when the poses were found, and how the camera moves; or None."""
+        """The rolling shutter that was undone for these poses, and how the camera moves; None: none was."""
         if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
             return None
         one_world = np.zeros(len(self.stamps_ns), np.int64)
