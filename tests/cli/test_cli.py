@@ -1,5 +1,6 @@
 """The command line as its users meet it: help, JSON, exit statuses, the whole way from init to the page."""
 
+import io
 import json
 import subprocess
 import sys
@@ -11,8 +12,11 @@ import numpy as np
 import pytest
 from small_benchmark import Run, copied, hashes, leftovers, make_benchmark, run
 
+from kinectbench.cli.console import SafeConsole
 from kinectbench.cli.main import PANELS
+from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.release.release import Release
+from kinectbench.scoring.terminal import score_table
 
 pytestmark = pytest.mark.xdist_group("commands")
 
@@ -215,21 +219,18 @@ def test_missing_predictions_may_count_as_empty(command: Command, release: Relea
 
 
 def test_a_name_is_no_markup(command: Command, release: Release, tmp_path: Path) -> None:
+    """Of a file, of a method on the command line, and of a method in somebody's table of scores."""
     remove_first(predict(tmp_path / "mine", release))
-    result = command(
-        tmp_path,
-        "score",
-        "mine",
-        "--method",
-        "[/red]x[bold]",
-        "--benchmark",
-        str(release.folder),
-        "--jobs",
-        "1",
-    )
-    assert result.status == 3
-    assert "[/red]x[bold]: error: chair_01/000" in result.err
-    assert "[/red]x[bold]" in result.out
+    evil = "[red]x[bold]"
+    (tmp_path / "mine" / f"{evil}.npy").touch()
+    arguments = ("score", "mine", "--benchmark", str(release.folder), "--jobs", "1", "--no-surface")
+    result = command(tmp_path, *arguments)
+    assert result.status == 3 and f"{evil}.npy: answers no target" in result.err
+    assert f"'{evil}': no name for a method" in command(tmp_path, *arguments, "--method", evil).err
+    table = ScoreTable.read(tmp_path / "scores").model_copy(update={"method": evil})
+    shown = io.StringIO()
+    SafeConsole(file=shown, width=160).print(score_table([table]))
+    assert evil in shown.getvalue()
 
 
 @pytest.mark.parametrize("make", [None, "empty", "stranger"])
