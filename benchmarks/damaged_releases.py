@@ -85,7 +85,13 @@ def _of_bytes(pair: str, last: str, mesh: str, depth: str) -> Iterator[Damage]:
         "benchmark.json missing", lambda f: (f / "benchmark.json").unlink(), ("benchmark.json: missing",)
     )
     yield Damage("a file more", lambda f: put(f / "views" / "note.txt", b"hi"), ("views/note.txt: not part",))
-    yield Damage("a link instead of a file", lambda f: link(f / pair), (f"{pair}: a link",))
+    yield Damage("a link to another file", lambda f: link(f / pair, f / last), (CHANGED.format(pair),))
+    yield Damage(
+        "a link to nowhere", lambda f: link(f / pair, f / "no"), (f"{pair}: a link that leads nowhere",)
+    )
+    yield Damage(
+        "a link to a device", lambda f: link(f / pair, Path("/dev/zero")), (f"{pair}: not a plain file",)
+    )
     yield Damage("a pipe instead of a file", lambda f: pipe(f / pair), (f"{pair}: not a plain file",))
     yield Damage(
         "a pair and its checksum forged",
@@ -200,7 +206,10 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
         "another framing", pair_with(framing=np.asarray("view")), (f"{pair}: framing is 'view'",), True
     )
     yield Damage(
-        "a pair that swells", pair_with(more=np.zeros(8 << 20, np.uint8)), (f"{pair}: claims to hold",), True
+        "a pair that swells",
+        pair_with(more=np.zeros(8 << 20, np.uint8)),
+        (f"{pair}: cannot be read as a pair file (claims to unpack to",),
+        True,
     )
 
 
@@ -326,9 +335,9 @@ def exchange(one: Path, two: Path) -> None:
     two.write_bytes(first)
 
 
-def link(path: Path) -> None:
-    elsewhere = path.rename(path.parents[3] / "elsewhere")
-    path.symlink_to(elsewhere)
+def link(path: Path, to: Path) -> None:
+    path.unlink()
+    path.symlink_to(to)
 
 
 def pipe(path: Path) -> None:

@@ -10,7 +10,7 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.untrusted import open_plain
@@ -47,19 +47,6 @@ def canonical_json(value: Any) -> str:
 def pretty_json(value: Any) -> str:
     """JSON for people and files: indented, keys in the order given, ends in a newline."""
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
-
-
-def strict_json(text: str) -> Any:
-    """Parse JSON without NaN and infinities.
-
-    Raises:
-        ValueError: it is malformed; RecursionError: it is nested without end.
-    """
-
-    def refuse(constant: str) -> NoReturn:
-        raise ValueError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 def sha256_text(text: str) -> str:

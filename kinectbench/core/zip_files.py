@@ -15,14 +15,15 @@ SLACK_BYTES = 64 << 10
 
 
 def open_zip(
-    file: IO[bytes], most_files: int, most_bytes: int, row_bytes: int = ROW_BYTES
+    file: IO[bytes], most_files: int, most_bytes: int | None = None, row_bytes: int = ROW_BYTES
 ) -> zipfile.ZipFile:
     """Open a zip whose directory is worth reading. The files themselves are not looked at.
 
     Args:
         file: open to read; it stays open.
         most_files: a zip of more is refused before its directory is read.
-        most_bytes: a zip whose files claim more together, unpacked, is refused.
+        most_bytes: a zip whose files claim more together, unpacked, is refused; None: who reads
+            them bounds them.
         row_bytes: of the directory, for each file that it may hold.
 
     Raises:
@@ -42,7 +43,7 @@ def open_zip(
     if len(files) != count:
         raise zipfile.BadZipFile(f"its end says {count} files, its directory {len(files)}")
     claimed = sum(entry.file_size for entry in files)
-    if claimed > most_bytes:
+    if most_bytes is not None and claimed > most_bytes:
         raise ValueError(f"claims to unpack to {claimed} bytes; {most_bytes} is the most accepted")
     return archive
 

@@ -1,17 +1,20 @@
 """The files of a release: their names, and how they are read in a folder or an archive, in place."""
 
+import hashlib
+import struct
 import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from kinectbench.core import storage
+from kinectbench.core import untrusted_text
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.untrusted import read_plain
 
 CARD = "README.md"
 READING = "READING.md"
@@ -26,10 +29,21 @@ VIEW_IMAGES = (".depth.png", ".mask.png")
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
-LINK = "a link instead of the file that was published"
+LINK = "a link; in an archive only plain files are read"
 MAX_READ_BYTES = 64 << 20
-# What zipfile, tarfile and gzip raise for damaged files; RuntimeError: the entry is encrypted.
-DAMAGED = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError, RuntimeError)
+# What zipfile, tarfile and gzip raise for damaged files; RuntimeError: the entry is encrypted; ValueError and
+# OverflowError: sizes and places that no file has.
+DAMAGED = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OverflowError,
+)
 
 
 def release_files(folder: Path) -> Iterator[Path]:
@@ -50,7 +64,7 @@ class Entry:
     """
 
     size: int
-    opener: Callable[[], IO[bytes]]
+    opener: Callable[[], AbstractContextManager[IO[bytes]]]
     problem: str | None = None
 
 
@@ -80,7 +94,8 @@ class Contents:
         if entry.size > limit:
             raise ReleaseError(f"{name}: {entry.size} bytes are more than such a file can have")
         with self.stream(name) as file:
-            return file.read()
+            # No more than is said: an entry of an archive may unpack to any size.
+            return file.read(entry.size)
 
     @contextmanager
     def stream(self, name: str) -> Iterator[IO[bytes]]:
@@ -98,14 +113,14 @@ class Contents:
         except DAMAGED as error:
             raise ReleaseError(f"{name}: damaged in the archive ({error}); download it again") from error
 
-    def text(self, name: str) -> str:
+    def text(self, name: str, limit: int = MAX_READ_BYTES) -> str:
         """A UTF-8 text file.
 
         Raises:
             ReleaseError: as `read`, or it is no UTF-8.
         """
         try:
-            return self.read(name).decode()
+            return self.read(name, limit).decode()
         except UnicodeDecodeError as error:
             raise ReleaseError(f"{name}: cannot be read ({error}); make or download it again") from error
 
@@ -117,11 +132,32 @@ def read_text(path: Path) -> str:
         ReleaseError: it cannot be read.
     """
     try:
-        return path.read_bytes().decode()
+        return read_plain(path, MAX_READ_BYTES).decode()
     except FileNotFoundError:
         raise ReleaseError(f"{path}: missing; make or download it again") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ReleaseError(f"{path}: cannot be read ({error}); make or download it again") from error
+
+
+def published_bytes(path: Path, sha256: str | None, limit: int = MAX_READ_BYTES) -> bytes:
+    """The bytes of a file of a release in a folder, at the end of a link, if it is one.
+
+    Args:
+        path: the file.
+        sha256: what they must hash to.
+        limit: a larger file is not read.
+
+    Raises:
+        ReleaseError: it is missing, cannot be read, or is not the published one.
+    """
+    try:
+        content = read_plain(path, limit)
+    except OSError as error:
+        reason = error.strerror or error
+        raise ReleaseError(f"{path}: cannot be read ({reason}); download the release again") from error
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ReleaseError(f"{path}: changed since it was published (SHA-256 differs); download it again")
+    return content
 
 
 def strict_json(text: str, where: str) -> Any:
@@ -131,6 +167,6 @@ def strict_json(text: str, where: str) -> Any:
         ReleaseError: it is malformed; the line begins with `where`.
     """
     try:
-        return storage.strict_json(text)
+        return untrusted_text.strict_json(text)
     except (ValueError, RecursionError) as error:
         raise ReleaseError(f"{where}: not valid JSON ({error}); make or download it again") from error

@@ -1,27 +1,37 @@
 """Looking into a release, in a folder, a zip or a tar. What strangers packed is not trusted."""
 
+import errno
 import gzip
+import io
 import stat
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, cast
+from typing import IO
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import storage_errors
+from kinectbench.core.untrusted import open_plain, printable
+from kinectbench.core.zip_files import open_zip
 from kinectbench.release.contents import DAMAGED, LINK, Contents, Entry, release_files
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
 # A release's own files are packed already: they shrink little.
 MAX_INFLATION, SLACK_BYTES = 100, 64 << 20
 CHUNK_BYTES = 1 << 20
+# Files of an archive: a hundred thousand pairs with two images each (own choice); listing them takes 300 MB.
+MOST_FILES = 300_000
+# Of what a tar says of one member before its data: its block, names of 4096 characters, times, attributes.
+MOST_HEADER_BYTES = 128 << 10
+# Of what a tar says of all members at once; git writes one (own choice).
+MOST_GLOBALS = 64
 
 
 @contextmanager
@@ -46,7 +56,10 @@ def open_contents(path: Path) -> Iterator[Contents]:
 
 
 def _folder(path: Path) -> Contents:
-    """The files of a folder, none where there is no folder; links are not followed."""
+    """The files of a folder, none where there is no folder; links to files are followed, to folders not.
+
+    Caches of downloads hold links. A file is the published one by its SHA-256, wherever it lies.
+    """
     entries = {file.relative_to(path).as_posix(): _entry(file) for file in release_files(path)}
     if (path / SHA256SUMS).is_symlink() or (path / SHA256SUMS).exists():
         entries[SHA256SUMS] = _entry(path / SHA256SUMS)
@@ -54,8 +67,16 @@ def _folder(path: Path) -> Contents:
 
 
 def _entry(file: Path) -> Entry:
-    problem = LINK if file.is_symlink() else None if file.is_file() else "not a plain file"
-    return Entry(0 if problem else file.stat().st_size, lambda: file.open("rb"), problem)
+    problem, size = None, 0
+    try:
+        state = file.stat()
+        size = state.st_size
+        if not stat.S_ISREG(state.st_mode):
+            problem = "not a plain file"
+    except OSError as error:
+        leads_nowhere = file.is_symlink() and error.errno in (errno.ENOENT, errno.ELOOP)
+        problem = "a link that leads nowhere" if leads_nowhere else f"cannot be read ({error.strerror})"
+    return Entry(0 if problem else size, partial(open_plain, file), problem)
 
 
 def _rooted(contents: Contents, path: Path) -> Contents:
@@ -93,26 +114,28 @@ def _open_archive(path: Path) -> Iterator[Contents]:
     with ExitStack() as stack:
         try:
             contents = _opened(path, stack)
-        except (*DAMAGED, gzip.BadGzipFile) as error:
-            raise ReleaseError(
-                f"{path}: cut off or damaged, or no .zip, .tar or .tar.gz ({error}); download it again"
-            ) from error
+        except OSError as error:
+            if not isinstance(error, gzip.BadGzipFile):
+                raise ReleaseError(f"{path}: cannot be read ({error.strerror or error})") from error
+            raise _damaged(path, error) from error
+        except DAMAGED as error:
+            raise _damaged(path, error) from error
         yield contents
 
 
 def _opened(path: Path, stack: ExitStack) -> Contents:
     """An archive's files; what is to be closed goes onto the stack."""
-    file: IO[bytes] = stack.enter_context(path.open("rb"))
+    file: IO[bytes] = stack.enter_context(open_plain(path))
     head = file.read(2)
     file.seek(0)
     if head == ZIP:
-        return _zip_contents(stack.enter_context(zipfile.ZipFile(file)), path)
+        return _zip_contents(stack.enter_context(open_zip(file, MOST_FILES)), path)
     if head == GZIP:
         with storage_errors(Path(tempfile.gettempdir())):
             inflated = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
             _inflate(file, inflated, path)
         file = inflated
-    return _tar_contents(stack.enter_context(tarfile.open(fileobj=file, mode="r:")), file, path)
+    return _contents(_tar_members(file), path)
 
 
 def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
@@ -137,23 +160,100 @@ def _zip_contents(archive: zipfile.ZipFile, path: Path) -> Contents:
     return _contents(members, path)
 
 
-def _tar_contents(archive: tarfile.TarFile, file: IO[bytes], path: Path) -> Contents:
-    members = []
-    for info in archive:
-        problem = None
-        if info.issym() or info.islnk():
-            problem = LINK
-        elif not info.isfile() or info.issparse():
-            problem = "not a plain file"
-        # A plain file always opens; links and others are never asked for.
-        opener = cast(Callable[[], IO[bytes]], partial(archive.extractfile, info))
-        if not info.isdir():
-            members.append((info.name, Entry(info.size, opener, problem)))
+def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
+    """The members of a tar and how each is opened.
+
+    Raises:
+        tarfile.TarError, ValueError, OverflowError: it is damaged, or its headers cost more than a release's.
+    """
+    members = list[tuple[str, Entry]]()
+    headers = _Headers(file)
+    with tarfile.open(fileobj=headers, mode="r:") as archive:
+        before = -1
+        while info := archive.next():
+            headers.read_bytes = 0
+            archive.members.clear()  # type: ignore[attr-defined] # it keeps all
+            # A size below 0, which pax can say, leads back to the same header.
+            if info.offset <= before or info.size < 0 or len(members) == MOST_FILES:
+                raise tarfile.ReadError(f"more than {MOST_FILES} members, or one without end")
+            if len(archive.pax_headers) > MOST_GLOBALS:
+                raise tarfile.ReadError("too much is said of all members at once")
+            before, problem = info.offset, None
+            if info.issym() or info.islnk():
+                problem = LINK
+            elif not info.isfile() or info.issparse():
+                problem = "not a plain file"
+            opener = partial(_member, file, info.offset_data, info.size)
+            if not info.isdir():
+                members.append((info.name, Entry(info.size, opener, problem)))
+        end = archive.offset
     # tarfile stops without a word where a header is damaged or the end is missing.
-    file.seek(archive.offset)
+    file.seek(end)
     if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
         raise tarfile.ReadError("a header is damaged, or the end is missing")
-    return _contents(members, path)
+    return members
+
+
+class _Headers(io.RawIOBase):
+    """A tar as tarfile reads its headers: with a bound on what it reads of each member.
+
+    tarfile takes names and pax records into memory whole, and looks at each keyword.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        super().__init__()
+        self._file = file
+        self.read_bytes = 0
+
+    def read(self, size: int = -1) -> bytes:
+        self.read_bytes += size
+        if size < 0 or self.read_bytes > MOST_HEADER_BYTES:
+            raise tarfile.ReadError(f"a header of more than {MOST_HEADER_BYTES} bytes")
+        return self._file.read(size)
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        if offset < 0:
+            raise tarfile.ReadError("a member before the beginning")
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+
+def _member(file: IO[bytes], start: int, size: int) -> io.BufferedReader:
+    """A member of a tar, as a file of its own."""
+    return io.BufferedReader(_Slice(file, start, size), CHUNK_BYTES)
+
+
+class _Slice(io.RawIOBase):
+    """A run of bytes of an open file."""
+
+    def __init__(self, file: IO[bytes], start: int, size: int) -> None:
+        super().__init__()
+        self._file, self._start, self._size, self._at = file, start, size, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = offset + (0, self._at, self._size)[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        left = max(0, self._size - self._at)
+        self._file.seek(self._start + self._at)
+        part = self._file.read(min(len(buffer), left))
+        if not part and left:
+            raise EOFError("cut off")
+        buffer[: len(part)] = part
+        self._at += len(part)
+        return len(part)
 
 
 def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
@@ -165,7 +265,9 @@ def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
         name = inside.as_posix()
         leads_out = inside.is_absolute() or ".." in inside.parts
         if leads_out or not said.isprintable() or set(said) & set("\\:"):
-            problems.append(f"{said!r}: a name that leads out of the release or cannot be a file's")
+            problems.append(
+                f"'{printable(said)}': a name that leads out of the release or cannot be a file's"
+            )
         else:
             entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry
     if sum(entry.size for entry in entries.values()) > _limit(path):
@@ -176,6 +278,12 @@ def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
 def _limit(path: Path) -> int:
     """The bytes that an archive of this size may hold."""
     return MAX_INFLATION * path.stat().st_size + SLACK_BYTES
+
+
+def _damaged(path: Path, error: Exception) -> ReleaseError:
+    return ReleaseError(
+        f"{path}: cut off or damaged, or no .zip, .tar or .tar.gz ({error}); download it again"
+    )
 
 
 def _bomb(path: Path) -> ReleaseError:

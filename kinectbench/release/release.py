@@ -1,7 +1,7 @@
 """Open a published benchmark: its targets and what `benchmark.json` says. See layout.py for the files."""
 
-import hashlib
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +18,11 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.storage import sha256_file
-from kinectbench.release.contents import read_text
+from kinectbench.core.untrusted import printable
+from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
+from kinectbench.release.contents import published_bytes, read_text
+
+FIRST_LINE = 2  # of targets.csv that holds a target
 
 
 @dataclass(frozen=True)
@@ -87,14 +90,34 @@ class Release:
         Raises:
             ReleaseError: it is missing, or not the published one.
         """
-        path = self.folder / name
+        return published_bytes(self.folder / name, self.sums.get(name))
+
+    def text(self, name: str) -> str:
+        """A UTF-8 text of the release.
+
+        Raises:
+            ReleaseError: as `content`, or it is no UTF-8.
+        """
         try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise ReleaseError(f"{path}: cannot be read ({error.strerror}); download it again") from error
-        if hashlib.sha256(content).hexdigest() != self.sums.get(name):
-            raise ReleaseError(f"{path}: changed since it was published (SHA-256 differs); download it again")
-        return content
+            return self.content(name).decode()
+        except UnicodeDecodeError as error:
+            raise ReleaseError(f"{self.folder / name}: not a UTF-8 text ({error})") from error
+
+    @cached_property
+    def by_recording(self) -> dict[str, list[Target]]:
+        """The targets of each recording, in the order of the recordings' ids."""
+        found: dict[str, list[Target]] = {}
+        for target in sorted(self.targets, key=lambda target: target.recording):
+            found.setdefault(target.recording, []).append(target)
+        return found
+
+    def pair_content(self, target: Target) -> bytes:
+        """The bytes of a target's pair file.
+
+        Raises:
+            ReleaseError: it is missing, or not the published one.
+        """
+        return published_bytes(self.pair_path(target), target.sha256, PAIR_BYTES)
 
 
 def open_release(path: Path) -> Release:
@@ -102,7 +125,7 @@ def open_release(path: Path) -> Release:
 
     Raises:
         ReleaseError: no release there, another format version, targets or benchmark.json changed, an object
-            in two splits, or a path that leaves the release.
+            in two splits, a path that leaves the release, or files that do not agree with each other.
     """
     if path.is_file():
         raise ReleaseError(f"{path}: a file; unpack the release and give its folder")
@@ -116,8 +139,44 @@ def open_release(path: Path) -> Release:
         raise ReleaseError(f"{path / SHA256SUMS}: not the published list; download the release again")
     sums = parse_sums(sums_text, str(path / SHA256SUMS))
     for name in (BENCHMARK_JSON, SPLITS_JSON, TARGETS_CSV):
-        if not (path / name).is_file() or sums.get(name) != sha256_file(path / name):
-            raise ReleaseError(f"{path / name}: missing or changed since it was published; download it again")
+        if not (path / name).is_file():
+            raise ReleaseError(f"{path / name}: missing; download the release again")
+        published_bytes(path / name, sums.get(name))
     targets = parse_targets(read_text(path / TARGETS_CSV), str(path / TARGETS_CSV))
     check_splits(targets, str(path / TARGETS_CSV))
+    for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):
+        raise ReleaseError(f"{path}: {problem}; download the release again, `verify` says more")
     return Release(path, targets, metadata)
+
+
+def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iterator[str]:
+    """Yield a line for each thing that targets.csv and benchmark.json say of a recording otherwise."""
+    pairs = Counter[str]()
+    for line, target in enumerate(targets, start=FIRST_LINE):
+        pairs[target.recording] += 1
+        info = metadata.recordings.get(target.recording)
+        if info is None:
+            yield f"{TARGETS_CSV}, line {line}: {BENCHMARK_JSON} has no recording {target.recording}"
+            continue
+        for key in ("object", "category", "split"):
+            said, wanted = getattr(target, key), getattr(info, key)
+            if said != wanted:
+                yield (
+                    f"{TARGETS_CSV}, line {line}: {key} '{said}' where {BENCHMARK_JSON} has "
+                    f"'{printable(wanted)}'"
+                )
+        if target.unknown_share is not None and metadata.hides(target.recording):
+            yield f"{TARGETS_CSV}, line {line}: holds unknown_share, which is held back"
+    for name, info in metadata.recordings.items():
+        if pairs[name] != info.pairs:
+            said = f"{pairs[name]} pairs of {printable(name)}"
+            yield f"{TARGETS_CSV}: {said} where {BENCHMARK_JSON} has {info.pairs}"
+
+
+def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
+    """Yield a line for each pair that targets.csv and SHA256SUMS do not agree on."""
+    for line, target in enumerate(targets, start=FIRST_LINE):
+        if target.file not in sums:
+            yield f"{TARGETS_CSV}, line {line}: {target.file} is not part of the release"
+        elif sums[target.file] != target.sha256:
+            yield f"{TARGETS_CSV}, line {line}: another SHA-256 for {target.file} than in {SHA256SUMS}"

@@ -1,6 +1,5 @@
 """The truth of a pair as scoring reads it: three of the pair file's grids, still packed."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.core.voxels.pair_file import NUMBERS, Packed, pair_parts
+from kinectbench.core.voxels.pair_file import MAX_BYTES, NUMBERS, Packed, pair_parts
+from kinectbench.release.contents import published_bytes
 
 GRIDS = ("full", "known", "seen")
 
@@ -69,14 +69,7 @@ def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[An
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ReleaseError(
-            f"{path}: cannot be read ({error.strerror}); download the release again"
-        ) from error
-    if hashlib.sha256(content).hexdigest() != sha256:
-        raise ReleaseError(f"{path}: not the file that was published (SHA-256 differs); download it again")
+    content = published_bytes(path, sha256, MAX_BYTES)
     try:
         return pair_parts(content, names)
     except UNREADABLE as error:

@@ -82,7 +82,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
             "targets.csv: 0 pairs of table_02 where benchmark.json has 1",
         ],
     ),
-    "link": (link, ["README.md: a link instead of the file that was published"]),
+    "link": (link, ["README.md: changed since it was published (SHA-256 differs)"]),
     "missing card and a link more": (
         lambda folder: ((folder / "README.md").unlink(), (folder / "out").symlink_to("/")),
         ["README.md: missing", "out: not part of the release"],

@@ -169,7 +169,7 @@ def test_refusals(release: Release, method: Path, tmp_path: Path) -> None:
 def test_changed_truth_is_never_scored(release: Release, method: Path) -> None:
     first, *rest = release.targets
     wrong = Target(**{**first.__dict__, "sha256": "0" * 64})
-    with pytest.raises(ReleaseError, match="not the file that was published"):
+    with pytest.raises(ReleaseError, match="changed since it was published"):
         score(Release(release.folder, (wrong, *rest), release.metadata), method, method="x")
 
 

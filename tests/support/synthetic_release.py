@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from references import shell_of
 
-from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
+from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.geometry.mesh import TriangleMesh, write_ply
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes
 from kinectbench.core.voxels.resample import reduce_blocks
@@ -118,11 +120,22 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
         write_json(build / name / "pairs" / "pairs.json", listed)
         write_json(build / name / "views" / "views.json", {"format_version": 1, "views": rows, "refused": []})
         write_json(build / name / "object" / "floor.json", FLOOR)
-        for file in ("mesh.ply", "volume.npz"):
-            (build / name / "object" / file).write_bytes(f"{name} {file}".encode())
+        write_object(build / name / "object", index)
         write_json(build / name / "object" / "quality.json", {"repeatability_iou": 0.93})
         write_json(build / name / "sequence" / "camera.json", CAMERA)
         write_json(build / name / "sources.json", {"depth/0.png": [10, 20, "ab" * 32]})
+
+
+def write_object(folder: Path, index: int) -> None:
+    """A tetrahedron and a volume, another for each recording."""
+    corners = np.vstack([np.zeros(3), np.eye(3) * (1 + index)])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    write_ply(TriangleMesh(corners, faces), folder / "mesh.ply")
+    shape = (4, 5, 6)
+    solid = np.zeros(shape, dtype=bool)
+    solid[1, 1, 1 : 2 + index % 4] = True
+    labels = np.where(solid, Label.SURFACE, Label.FREE).astype(np.uint8)
+    ObjectVolume(Grid(shape, 0.01, np.eye(4)), solid, labels, solid.astype(np.float16)).write(folder)
 
 
 def write_images(views: Path, view: str) -> None:

@@ -8,8 +8,8 @@ from pydantic import Field
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.errors import KinectBenchError, ReleaseError
-from kinectbench.core.storage import strict_json
 from kinectbench.core.types import Framing, PartialRule, Split
+from kinectbench.core.untrusted_text import strict_json
 
 FORMAT_VERSION = 1
 BENCHMARK_JSON = "benchmark.json"
@@ -103,7 +103,8 @@ class ReleaseInfo(ReleaseFile):
         with contextlib.suppress(ValueError, AttributeError, RecursionError):
             version = strict_json(text).get("format_version")
             if version != FORMAT_VERSION:
-                raise ReleaseError(f"{where}: format version {version}; this package reads {FORMAT_VERSION}")
+                said = version if version is None or type(version) is int else "unknown"
+                raise ReleaseError(f"{where}: format version {said}; this package reads {FORMAT_VERSION}")
         return super().parse(text, where)
 
     def hides(self, recording: str) -> bool:

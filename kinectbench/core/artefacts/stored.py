@@ -18,6 +18,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    GetCoreSchemaHandler,
     PlainSerializer,
     SerializerFunctionWrapHandler,
     TypeAdapter,
@@ -27,10 +28,28 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic_core import CoreSchema
 
 from kinectbench.core.errors import KinectBenchError, StorageError
-from kinectbench.core.storage import pretty_json, strict_json
+from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import TEXT_BYTES, printable, read_plain_text
+from kinectbench.core.untrusted_text import strict_json
+
+# Of one file that are written out as Python's values, a kilobyte each (own choice).
+MOST_ERRORS = 1000
+
+
+def _leave_lists_early(schema: Any) -> None:
+    """Set pydantic's `fail_fast` in all lists and tuples of a core schema."""
+    if isinstance(schema, list):
+        for part in schema:
+            _leave_lists_early(part)
+    elif isinstance(schema, dict):
+        if schema.get("type") in ("tuple", "list"):
+            schema["fail_fast"] = True
+        for part in schema.values():
+            _leave_lists_early(part)
 
 
 class Part(BaseModel):
@@ -49,6 +68,13 @@ class Part(BaseModel):
         serialize_by_alias=True,
         arbitrary_types_allowed=True,
     )
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """As pydantic makes it, but a list is left at its first wrong entry: each has half a kilobyte."""
+        schema = handler(source)
+        _leave_lists_early(schema)
+        return schema
 
     # A return type would take the place of the model's JSON schema in mode "serialization".
     @model_serializer(mode="wrap")
@@ -77,7 +103,7 @@ class Stored(Part):
     FILE: ClassVar[str]
     ADVICE: ClassVar[str] = "`kinectbench build --force` makes it again"
     ERROR: ClassVar[type[KinectBenchError]] = StorageError
-    MAX_BYTES: ClassVar[int] = 1 << 30
+    MAX_BYTES: ClassVar[int] = TEXT_BYTES
 
     def text(self) -> str:
         """The file's content."""
@@ -100,9 +126,7 @@ class Stored(Part):
             KinectBenchError: `cls.ERROR`, if it is missing, too large, damaged or of another kind.
         """
         try:
-            if path.stat().st_size > cls.MAX_BYTES:
-                raise cls.ERROR(f"{path}: larger than such a file can be; {cls.ADVICE}")
-            text = path.read_text(encoding="utf-8")
+            text = read_plain_text(path, cls.MAX_BYTES)
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or error
             told = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({reason})"
@@ -129,10 +153,13 @@ class Stored(Part):
             strict_json(text)
             return cls.validated(text)
         except ValidationError as error:
+            if error.error_count() > MOST_ERRORS:
+                told = f"{error.error_count()} values are not as they should be"
+                raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
             first = error.errors()[0]
             key = ".".join(str(part) for part in first["loc"])
             why = first["msg"].removeprefix("Value error, ")
-            told = f"'{key}': {why}" if key else why
+            told = f"'{printable(key)}': {printable(why, 200)}" if key else why
             raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
         except (ValueError, RecursionError) as error:
             raise cls.ERROR(f"{where}: not valid JSON ({error}); {cls.ADVICE}") from error

@@ -20,6 +20,8 @@ from kinectbench.core.artefacts.views import UNKNOWN_SHARE
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import NAME, sha256_text
 from kinectbench.core.types import Split
+from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted_text import csv_rows
 
 TARGETS_CSV = "targets.csv"
 SPLITS_JSON = "splits.json"
@@ -74,7 +76,10 @@ def parse_targets(text: str, where: str) -> tuple[Target, ...]:
     Raises:
         ReleaseError: a malformed, repeated or unsafe line; it names the line.
     """
-    rows = list(csv.reader(io.StringIO(text)))
+    try:
+        rows = csv_rows(text)
+    except ValueError as error:
+        raise ReleaseError(f"{where}: not a table ({error}); download the release again") from error
     columns = tuple(rows[0]) if rows else ()
     if columns not in (tuple(COLUMNS), EARLIER_COLUMNS):
         raise ReleaseError(f"{where}, line 1: the columns must be {','.join(COLUMNS)}")
@@ -102,16 +107,16 @@ def _row_problem(row: list[str], columns: int) -> str | None:
     if len(row) != columns:
         return f"{len(row)} columns instead of {columns}"
     if len(row) > len(EARLIER_COLUMNS) and not _SHARE.fullmatch(row[-1]):
-        return f"unknown_share '{row[-1]}' is not a share from 0 to 1"
+        return f"unknown_share '{printable(row[-1])}' is not a share from 0 to 1"
     target = _target(row)
     if not all(NAME.fullmatch(name) for name in (target.recording, target.object, target.category)):
         return "a name with other characters than letters, digits, '.', '_' and '-'"
     if not _VIEW.fullmatch(target.view):
-        return f"view '{target.view}' is not a zero-padded index"
+        return f"view '{printable(target.view)}' is not a zero-padded index"
     if target.split not in SPLITS:
-        return f"split '{target.split}' is none of {', '.join(SPLITS)}"
+        return f"split '{printable(target.split)}' is none of {', '.join(SPLITS)}"
     if target.file != f"pairs/{target.recording}/{target.view}.npz":
-        return f"file '{target.file}' is not pairs/{target.recording}/{target.view}.npz"
+        return f"file '{printable(target.file)}' is not pairs/{target.recording}/{target.view}.npz"
     return None if re.fullmatch(SHA256, target.sha256) else "its SHA-256 is not 64 hex digits"
 
 

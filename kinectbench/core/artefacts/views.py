@@ -2,15 +2,41 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import AfterValidator, Field, StringConstraints
 
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
+from kinectbench.core.types import Float64
 
 UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
 
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
 Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
+# What `camera:` in benchmark.yaml may say, too.
+MOST_SIDE = 8192
+
+
+def _checked_side(pixels: int) -> int:
+    if not 1 <= pixels <= MOST_SIDE:
+        raise ValueError(f"must be 1 to {MOST_SIDE} pixels")
+    return pixels
+
+
+def _checked_focal(pixels: float) -> float:
+    if not pixels > 0:
+        raise ValueError("must be a positive focal length")
+    return pixels
+
+
+def _checked_intrinsics(K: Float64) -> Float64:
+    if not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise ValueError("must have positive focal lengths")
+    return K
+
+
+Side = Annotated[int, AfterValidator(_checked_side)]
+Focal = Annotated[float, AfterValidator(_checked_focal)]
+Intrinsics = Annotated[Matrix3, AfterValidator(_checked_intrinsics)]
 
 
 class ViewRow(Part):
@@ -36,9 +62,9 @@ class ViewRow(Part):
     containment: float | None = Field(None, description="share of the view's points in the shape")
     residual_m: float | None = Field(None, description="median distance of the points from the shape, metres")
     truncated_share: float | None = Field(None, description="of the outline, beyond the image")
-    K: Matrix3 | None = Field(None, description="(3, 3) intrinsics, pixels; pixel centres are integers")
-    width: int | None = Field(None, description="of depth and mask, pixels")
-    height: int | None = Field(None, description="of depth and mask, pixels")
+    K: Intrinsics | None = Field(None, description="(3, 3) intrinsics, pixels; pixel centres are integers")
+    width: Side | None = Field(None, description="of depth and mask, pixels")
+    height: Side | None = Field(None, description="of depth and mask, pixels")
     pair: bool | None = Field(None, description="the view has a pair, and its images are published")
     unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
 
@@ -56,10 +82,10 @@ class Refused(Part):
 class SynthesisedCamera(Part):
     """The pinhole camera that synthesised views were rendered with; pixel centres are integers."""
 
-    width: int = Field(description="of the image, pixels")
-    height: int = Field(description="of the image, pixels")
-    fx: float = Field(description="focal length across, pixels")
-    fy: float = Field(description="focal length down, pixels")
+    width: Side = Field(description="of the image, pixels")
+    height: Side = Field(description="of the image, pixels")
+    fx: Focal = Field(description="focal length across, pixels")
+    fy: Focal = Field(description="focal length down, pixels")
     cx: float = Field(description="principal point across, pixels")
     cy: float = Field(description="principal point down, pixels")
 

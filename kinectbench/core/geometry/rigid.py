@@ -8,6 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinectbench.core.types import Float64
 
+# Of a rotation's entries: what rounding leaves is a ten-thousandth of it.
+ORTHONORMAL_TOLERANCE = 1e-6
+
 
 def rigid(rotation: ArrayLike, translation_m: ArrayLike) -> Float64:
     """Assemble a 4x4 transform from a (3, 3) rotation and a (3,) translation in metres."""
@@ -15,6 +18,17 @@ def rigid(rotation: ArrayLike, translation_m: ArrayLike) -> Float64:
     T[:3, :3] = rotation
     T[:3, 3] = translation_m
     return T
+
+
+def is_rigid(T: Float64) -> bool:
+    """Whether a (4, 4) matrix is a rotation (orthonormal, determinant +1) and a shift."""
+    R = T[:3, :3]
+    return bool(
+        np.allclose(R @ R.T, np.eye(3), rtol=0, atol=ORTHONORMAL_TOLERANCE)
+        and np.linalg.det(R) > 0
+        and np.isfinite(T).all()
+        and np.array_equal(T[3], [0, 0, 0, 1])
+    )
 
 
 def invert_rigid(T_a_b: Float64) -> Float64:

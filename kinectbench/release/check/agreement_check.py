@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
@@ -15,12 +15,14 @@ from kinectbench.core.artefacts.targets import (
     targets_text,
 )
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import ReleaseError, StorageError
+from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.core.untrusted import printable
 from kinectbench.release.contents import (
     CARD,
     CITATION,
     CROISSANT,
     LICENSE,
+    MAX_READ_BYTES,
     SPLIT_TARGETS,
     Contents,
     strict_json,
@@ -29,9 +31,12 @@ from kinectbench.release.publish.attribution import common_license
 from kinectbench.release.publish.card import counts_table
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
+from kinectbench.settings.yaml_nodes import compose, items
 
 # Of an object whose truth is held back.
 PUBLIC_OF_OBJECT = ("floor.json",)
+# A CITATION.cff of two thousand authors (own choice); PyYAML reads 0.1 MB a second.
+CITATION_BYTES = 256 << 10
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,17 @@ class Stated:
     targets: tuple[Target, ...]
     metadata: ReleaseInfo
     sums: Mapping[str, str]
+
+    def views_of(self, recording: str) -> set[str]:
+        """The views of a recording that have pairs, as targets.csv says."""
+        return self._views.get(recording, set())
+
+    @cached_property
+    def _views(self) -> dict[str, set[str]]:
+        views: dict[str, set[str]] = {}
+        for target in self.targets:
+            views.setdefault(target.recording, set()).add(target.view)
+        return views
 
 
 # Yields a clause for each thing that a file's text says otherwise.
@@ -82,8 +98,9 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     for name, check in checks.items():
         if name in whole:
             try:
-                yield from (f"{name}: {fault}" for fault in check(contents.text(name), stated))
-            except ReleaseError as error:
+                limit = CITATION_BYTES if name == CITATION else MAX_READ_BYTES
+                yield from (f"{name}: {fault}" for fault in check(contents.text(name, limit), stated))
+            except (ReleaseError, SettingsError) as error:
                 yield str(error)
             except (StorageError, KeyError, TypeError, AttributeError, ValueError):
                 yield f"{name}: does not have the keys that it should"
@@ -113,7 +130,7 @@ def _license(metadata: ReleaseInfo) -> str:
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     for what, said in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
         if said not in text:
-            yield f"does not state the {what} '{said}' of {BENCHMARK_JSON}"
+            yield f"does not state the {what} '{printable(said)}' of {BENCHMARK_JSON}"
     for row in counts_table(stated.targets).splitlines():
         if row not in text:
             yield f"does not have the row '{row}', which {TARGETS_CSV} counts"
@@ -123,35 +140,41 @@ def _license_problems(text: str, stated: Stated) -> Iterator[str]:
     for name, info in stated.metadata.recordings.items():
         said = f"{name}\n  licence: {info.license}\n  source: {' '.join(info.source.split())}\n"
         if said not in text:
-            yield f"does not state licence and source of {name} as {BENCHMARK_JSON} does"
+            yield f"does not state licence and source of {printable(name)} as {BENCHMARK_JSON} does"
 
 
 def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
-    import yaml
+    from yaml import ScalarNode
 
-    said = yaml.safe_load(text)
-    if stated.metadata.version is not None and str(said["version"]) != stated.metadata.version:
-        yield f"version '{said['version']}' where {BENCHMARK_JSON} has '{stated.metadata.version}'"
+    # Nodes, not values: what an alias stands for is never written out.
+    version = items(compose(text, CITATION)).get("version")
+    wanted = stated.metadata.version
+    if wanted is not None and not (isinstance(version, ScalarNode) and version.value == wanted):
+        said = f"version '{printable(version.value)}'" if isinstance(version, ScalarNode) else "no version"
+        yield f"{said} where {BENCHMARK_JSON} has '{printable(wanted)}'"
 
 
 def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
     said = strict_json(text, CROISSANT)
-    if said["name"] != stated.metadata.name:
-        yield f"name '{said['name']}' where {BENCHMARK_JSON} has '{stated.metadata.name}'"
+    name = said["name"]
+    if name != stated.metadata.name:
+        told = f"name '{printable(name)}'" if isinstance(name, str) else "no name"
+        yield f"{told} where {BENCHMARK_JSON} has '{printable(stated.metadata.name)}'"
     for file in said["distribution"]:
-        name = file.get("contentUrl")
-        if "sha256" in file and file["sha256"] != stated.sums.get(name):
-            yield f"another SHA-256 for {name} than in {SHA256SUMS}"
+        url = file.get("contentUrl")
+        if "sha256" in file and file["sha256"] != stated.sums.get(url):
+            yield f"another SHA-256 for {printable(str(url))} than in {SHA256SUMS}"
 
 
 def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
     recordings = Lineage.parse(text, LINEAGE_JSON).recordings
     for name in sorted(set(recordings) ^ set(stated.metadata.recordings)):
-        yield f"{'has no' if name in stated.metadata.recordings else 'has a'} recording {name}"
+        what = "has no" if name in stated.metadata.recordings else "has a"
+        yield f"{what} recording {printable(name)}"
     for name, row in recordings.items():
-        here = {target.view for target in stated.targets if target.recording == name}
+        here = stated.views_of(name)
         if row.views is not None and {view.view for view in row.views} != here:
-            yield f"other views of {name} than in {TARGETS_CSV}"
+            yield f"other views of {printable(name)} than in {TARGETS_CSV}"
 
 
 def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
@@ -167,12 +190,12 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
     """Whether views.json has the views that have pairs, and of held-back ones nothing of the truth."""
     rows = ViewsFile.parse(text, ViewsFile.FILE).views
     listed = {row.view for row in rows if row.pair is not False}
-    here = {target.view for target in stated.targets if target.recording == recording}
+    here = stated.views_of(recording)
     if here - listed or (listed - here and any(row.pair is not None for row in rows)):
         yield f"other views with a pair than in {TARGETS_CSV}"
     told = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
     if stated.metadata.hides(recording) and told:
-        yield f"holds {', '.join(sorted(told))}, which is held back"
+        yield f"holds {printable(', '.join(sorted(told)))}, which is held back"
 
 
 def _told_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kinectbench.core.types import Float64
+from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
 from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
@@ -16,7 +16,6 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.core.voxels.resample import reduce_blocks
 
-ORTHONORMAL_TOLERANCE = 1e-6
 LEAST_TRUSTED_SHARE = 0.5
 
 
@@ -60,7 +59,7 @@ def pair_problems(
 def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
     """Yield what is wrong with the input of a pair, as `pair_problems` does."""
     for name in ("T_world_grid", "T_world_camera"):
-        if not _is_rigid(getattr(pair, name)):
+        if not is_rigid(getattr(pair, name)):
             yield f"{name} is not a rotation and a shift"
     if not np.allclose(pair.T_world_grid[:3, :3], pair.T_world_camera[:3, :3], atol=ORTHONORMAL_TOLERANCE):
         yield "the grid's axes are not the view's"
@@ -102,13 +101,3 @@ def _behind_problems(pair: Pair | PairInput) -> Iterator[str]:
         behind = int(np.clip(np.floor(0.5 - corner_z_m / pair.voxel_size_m), 0, FULL_CELLS))
         if unpack(pair.seen)[:, :, :behind].any():
             yield "'seen' holds cells behind the camera"
-
-
-def _is_rigid(T: Float64) -> bool:
-    """Whether a (4, 4) matrix is a rotation (orthonormal, determinant +1) and a shift."""
-    R = T[:3, :3]
-    return bool(
-        np.allclose(R @ R.T, np.eye(3), rtol=0, atol=ORTHONORMAL_TOLERANCE)
-        and np.linalg.det(R) > 0
-        and np.array_equal(T[3], [0, 0, 0, 1])
-    )

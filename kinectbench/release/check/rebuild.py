@@ -16,10 +16,11 @@ from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, parse_targets
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
+from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, pair_values
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.contents import MAX_READ_BYTES, OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.publish.small_files import package_versions
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
@@ -213,7 +214,7 @@ def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]
         return  # releases from elsewhere have no such files
     if not made.is_file():
         yield f"{name}: was not made again"
-    elif contents.read(name) != made.read_bytes():
+    elif contents.read(name) != read_plain(made, MAX_READ_BYTES):
         yield f"{name}: {AGAIN}"
 
 
@@ -222,7 +223,7 @@ def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator
     if not made.is_file():
         yield f"{target.file}: was not made again: its view was refused, or another was drawn"
         return
-    published, again = contents.read(target.file), made.read_bytes()
+    published, again = contents.read(target.file), read_plain(made, MAX_READ_BYTES)
     if published == again:
         return
     try:

@@ -12,6 +12,8 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.images import picture_pixels
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
@@ -27,6 +29,8 @@ from kinectbench.release.exchange.bop_object import (
 from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_export_json
 from kinectbench.release.release import Release
 
+# Of one view: 4096 a side (own choice). Its silhouette and both masks take 16 bytes a pixel.
+MOST_DEPTH_PIXELS = 1 << 24
 # Keys of scene_gt_info.json.
 GT_INFO = ("bbox_obj", "bbox_visib", "px_count_all", "px_count_valid", "px_count_visib", "visib_fract")
 DATASET_INFO = """# {name}
@@ -67,8 +71,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
     done = 0
     with new_folder(out) as folder:
         (folder / "models").mkdir()
-        for number, recording in enumerate(sorted({t.recording for t in release.targets}), start=1):
-            targets = [target for target in release.targets if target.recording == recording]
+        for number, (recording, targets) in enumerate(release.by_recording.items(), start=1):
             split = SPLIT_NAMES[targets[0].split]
             model = None if release.metadata.hides(recording) else read_model(release, recording)
             if model is not None:
@@ -188,6 +191,8 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 def _camera(release: Release, target: Target) -> tuple[Float64, Float64]:
     """K and T_world_camera of a pair."""
     K, T_world_camera = _parts(release, target, ("K", "T_world_camera"))
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and is_rigid(T_world_camera)):
+        raise ReleaseError(f"{release.pair_path(target)}: K or T_world_camera is not one; run `verify`")
     return K, T_world_camera
 
 
@@ -199,7 +204,7 @@ def _unknown(release: Release, target: Target) -> float:
 def _parts(release: Release, target: Target, names: Sequence[str]) -> list[NDArray[Any]]:
     """Some arrays of a pair; the others are not unpacked."""
     try:
-        return pair_parts(release.content(target.file), names)
+        return pair_parts(release.pair_content(target), names)
     except UNREADABLE as error:
         raise ReleaseError(f"{release.pair_path(target)}: cannot be read as a pair ({error})") from error
 
@@ -209,13 +214,16 @@ def _color_registered(release: Release, recording: str) -> bool:
     name = f"views/{recording}/views.json"
     if name not in release.sums:
         raise ReleaseError(f"{release.folder / name}: missing; BOP needs the depth images of the views")
-    return bool(ViewsFile.parse(release.content(name).decode(), name).color_registered)
+    return bool(ViewsFile.parse(release.text(name), name).color_registered)
 
 
 def _depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels = picture_pixels(png)
+    if pixels > MOST_DEPTH_PIXELS:
+        raise ReleaseError(f"{where}: {pixels} pixels, more than the depth of a view can have")
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED) if pixels else None
     if image is None or image.ndim != 2 or image.dtype != np.uint16:
         raise ReleaseError(f"{where}: not a PNG of 16-bit depth")
     return np.asarray(image, dtype=np.uint16)

@@ -1,6 +1,5 @@
 """An object as the BOP benchmark has it: its model in millimetres, and its silhouette in a view."""
 
-import io
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,9 +50,11 @@ def read_model(release: Release, recording: str) -> BopModel:
     """
     folder = f"objects/{recording}"
     try:
-        mesh = parse_ply(io.BytesIO(release.content(f"{folder}/mesh.ply")))
-        floor = FloorFile.parse(release.content(f"{folder}/{FloorFile.FILE}").decode(), FloorFile.FILE)
-    except (StorageError, ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
+        mesh = parse_ply(release.content(f"{folder}/mesh.ply"))
+        floor = FloorFile.parse(release.text(f"{folder}/{FloorFile.FILE}"), FloorFile.FILE)
+        if not len(mesh.faces):
+            raise ValueError("it has no faces")
+    except (StorageError, ValueError) as error:
         raise ReleaseError(f"{release.folder / folder}: the object cannot be read ({error})") from error
     vertices_floor = mesh.transformed(floor.T_floor_world).vertices
     middle = (vertices_floor.min(axis=0) + vertices_floor.max(axis=0)) / 2

@@ -4,16 +4,20 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.artefacts.views import ViewName
+from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.storage import NAME, sha256_file, write_below
-from kinectbench.core.types import Progress, Split
+from kinectbench.core.types import Framing, PartialRule, Progress, Split
+from kinectbench.core.untrusted import below
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
@@ -26,7 +30,6 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
 from kinectbench.core.voxels.resample import reduce_blocks
-from kinectbench.release.contents import read_text, strict_json
 from kinectbench.release.exchange.layouts import (
     EXPORT_JSON,
     MATRICES,
@@ -55,6 +58,48 @@ TEXTS = CardTexts(
     "with them, the cube's edge\nstands for a metre, and `surface_sigma_m`, which is not known, is 0: do not "
     "use the surface Dice.",
 )
+
+
+def _checked_name(name: str) -> str:
+    if not NAME.fullmatch(name):
+        raise ValueError("a name that is not safe as a file's")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_checked_name)]
+Metres = Annotated[float, Field(ge=0)]
+
+
+class ExportedPair(Part):
+    """A row of export.json: what a pair is called, where its files are, and what they do not say."""
+
+    recording: Name
+    object: Name
+    view: ViewName
+    category: Name
+    split: Split
+    file_25d: str
+    file_3d: str
+    voxel_size_m: Metres
+    surface_sigma_m: Metres
+    framing: Framing
+    partial_rule: PartialRule
+    occupancy_rule: Literal["winding", "six-rays"]
+    T_world_grid: Matrix4
+    T_world_camera: Matrix4
+    K: Matrix3
+
+
+class Exported(Stored):
+    """export.json of this layout; that of another has no pairs."""
+
+    FILE: ClassVar[str] = EXPORT_JSON
+    ERROR: ClassVar[type[KinectBenchError]] = PairError
+    ADVICE: ClassVar[str] = "export again"
+
+    name: str | None = None
+    license: str = "unspecified"
+    pairs: tuple[ExportedPair, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,7 +136,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
     rows = []
     with new_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):
-            values = pair_values(release.content(target.file), target.file)
+            values = pair_values(release.pair_content(target), target.file)
             pair = checked_pair(Pair, values, target.file)
             files = {}
             for kind, cells in (("25d", pair.partial_256), ("3d", pair.full)):
@@ -126,8 +171,8 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         StorageError: the disk is full or read-only.
     """
     exported = folder / EXPORT_JSON
-    content = strict_json(read_text(exported), str(exported)) if exported.is_file() else {}
-    found = _exported(folder, content) if content else _theirs(folder)
+    content = Exported.read(folder) if exported.exists() else Exported()
+    found = _exported(folder, content) if content.pairs else _theirs(folder)
     if not found:
         raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
     with new_folder(out, BENCHMARK_JSON) as temporary:
@@ -140,8 +185,8 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
                 progress(done, len(found))
         first = found[0].values
         head = Head(
-            content.get("name", folder.resolve().name or "imported"),
-            content.get("license", "unspecified"),
+            content.name or folder.resolve().name or "imported",
+            content.license,
             first.get("framing", "object"),
             first.get("partial_rule", "any"),
             {"pairs": PairSettings(min_containment=0.0).model_dump(mode="json")},
@@ -151,19 +196,16 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
     return len(targets)
 
 
-def _exported(folder: Path, content: dict[str, Any]) -> list[Found]:
+def _exported(folder: Path, content: Exported) -> list[Found]:
     """The pairs that export.json lists."""
     found = []
-    for row in content.get("pairs", []):
+    for row in content.pairs:
+        names = {key: getattr(row, key) for key in NAMES}
         try:
-            names = {key: row[key] for key in NAMES}
-            files = [folder / row[key] for key in ("file_25d", "file_3d")]
-            values: dict[str, Any] = {key: row[key] for key in NUMBERS}
-            values |= {key: np.array(row[key], dtype=np.float64) for key in MATRICES}
-        except (KeyError, TypeError, ValueError) as error:
-            raise PairError(f"{folder / EXPORT_JSON}: a row is damaged ({error}); export again") from error
-        if not all(NAME.fullmatch(str(name)) for name in names.values()):
-            raise PairError(f"{folder / EXPORT_JSON}: a name is not safe as a file's; export again")
+            files = [below(folder, name) for name in (row.file_25d, row.file_3d)]
+        except ValueError as error:
+            raise PairError(f"{folder / EXPORT_JSON}: {error}; export again") from error
+        values = {key: getattr(row, key) for key in (*NUMBERS, *MATRICES)}
         found.append(Found(_target(**names), files[0], files[1], values))
     return found
 
@@ -222,12 +264,13 @@ def _pair(found: Found) -> Pair:
 def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
     """What benchmark.json says of each recording."""
     recordings = {target.recording: target for target in targets}
+    counts = Counter(target.recording for target in targets)
     return {
         name: RecordingInfo(
             object=target.object,
             category=target.category,
             split=cast(Split, target.split),
-            pairs=sum(other.recording == name for other in targets),
+            pairs=counts[name],
             refused=0,
             quality=QualityFile(
                 verdict="unknown", warnings=("imported: nothing is known of how good it is",)

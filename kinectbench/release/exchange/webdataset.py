@@ -90,7 +90,7 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
 
 def _read(release: Release, target: Target) -> Pair | PairInput:
     """A pair, or its input where its truth is held back."""
-    values = pair_values(release.content(target.file), target.file)
+    values = pair_values(release.pair_content(target), target.file)
     if target.split in release.metadata.held_back:
         return checked_pair(PairInput, values, target.file)
     return checked_pair(Pair, values, target.file)

@@ -15,7 +15,9 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
+from kinectbench.core.images import IMAGE_BYTES
 from kinectbench.core.storage import sha256_file, write_below
+from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
@@ -150,7 +152,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found:
         image = f"{view}.color.jpg"
         has_color |= (source / image).is_file()
         if built.settings.publish.color and (source / image).is_file():
-            data = scrubbed_jpeg((source / image).read_bytes(), f"{name}/{image}", found)
+            data = scrubbed_jpeg(read_plain(source / image, IMAGE_BYTES), f"{name}/{image}", found)
             (folder / name / image).write_bytes(data)
     views = _with_pairs(ViewsFile.read(source), built.folder / "sequence", targets)
     _write(own_views(views) if built.hidden else views, folder, name, found)

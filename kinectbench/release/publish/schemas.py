@@ -23,6 +23,7 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import COLUMNS, NUMBER_COLUMNS, SPLITS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.storage import pretty_json
+from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import (
     FORMAT_VERSION,
     INPUT_KEYS,
@@ -48,6 +49,8 @@ JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
 TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
 SCORES_SCHEMA = "scores.schema.json"
+# Of an error's words, characters, and of the errors in one file (own choice).
+MOST_TOLD, MOST_FAULTS = 200, 50
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
 
@@ -86,9 +89,13 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
             try:
                 model.validated(text)
             except ValidationError as error:
+                if error.error_count() > MOST_FAULTS:
+                    yield f"{error.error_count()} values are not as they should be"
+                    return
                 for fault in error.errors():
-                    where = ".".join(str(part) for part in fault["loc"])
-                    yield f"'{where}': {fault['msg']}" if where else fault["msg"]
+                    where = printable(".".join(str(part) for part in fault["loc"]))
+                    told = printable(fault["msg"], MOST_TOLD)
+                    yield f"'{where}': {told}" if where else told
 
 
 def _table() -> dict[str, Any]:

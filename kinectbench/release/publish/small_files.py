@@ -30,6 +30,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.storage import pretty_json, sha256_file
 from kinectbench.core.types import Framing, PartialRule, Split
+from kinectbench.core.untrusted import read_plain_text
 from kinectbench.release.contents import (
     CARD,
     CITATION,
@@ -113,7 +114,7 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
     """Give keys of benchmark.json of a finished release their values; its identity stays the same."""
     ReleaseInfo.read(folder).model_copy(update=more).write(folder)
     path = folder / SHA256SUMS
-    sums = parse_sums(path.read_text(encoding="utf-8"), str(path)) | {
+    sums = parse_sums(read_plain_text(path), str(path)) | {
         BENCHMARK_JSON: sha256_file(folder / BENCHMARK_JSON)
     }
     path.write_text(sums_text(sums), encoding="utf-8")

@@ -14,7 +14,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes
-from kinectbench.core.voxels.pair_file import read_input
+from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.baselines.inputs import Inputs, read_training, up_in_grid
 from kinectbench.scoring.baselines.registry import BASE_RATE, BASELINES, LEARNED
@@ -79,7 +79,8 @@ def predicted(task: BaselineTask) -> Iterator[tuple[str, NDArray[np.bool_] | NDA
         PairError, ReleaseError: a pair cannot be read.
     """
     release, target = task.release, task.target
-    pair = read_input(release.pair_path(target))
+    where = str(release.pair_path(target))
+    pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
     learns = any(name in LEARNED for name in task.names)
     training = _training(release, target.category) if learns else None
     inputs = Inputs(pair, task.base_rate, up_in_grid(release, target, pair), training)

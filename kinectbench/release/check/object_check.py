@@ -1,0 +1,104 @@
+"""Check the object of a recording in a release: its mesh and its volume are as the format page says."""
+
+from collections.abc import Iterator
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.geometry.mesh import parse_ply
+from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
+from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
+from kinectbench.release.contents import Contents
+
+# What an object's volume may unpack to: 4 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm (own choice).
+VOLUME_BYTES = 1 << 30
+SLAB_BYTES = 1 << 20
+MOST_SMALL_BYTES = 4096
+KINDS: dict[str, np.dtype[Any]] = {
+    "solid": np.dtype(np.bool_),
+    "labels": np.dtype(np.uint8),
+    "probability": np.dtype(np.float16),
+}
+GRID_KEYS = ("voxel_size_m", "T_world_grid")
+
+
+def object_problems(contents: Contents, name: str) -> Iterator[str]:
+    """Yield a line about a mesh.ply or a volume.npz of a release that is not one.
+
+    Args:
+        contents: the release.
+        name: `objects/<recording>/mesh.ply` or `volume.npz`.
+    """
+    try:
+        if name.endswith(".ply"):
+            if not len(parse_ply(contents.read(name)).faces):
+                yield f"{name}: has no faces"
+            return
+        with contents.stream(name) as file:
+            fault = _volume_fault(file)
+        if fault:
+            yield f"{name}: {fault}"
+    except ReleaseError as error:
+        yield str(error)
+    except UNREADABLE as error:
+        yield f"{name}: cannot be read ({error})"
+
+
+def _volume_fault(file: IO[bytes]) -> str | None:
+    """What is wrong with a volume, all of which is looked at, a slab at a time; or None.
+
+    Raises:
+        UNREADABLE: one of these exceptions: it is no npz, or damaged.
+    """
+    with open_npz(file, VOLUME_BYTES) as archive:
+        entries = {entry.filename.removesuffix(NPY): entry for entry in archive.infolist()}
+        if missing := [key for key in (*KINDS, *GRID_KEYS) if key not in entries]:
+            return f"holds no '{missing[0]}'"
+        small = dict[str, NDArray[Any]]()
+        for key in GRID_KEYS:
+            with archive.open(entries[key]) as stream:
+                small[key] = read_npy(stream, entries[key].file_size, _check_small)
+        size_m, T = small["voxel_size_m"], small["T_world_grid"]
+        if size_m.shape != () or not 0 < float(size_m) < np.inf:
+            return "'voxel_size_m' is not a length in metres"
+        if T.shape != (4, 4) or not is_rigid(T):
+            return "'T_world_grid' is not a rotation and a shift"
+        shapes = set()
+        for key, kind in KINDS.items():
+            with archive.open(entries[key]) as stream:
+                header = read_npy_header(stream)
+                if len(header.shape) != 3 or header.dtype != kind:
+                    return f"'{key}' is {header.dtype}{header.shape}, not a grid of {kind}"
+                shapes.add(header.shape)
+                if fault := _grid_fault(key, header, stream):
+                    return f"'{key}' {fault}"
+        return None if len(shapes) == 1 else "its grids have different shapes"
+
+
+def _check_small(header: NpyHeader) -> None:
+    if header.data_bytes > MOST_SMALL_BYTES or header.dtype.kind != "f":
+        raise ValueError("voxel_size_m or T_world_grid is something else")
+
+
+def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
+    """What is wrong with the cells of a grid, or None."""
+    done = 0
+    while part := stream.read(SLAB_BYTES):
+        done += len(part)
+        # A slab ends between two cells: they have one byte or two.
+        raw = np.frombuffer(part, np.uint8)
+        if key == "solid" and (raw > 1).any():
+            return "is not of 0 and 1"
+        if key == "labels" and (raw > max(Label)).any():
+            return "holds labels that there are not"
+        if key == "probability":
+            values = raw[: len(raw) // 2 * 2].view(np.float16)
+            if not ((values >= 0) & (values <= 1)).all():
+                return "is not all in [0, 1]"
+    if done != header.data_bytes:
+        return f"has {done} bytes where its header claims {header.data_bytes}"
+    return None
