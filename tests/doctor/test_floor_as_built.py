@@ -160,7 +160,7 @@ def test_an_accelerometer_counts(
         hints.extend(each for each in args if isinstance(each, FloorHint))
         raise SegmentationError("looked at")
 
-    monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_: recording)
+    monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
     monkeypatch.setattr("kinectbench.stages.segment.floor.find_floor", find_floor)
     inspect(recording.path, without_trajectory=ignored)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]
