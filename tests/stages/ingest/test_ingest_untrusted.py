@@ -6,6 +6,8 @@ Each case ends with one line; each would read elsewhere, hang, or take gigabytes
 import os
 import re
 import struct
+import subprocess
+import sys
 import time
 import zlib
 from collections.abc import Callable
@@ -306,3 +308,29 @@ def test_a_file_that_is_mostly_a_hole_is_not_read(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"0\.jpg: of its 1099511627776 bytes .* is a hole"):
         content_hash(source_files(folder), folder)
     assert time.monotonic() - started < 5
+
+
+READ = """
+import sys
+from pathlib import Path
+from kinectbench.stages.ingest.readers import open_recording
+print(open_recording(Path(sys.argv[1])).warnings)
+"""
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\0\0\0\x18ftypisom" + bytes(2000),
+        b"#EXTM3U\nfile:///etc/passwd\n",
+        b"ffconcat version 1.0\nfile x\n",
+    ],
+)
+def test_of_a_video_that_is_none_no_library_says_a_word(tmp_path: Path, data: bytes) -> None:
+    folder = MAKERS["stray"](tmp_path / "r")
+    (folder / "rgb.mp4").write_bytes(data)
+    done = subprocess.run(
+        [sys.executable, "-c", READ, str(folder)], capture_output=True, text=True, timeout=60
+    )
+    assert "rgb.mp4 is missing or cannot be read" in done.stdout
+    assert (done.stderr, done.returncode) == ("", 0)

@@ -254,7 +254,7 @@ class FoundMessages:
             return
         size = place[2]
         if size > UNPACKED_BYTES:
-            raise DamagedRecordError
+            raise DamagedRecordError(f"a message of {size} bytes")
         start = file.read(size if whole else min(PEEK_BYTES, size))
         if start.startswith(ZSTD_MAGIC):
             start = _start_of_packed(start + file.read(max(0, min(PACKED_HEAD_BYTES, size) - len(start))))

@@ -58,7 +58,7 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
             try:
                 _take_messages(database, found, reader.file_bytes, all_of_them=cut_off > 0)
             except (sqlite3.DatabaseError, DamagedRecordError) as error:
-                trouble = trouble or f"{path}: is damaged ({error or 'a message is larger than the file'})"
+                trouble = trouble or f"{path}: is damaged ({error})"
     except (sqlite3.DatabaseError, ValueError, TypeError) as error:
         what = "is cut off, and" if cut_off else "is damaged:"
         raise RecordingError(
@@ -174,7 +174,7 @@ def _take_messages(
     )
     for row, topic, recorded_ns, size in database.execute(query):
         if size > file_bytes:  # its pages go round
-            raise DamagedRecordError
+            raise DamagedRecordError("a message is larger than the file")
         # One whose end is lost is passed over.
         if topic in found.connections:
             with (
