@@ -231,7 +231,7 @@ BOMBS: dict[str, Callable[[], tuple[str, bytes]]] = {
     ),
 }
 READ = """
-import resource, sys, time
+import re, sys, time
 from pathlib import Path
 import cv2, rosbags.typesys, zstandard
 from kinectbench.core.errors import RecordingError
@@ -243,11 +243,13 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
         said = [type(recording).__name__]
     except RecordingError as error:
         said = str(error).splitlines()
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    status = Path("/proc/self/status").read_text()  # getrusage counts what the process was made of, too
+    used = int(re.search(r"VmHWM:\\s+(\\d+)", status)[1]) >> 10
     print(len(said), round(time.monotonic() - started, 2), used, path.name, said[0], flush=True)
 """
 
 
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is told by Linux's /proc")
 def test_bombs_take_neither_time_nor_memory(tmp_path: Path) -> None:
     """10 s and 500 MB for each of them, with Python and its libraries; twice the time on a machine in use."""
     (tmp_path / "all").mkdir()
