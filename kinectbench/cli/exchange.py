@@ -36,11 +36,15 @@ def import_(
     common: Common,
     folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/")],
     out: Annotated[Path, typer.Argument(help="the release: a new folder")],
+    views: Annotated[
+        int | None,
+        typer.Option(help="of test_<views>: 125, the viewing angles of training, or 216, others"),
+    ] = None,
 ) -> None:
     """Make a release of files in the layout of the paper's authors."""
     from kinectbench.cli import console
     from kinectbench.release.exchange.recgan import import_recgan
 
     with console.bar("import") as progress:
-        pairs = import_recgan(folder, out, progress)
+        pairs = import_recgan(folder, out, progress, views)
     common.tell({"folder": str(out), "pairs": pairs}, [f"imported {pairs} pairs: {out}"])

@@ -38,7 +38,8 @@ def score(
     ] = None,
     missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = ERROR_IF_MISSING,
     upsampling: Annotated[
-        str, typer.Option(help="of grids that are not 256 a side: half-pixel, or corner-aligned")
+        str,
+        typer.Option(help="of other sides than 256: half-pixel, or corner-aligned (the paper's SciPy call)"),
     ] = "half-pixel",
     surface: Annotated[bool, typer.Option(help="Chamfer distance, F-score, surface Dice, normals")] = True,
     baselines: Baselines = True,

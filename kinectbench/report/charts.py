@@ -78,9 +78,13 @@ class Axes:
 
 @dataclass(frozen=True)
 class Series:
-    """What is drawn of one method: its index in the legend, the `d` of points and of a line, and a dot."""
+    """What is drawn of one method: its index in the legend, the `d` of points and of a line, and a dot.
+
+    `words` say the same in a sentence, for those who do not see it.
+    """
 
     index: int
+    words: str
     points: str = ""
     line: str = ""
     dot: tuple[float, float] | None = None
@@ -96,7 +100,7 @@ class Chart:
 
 def _chart(title: str, label: str, x_name: str, axes: Axes, series: Sequence[Series]) -> Chart:
     content = {
-        "label": f"{label}, {title}: {len(series)} methods",
+        "label": f"{label}, {title}: {len(series)} methods. " + " ".join(each.words for each in series),
         "x_name": x_name,
         "axes": axes,
         "size": (WIDTH, HEIGHT),
@@ -134,7 +138,8 @@ def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart
                 points = [axes.at(*point) for point in zip(THRESHOLDS, of[category], strict=True)]
                 used = table.thresholds.get(category)
                 dot = points[THRESHOLDS.index(used)] if used in THRESHOLDS else None
-                series.append(Series(index, line=svg_path(points), dot=dot))
+                words = _curve_words(table.method, of[category], used)
+                series.append(Series(index, words, line=svg_path(points), dot=dot))
         charts.append(_chart(category, "IoU against the threshold", "threshold", axes, series))
     return tuple(charts)
 
@@ -173,7 +178,11 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
         every = np.concatenate(by_method)
         if len(every):
             axes = Axes(0.0, nice_top(float(every[:, 0].max())), nice_top(float(every[:, 1].max())))
-            series = [_scatter(axes, index, of) for index, of in enumerate(by_method) if len(of)]
+            series = [
+                _scatter(axes, index, of, tables[index].method)
+                for index, of in enumerate(by_method)
+                if len(of)
+            ]
             label = "IoU of each pair against the share of the shape seen"
             charts.append(_chart(category, label, "share of the shape that the view saw", axes, series))
     return tuple(charts)
@@ -185,9 +194,29 @@ def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
     return np.array(found, np.float64).reshape(-1, 2)
 
 
-def _scatter(axes: Axes, index: int, points: Float64) -> Series:
+def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str:
+    """A curve in a sentence: the IoU at the threshold that was used, and the best there is."""
+    best = max(range(len(curve)), key=lambda step: curve[step])
+    at = (
+        f"{shown(curve[THRESHOLDS.index(used)])} at the threshold used, {used:g}, "
+        if used in THRESHOLDS
+        else ""
+    )
+    return f"{method}: IoU {at}at best {shown(curve[best])} at {THRESHOLDS[best]:g}."
+
+
+def _scatter_words(method: str, points: Float64) -> str:
+    """The points of a method in a sentence."""
+    (low, worst), (high, best) = points.min(axis=0), points.max(axis=0)
+    return (
+        f"{method}: {len(points)} pairs, {shown(low)} to {shown(high)} of the shape seen, "
+        f"IoU {shown(worst)} to {shown(best)}, mean {shown(float(points[:, 1].mean()))}."
+    )
+
+
+def _scatter(axes: Axes, index: int, points: Float64, method: str) -> Series:
     """Points, and the means of groups of as many pairs each."""
     dots = "".join("M{:.1f},{:.1f}h0".format(*axes.at(*point)) for point in points.tolist())
     groups = np.array_split(points, min(MAX_GROUPS, max(1, len(points) // GROUP_PAIRS)))
     means = [axes.at(*group.mean(axis=0).tolist()) for group in groups]
-    return Series(index, dots, svg_path(means) if len(means) > 1 else "")
+    return Series(index, _scatter_words(method, points), dots, svg_path(means) if len(means) > 1 else "")

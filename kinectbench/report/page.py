@@ -19,11 +19,23 @@ from kinectbench.report import charts, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.scoring.compare import method_names
-from kinectbench.scoring.references import PUBLISHED_IN
+from kinectbench.scoring.published import PUBLISHED_IN, published_beside
 from kinectbench.settings.models import BenchmarkSettings
 
-# {protocol: {index of the table: rank}}; incomplete methods have none.
-Ranks = Mapping[str, Mapping[int, int]]
+
+@dataclass(frozen=True)
+class Groups:
+    """Which methods cannot be told apart.
+
+    Attributes:
+        letters: {protocol: {index of the table: letters}} by mean IoU; incomplete methods have none.
+        notes: what to know of them, one line each.
+        too_small: that the test set is too small to tell any two methods apart, in a sentence; else "".
+    """
+
+    letters: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    too_small: str = ""
 
 
 @dataclass(frozen=True)
@@ -31,14 +43,12 @@ class Beside:
     """What is shown with score tables but is not in them.
 
     Attributes:
-        ranks: of the tables, by mean IoU over all categories.
-        rank_notes: what to know of the ranks, one line each.
+        groups: of the tables, by mean IoU over all categories.
         galleries: of each table, or none at all.
         truths: what is shown of the pairs, by name.
     """
 
-    ranks: Ranks = field(default_factory=dict)
-    rank_notes: tuple[str, ...] = ()
+    groups: Groups = field(default_factory=Groups)
     galleries: Sequence[Gallery | None] = ()
     truths: Mapping[str, PairTruth] = field(default_factory=dict)
 
@@ -80,6 +90,7 @@ def write_report(
     pairs = (
         [r.pairs for r in released.recordings.values()] if released else [len(r.tiles) for r in recordings]
     )
+    published = published_beside({row.recording for table in scores for row in table.rows})
     shown = {
         "settings": settings,
         "settings_yaml": yaml.safe_dump(plain, sort_keys=False, allow_unicode=True),
@@ -87,7 +98,8 @@ def write_report(
         "n_pairs": sum(pairs),
         "recordings": recordings,
         "scores": _scores(scores, beside),
-        "published": tables.published_table(),
+        "published": [tables.published_table(of) for of in published],
+        "synthetic": published[0].views is not None,
         "published_source": PUBLISHED_IN,
         "released": released,
     }
@@ -121,14 +133,15 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside) -> dict[str, Any]:
     galleries = {table.method: gallery for table, gallery in zip(parsed, beside.galleries, strict=False)}
     in_order = [galleries.get(table.method) for table in ordered]
     gallery, left_out = gallery_json(ordered, in_order, beside.truths, primary)
-    ranks = {
-        protocol: {names[index]: rank for index, rank in of.items()} for protocol, of in beside.ranks.items()
+    groups = {
+        protocol: {names[index]: letters for index, letters in of.items()}
+        for protocol, of in beside.groups.letters.items()
     }
     return {
         # Of the benchmarks that the predictions were scored against: one, if all is well.
         "hashes": sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256}),
-        "tables": [tables.score_table(parsed, p, ranks.get(p)) for p in protocols],
-        "rank_notes": beside.rank_notes,
+        "tables": [tables.score_table(parsed, p, groups.get(p)) for p in protocols],
+        "groups": beside.groups,
         "details": tables.details(ordered),
         "detail_names": list(tables.DETAILS),
         "objects": tables.truth_of_objects(parsed, primary),

@@ -11,14 +11,15 @@ from kinectbench.core.types import NamedProgress
 from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
-from kinectbench.report.page import Beside, Ranks, write_report
-from kinectbench.scoring.compare import ALL, compare, find_scores, read_named
+from kinectbench.report.page import Beside, Groups, write_report
+from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, read_named, too_small
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.uncertainty import smallest_p
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
 INDEX = "index.html"
-RANKED = ("known", "paper", "occluded")
+COMPARED = ("known", "paper", "occluded")
 
 
 @dataclass(frozen=True)
@@ -116,34 +117,44 @@ def _read(path: Path) -> ScoreFile:
     return ScoreFile(path, read_table(path), read_gallery(path))
 
 
-def rank(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> tuple[Ranks, tuple[str, ...]]:
-    """Rank methods by a paired test over objects (see `compare`).
+def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
+    """Group methods by a paired test over objects (see `compare`).
 
     Args:
-        tables: of one truth; a rank is given to those that are complete and have rows. Baselines that were
+        tables: of one truth; letters are given to those that are complete and have rows. Baselines that were
             added have none: more comparisons would only make methods harder to tell apart.
-        protocols: under which to rank.
-
-    Returns:
-        The ranks, and what to know of them, one line each.
+        protocols: under which to compare; the first that was scored says whether anything can be told.
     """
-    ranked = {
+    compared = {
         index: table
         for index, table in enumerate(tables)
         if table.complete and table.rows and not table.baseline
     }
-    found: dict[str, dict[int, int]] = {}
+    found: dict[str, dict[int, str]] = {}
     notes: list[str] = []
-    for protocol in protocols if len(ranked) > 1 else ():
+    too_small = _alone(next(iter(compared.values())), protocols) if len(compared) == 1 else ""
+    for protocol in protocols if len(compared) > 1 else ():
         try:
-            compared = compare([*ranked.values()], protocol=protocol)
+            comparison = compare([*compared.values()], protocol=protocol)
         except SettingsError as error:
-            notes.append(f"no ranks under {protocol}: {error}")
+            notes.append(f"no groups under {protocol}: {error}")
             continue
-        of = compared.ranks[ALL if ALL in compared.ranks else next(iter(compared.ranks))]
-        found[protocol] = dict(zip(ranked, (of[name] for name in compared.methods), strict=True))
-        notes += [note for note in compared.notes if note not in notes]
-    return found, tuple(notes)
+        scope = ALL if ALL in comparison.groups else next(iter(comparison.groups))
+        if not found:
+            too_small = comparison.too_small.get(scope, "")
+        of = comparison.groups[scope]
+        found[protocol] = dict(zip(compared, (of[name] for name in comparison.methods), strict=True))
+        notes += [note for note in comparison.notes if note not in notes]
+    return Groups(found, tuple(notes), too_small)
+
+
+def _alone(table: ScoreTable, protocols: Sequence[str]) -> str:
+    """Whether two methods could be told apart where there is one; "" if they could."""
+    for protocol in protocols:
+        overall = (table.overall or {}).get(protocol)
+        if overall is not None and overall.objects:
+            return too_small(overall.objects, 1) if smallest_p(overall.objects) > ALPHA else ""
+    return ""
 
 
 def page_of_benchmark(
@@ -244,7 +255,7 @@ def _scores(
         targets = {target.name: target for target in release.split("test")}
         wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
-    return tables, Beside(*rank(tables, RANKED), [file.gallery for file in files], truths), warnings
+    return tables, Beside(grouped(tables, COMPARED), [file.gallery for file in files], truths), warnings
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:

@@ -1,6 +1,6 @@
 """Score tables as they are shown: methods down, categories across, the best of a column marked."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kinectbench.core.artefacts.object import with_interval
@@ -14,13 +14,16 @@ from kinectbench.core.artefacts.scores import (
 )
 from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
-from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.baselines.registry import BASE_RATE
+from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.published import CATEGORIES, LABEL, REAL, PublishedTable
 
 PROTOCOL_NOTES = {
     "known": "the primary protocol: voxels where the truth is trusted; mean over objects",
     "paper": "the paper's protocol: all voxels; plain mean over pairs",
     "occluded": "known voxels that the input view does not see; mean over objects",
 }
+CEILING = "ceiling"
 DECIMALS, LENGTH_DECIMALS = 3, 2
 Averages = CategoryAverages | OverallAverages
 NONE = CategoryAverages()
@@ -42,17 +45,19 @@ class Row:
 
     Attributes:
         method: its name.
-        rank: 1 + the number of methods that are better by a test, as text; "=" after it if it is shared.
+        group: letters; methods that share one cannot be told apart. "" if it is not compared.
         iou: a cell for each category.
         ce: likewise.
-        baseline: whether it was added to stand beside the methods.
+        marks: what sets its scores apart, a few words each.
+        standing: "reported", or "verified" with date and version; "" of published figures.
     """
 
     method: str
-    rank: str
+    group: str
     iou: tuple[Cell, ...]
     ce: tuple[Cell, ...]
-    baseline: bool = False
+    marks: tuple[str, ...] = ()
+    standing: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,21 +66,24 @@ class Table:
 
     Attributes:
         title: heading.
+        protocol: whose figures these are, as the headings of columns name it.
         note: one line below it.
         categories: the columns under each of IoU and CE.
         rows: best first.
-        base_rate: cross-entropy of a constant, the base rate, under each category; empty if not known.
+        base_rate: cross-entropy of a constant, the base rate, under each category; empty if not known, or if
+            the baseline of that name has a row.
         unknown: share of the true shapes that is not known, under each category; empty if not known.
         left_out: how many pairs are left out as all unknown, in a sentence; "" if none.
-        ranked: whether rows have ranks.
+        grouped: whether rows have groups.
     """
 
     title: str
+    protocol: str
     note: str
     categories: tuple[str, ...]
     rows: tuple[Row, ...]
     base_rate: tuple[str, ...]
-    ranked: bool
+    grouped: bool
     unknown: tuple[str, ...] = ()
     left_out: str = ""
 
@@ -97,8 +105,10 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
     return sorted(tables, key=key)
 
 
-def score_table(tables: Sequence[ScoreTable], protocol: str, ranks: Mapping[str, int] | None = None) -> Table:
-    """The table of one protocol; `ranks` by method, where they are known."""
+def score_table(
+    tables: Sequence[ScoreTable], protocol: str, groups: Mapping[str, str] | None = None
+) -> Table:
+    """The table of one protocol; `groups` are the letters of each method, where they are known."""
     ordered = best_first(tables, protocol)
     scores = {table.method: table.averages(protocol) for table in ordered}
     categories = {c for by_category in scores.values() for c in by_category}
@@ -107,48 +117,58 @@ def score_table(tables: Sequence[ScoreTable], protocol: str, ranks: Mapping[str,
         method: {c: by_category.get(c, NONE) for c in columns} for method, by_category in scores.items()
     }
     note = PROTOCOL_NOTES.get(protocol, "")
-    baselines = frozenset(table.method for table in ordered if table.baseline)
-    table = _table(f"Protocol “{protocol}”", note, columns, cells, ranks or {}, baselines)
+    table = _table(f"Protocol “{protocol}”", protocol, note, columns, cells)
+    of = {table.method: table for table in ordered}
+    rows = tuple(
+        replace(
+            row,
+            group=(groups or {}).get(row.method, ""),
+            marks=tuple(mark.words for mark in marks_of(of[row.method])),
+            standing=of[row.method].standing,
+        )
+        for row in table.rows
+    )
     shares = [
         next((s for row in cells.values() if (s := row[c].truth_unknown_share) is not None), None)
         for c in columns
     ]
     return replace(
         table,
+        rows=rows,
+        grouped=bool(groups),
+        base_rate=() if BASE_RATE in of else table.base_rate,
         unknown=tuple(map(per_cent, shares)) if any(share is not None for share in shares) else (),
-        left_out=next(filter(None, (of.left_out_line(protocol) for of in ordered)), ""),
+        left_out=next(filter(None, (one.left_out_line(protocol) for one in ordered)), ""),
     )
 
 
-def published_table() -> Table:
-    """The paper's own figures for real recordings."""
+def published_table(published: PublishedTable = REAL) -> Table:
+    """One of the paper's own tables."""
     cells = {
         row.method: {
             category: CategoryAverages(iou=iou, ce=ce)
             for category, iou, ce in zip(CATEGORIES, row.iou, row.ce, strict=True)
         }
-        for row in PUBLISHED
+        for row in published.rows
     }
-    return _table("The paper's real-world results", LABEL, CATEGORIES, cells, {})
+    return _table(f"The paper's results: {published.title}", "paper", LABEL, CATEGORIES, cells)
 
 
 def _table(
     title: str,
+    protocol: str,
     note: str,
     columns: tuple[str, ...],
     cells: Mapping[str, Mapping[str, Averages]],
-    ranks: Mapping[str, int],
-    baselines: Collection[str] = (),
 ) -> Table:
     best_iou = {c: _best(max, [row[c].iou for row in cells.values()]) for c in columns}
     best_ce = {c: _best(min, [row[c].ce for row in cells.values()]) for c in columns}
     rows = tuple(
         Row(
             method,
-            rank_text(ranks, method),
+            "",
             tuple(_cell(row[c].iou, best_iou[c], row[c].intervals.get("iou")) for c in columns),
             tuple(_cell(row[c].ce, best_ce[c], row[c].intervals.get("ce")) for c in columns),
-            method in baselines,
         )
         for method, row in cells.items()
     )
@@ -156,15 +176,7 @@ def _table(
         [row[c].base_rate_ce for row in cells.values() if row[c].base_rate_ce is not None] for c in columns
     ]
     base_rate = tuple(shown(of[0] if of else None) for of in rates) if any(rates) else ()
-    return Table(title, note, columns, rows, base_rate, bool(ranks))
-
-
-def rank_text(ranks: Mapping[str, int], method: str) -> str:
-    """`2`, or `2=` where other methods have the same rank; "" where there is none."""
-    if method not in ranks:
-        return ""
-    shared = list(ranks.values()).count(ranks[method]) > 1
-    return f"{ranks[method]}{'=' if shared else ''}"
+    return Table(title, protocol, note, columns, rows, base_rate, grouped=False)
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None]) -> float | None:
@@ -205,7 +217,7 @@ def _surface(name: str) -> Callable[[Averages], str]:
 # The columns of the table of details. Of the surface metrics it has those with a heading.
 DETAILS: Mapping[str, Callable[[Averages], str]] = {
     "IoU": lambda of: shown(of.iou),
-    "ceiling": lambda of: shown(of.ceiling_iou),
+    CEILING: lambda of: shown(of.ceiling_iou),
     "precision": lambda of: shown(of.precision),
     "recall": lambda of: shown(of.recall),
     "F1": lambda of: shown(of.f1),
@@ -222,6 +234,9 @@ DETAILS: Mapping[str, Callable[[Averages], str]] = {
 }
 
 
+# The side of these baselines limits nothing: every side of a constant gives the same grid.
+CONSTANT = ("empty", BASE_RATE)
+
 # Method, protocol and category; and a text for each of `DETAILS`.
 Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 
@@ -229,7 +244,13 @@ Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
     """Every other figure, a line for each method, protocol and category."""
     return tuple(
-        ((table.method, protocol, category), tuple(text(of) for text in DETAILS.values()))
+        (
+            (table.method, protocol, category),
+            tuple(
+                "–" if name == CEILING and table.method in CONSTANT else text(of)
+                for name, text in DETAILS.items()
+            ),
+        )
         for protocol in protocols(tables)
         for table in tables
         for category, of in table.averages(protocol).items()

@@ -12,11 +12,16 @@ from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.letters import letters
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.uncertainty import MAX_EXACT, holm, sign_flip_ps, smallest_p
 
 ALPHA = 0.05
 ALL = "all"
+GROUPS_NOTE = (
+    "group: methods that share a letter cannot be told apart; of methods that share none a difference is "
+    "shown (paired sign-flip test over objects, 5 %, Holm)"
+)
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,11 @@ class Comparison:
         methods: their names.
         means: {scope: {method: mean}}.
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
+        groups: {scope: {method: letters}}: two methods share a letter if no difference between them is shown.
         differences: of every pair of methods in every scope.
         notes: one line each: where the test set is too small to tell, and how many pairs are left out.
+        too_small: {scope: that it is, in a sentence}, of those where no pair of methods could be told apart.
+        standings: {method: "reported", or "verified" with date and version}.
         truth_unknown_share: {scope: share of the true shapes that is not known}; None in older tables.
         unknown_by_object: the same of every object of the tables, also of those that are left out.
     """
@@ -67,10 +75,13 @@ class Comparison:
     methods: tuple[str, ...]
     means: Mapping[str, Mapping[str, float]]
     ranks: Mapping[str, Mapping[str, int]]
+    groups: Mapping[str, Mapping[str, str]]
     differences: tuple[Difference, ...]
     notes: tuple[str, ...]
     truth_unknown_share: Mapping[str, float | None]
     unknown_by_object: Mapping[str, float]
+    too_small: Mapping[str, str]
+    standings: Mapping[str, str]
 
 
 def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = PRIMARY) -> Comparison:
@@ -93,13 +104,14 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     _same_pairs(tables, names, protocol)
     scopes = [*means[0], *([ALL] if len(means[0]) > 1 else [])]
     columns = [{scope: _values(of, metric, scope) for scope in scopes} for of in means]
-    found, notes = [], []
+    found, notes, small = [], [], {}
     for scope in scopes:
         here = [column[scope] for column in columns]
         found += _differences(names, here, scope, metric)
         count, pairs = len(here[0]), len(names) * (len(names) - 1) // 2
         if pairs * smallest_p(count) > ALPHA:
-            notes.append(_too_small(scope, count, pairs))
+            small[scope] = too_small(count, pairs)
+            notes.append(f"{scope}: {small[scope]}")
         if count > MAX_EXACT:
             notes.append(f"{scope}: {count} objects; a million sign flips drawn, not all")
     averages = {
@@ -107,6 +119,9 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         for scope in scopes
     }
     ranks = {scope: _ranks(names, [d for d in found if d.scope == scope], metric) for scope in scopes}
+    groups = {
+        scope: _groups(averages[scope], [d for d in found if d.scope == scope], metric) for scope in scopes
+    }
     notes += filter(None, [tables[0].left_out_line(protocol)])
     of_truth = tables[0].averages(protocol)
     unknown = {scope: of_truth.get(OVERALL if scope == ALL else scope) for scope in scopes}
@@ -116,10 +131,13 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         names,
         averages,
         ranks,
+        groups,
         tuple(found),
         tuple(notes),
         {scope: None if of is None else of.truth_unknown_share for scope, of in unknown.items()},
         tables[0].truth_unknown_share,
+        small,
+        {name: table.standing for name, table in zip(names, tables, strict=True)},
     )
 
 
@@ -255,10 +273,23 @@ def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str)
     return ranks
 
 
-def _too_small(scope: str, count: int, pairs: int) -> str:
+def _groups(means: Mapping[str, float], differences: Sequence[Difference], metric: str) -> dict[str, str]:
+    """The letters of each method (see `letters`), in the order of `means`."""
+    best_first = sorted(means, key=lambda name: means[name], reverse=metric in SHARES)
+    found = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
+    return {name: found[name] for name in means}
+
+
+def too_small(count: int, pairs: int) -> str:
+    """That no two methods can be told apart, in a sentence.
+
+    Args:
+        count: of objects, or of any other differences.
+        pairs: of methods that are compared.
+    """
     objects = "1 object" if count == 1 else f"{count} objects"
     corrected = f", {min(1.0, pairs * smallest_p(count)):.2g} for {pairs} comparisons" if pairs > 1 else ""
     return (
-        f"{scope}: the test set is too small to tell: with {objects} the smallest possible p is "
+        f"the test set is too small to tell: with {objects} the smallest possible p is "
         f"{smallest_p(count):.2g}{corrected}"
     )

@@ -4,15 +4,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kinectbench.core.artefacts.score_figures import SHARES
+from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
-from kinectbench.scoring.compare import Comparison
+from kinectbench.scoring.compare import GROUPS_NOTE, Comparison
 from kinectbench.scoring.counts import PRIMARY
-from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.published import CATEGORIES, LABEL, PublishedTable, published_beside
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from kinectbench.scoring.wide_table import WideTable
 
 SHOWN_PROTOCOLS = (PRIMARY, "paper")
+TITLE = "IoU (higher is better) / cross-entropy, nats a voxel (lower is better), under the protocol named"
 # Below the tables that have the line `truth unknown`.
 UNKNOWN_NOTE = (
     "truth unknown: of the true shapes' volume, what is a guess; space that nobody saw and that is taken for "
@@ -20,26 +22,30 @@ UNKNOWN_NOTE = (
 )
 
 
-def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table":
+def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideTable":
     """One line per method: IoU and CE (nats a voxel) per category, then overall, under `known` and `paper`.
+
+    In a narrow terminal it is drawn in pieces. Below it stands what sets a method's scores apart, and which
+    of them were rechecked.
 
     Args:
         tables: the methods; beside the name of one that is incomplete stands how many predictions failed.
         published: add the paper's own figures where a category has its name, under a line that says what
             they are.
     """
-    from rich.table import Table
     from rich.text import Text
+
+    from kinectbench.scoring.wide_table import WideTable
 
     protocols = [p for p in SHOWN_PROTOCOLS if any(p in table.settings.protocols for table in tables)]
     categories = sorted({category for table in tables for category in table.thresholds})
     columns = [*categories, OVERALL] if len(categories) > 1 else categories
-    result = Table(title="IoU (higher is better) / cross-entropy (lower is better)", title_justify="left")
+    result = WideTable(title=TITLE)
     result.add_column("method")
     for protocol in protocols:
         for column in columns:
             result.add_column(f"{'all' if column == OVERALL else column}\n{protocol}", justify="right")
-    for group in ([t for t in tables if not t.baseline], [t for t in tables if t.baseline]):
+    for group in ([t for t in tables if not is_baseline(t)], [t for t in tables if is_baseline(t)]):
         for table in group:
             result.add_row(Text(_name(table)), *_cells(table, protocols, columns))
         result.add_section()
@@ -47,33 +53,71 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "Table
     shares = [of[c].truth_unknown_share if c in of else None for of in of_truth for c in columns]
     _add_unknown(result, shares)
     left_out = dict.fromkeys(t.left_out_line(p) for t in tables for p in t.settings.protocols)
-    said = [UNKNOWN_NOTE if _told(shares) else "", *left_out]
-    result.caption, result.caption_justify = "\n".join(filter(None, said)) or None, "left"
+    said = [*_marks(tables), UNKNOWN_NOTE if _told(shares) else "", *left_out]
+    result.caption = "\n".join(filter(None, said)) or None
     if published and "paper" in protocols and set(columns) & set(CATEGORIES):
-        _add_published(result, protocols, columns)
+        recordings = {row.recording for table in tables for row in table.rows}
+        _add_published(result, protocols, columns, published_beside(recordings))
     return result
+
+
+def is_baseline(table: ScoreTable) -> bool:
+    """Whether a table is of a baseline: added, or scored as a method."""
+    return table.baseline or any(mark.kind == BASELINE for mark in table.marks)
 
 
 def _name(table: ScoreTable) -> str:
     """A method's name, with what is to be known before its figures are read."""
+    star = "*" if _own_marks(table) else ""
     if table.by_category is None or table.overall is None:
         count = len(table.failures)
-        return f"{table.method}: {count} prediction{'s' * (count != 1)} failed"
-    return f"{table.method} (baseline)" if table.baseline else table.method
+        return f"{table.method}: {count} prediction{'s' * (count != 1)} failed{star}"
+    return f"{table.method}{' (baseline)' if is_baseline(table) else ''}{star}"
 
 
-def _add_published(table: "Table", protocols: Sequence[str], columns: Sequence[str]) -> None:
-    """The paper's own figures, under one line that says that they are no rivals of those above."""
+def _own_marks(table: ScoreTable) -> list[str]:
+    """The marks of a method; that it is a baseline stands behind its name."""
+    return [mark.words for mark in table.marks if mark.kind != BASELINE]
+
+
+def _marks(tables: Sequence[ScoreTable]) -> list[str]:
+    """What the stars mean, a line for each meaning; and which tables are reported, which verified."""
+    meant: dict[str, list[str]] = {}
+    for table in tables:
+        if words := "; ".join(_own_marks(table)):
+            meant.setdefault(words, []).append(table.method)
+    stands: dict[str, list[str]] = {}
+    for table in tables:
+        stands.setdefault(table.standing, []).append(table.method)
+    return [
+        *(f"* {', '.join(names)}: {words}" for words, names in meant.items()),
+        *(f"{standing}: {', '.join(names)}" for standing, names in stands.items()),
+    ]
+
+
+def _add_published(
+    table: "WideTable",
+    protocols: Sequence[str],
+    columns: Sequence[str],
+    published: Sequence[PublishedTable],
+) -> None:
+    """The paper's own figures, with a line below that says that they are no rivals of those above."""
     table.add_section()
-    table.add_row(f"the paper's own results: {LABEL}", style="dim")
-    for entry in PUBLISHED:
+    signs = "†‡"
+    for sign, of in zip(signs, published, strict=False):
+        line = f"{sign} the paper's own results, {of.title}"
+        table.caption = f"{table.caption or ''}\n{line}".strip()
+    table.caption = f"{table.caption}: {LABEL}"
+    for sign, entry in (
+        (sign, entry) for sign, of in zip(signs, published, strict=False) for entry in of.rows
+    ):
         values = dict(zip(CATEGORIES, zip(entry.iou, entry.ce, strict=True), strict=True))
         cells = [
             _cell(*values[column]) if protocol == "paper" and column in values else ""
             for protocol in protocols
             for column in columns
         ]
-        table.add_row(f"  {entry.method}", *cells, style="dim")
+        table.add_row(f"{entry.method} {sign}", *cells, style="dim")
 
 
 def _told(shares: Sequence[float | None]) -> bool:
@@ -81,7 +125,7 @@ def _told(shares: Sequence[float | None]) -> bool:
     return any(share is not None for share in shares)
 
 
-def _add_unknown(table: "Table", shares: Sequence[float | None]) -> None:
+def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
     """A last line: the share of the true shapes that is not known; none where no table says it."""
     if _told(shares):
         table.add_section()
@@ -102,26 +146,25 @@ def _cell(iou: float | None, ce: float | None) -> str:
     return "" if iou is None or ce is None else f"{iou:.3f} / {ce:.3f}"
 
 
-def comparison_tables(found: Comparison) -> "list[Table]":
-    """Ranks and means of every method, and every pair of methods."""
-    from rich.table import Table
+def comparison_tables(found: Comparison) -> "list[WideTable]":
+    """Groups and means of every method, and every pair of methods."""
     from rich.text import Text
 
+    from kinectbench.scoring.wide_table import WideTable
+
     better = "higher" if found.metric in SHARES else "lower"
-    means = Table(
-        title=f"rank (tied unless significant) and {found.metric} under {found.protocol}, {better} is better",
-        title_justify="left",
-    )
+    means = WideTable(title=f"group and {found.metric} under {found.protocol}, {better} is better")
     means.add_column("method")
     for scope in found.means:
         means.add_column(scope, justify="right")
     for name in found.methods:
-        cells = [f"{found.ranks[scope][name]}  {found.means[scope][name]:.3f}" for scope in found.means]
+        cells = [f"{found.groups[scope][name]}  {found.means[scope][name]:.3f}" for scope in found.means]
         means.add_row(Text(name), *cells)
     shares = [found.truth_unknown_share[scope] for scope in found.means]
     _add_unknown(means, shares)
-    means.caption, means.caption_justify = UNKNOWN_NOTE if _told(shares) else None, "left"
-    pairs = Table(title="differences, object by object", title_justify="left")
+    stands = [f"{name}: {standing}" for name, standing in found.standings.items()]
+    means.caption = "\n".join([GROUPS_NOTE, *stands, *([UNKNOWN_NOTE] if _told(shares) else [])])
+    pairs = WideTable(title="differences, object by object", keep=2)
     for column in ("methods", "scope", "difference", "p", "p (Holm)", ""):
         pairs.add_column(column, justify="left" if column in ("methods", "scope", "") else "right")
     for row in found.differences:

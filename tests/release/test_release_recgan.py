@@ -17,6 +17,7 @@ from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_by
 from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.recgan import export_recgan, import_recgan
 from kinectbench.release.release import open_release
+from kinectbench.scoring.published import REAL, SYNTHETIC, published_beside
 
 KEPT = {"partial", "partial_256", "full", "shell", "T_world_grid", "T_world_camera", "K", "voxel_size_m"}
 
@@ -149,3 +150,33 @@ def test_commands(release: Path, tmp_path: Path):
     assert there.exit_code == 0 and "exported 7 pairs" in there.output
     back = runner.invoke(app, ["import", str(tmp_path / "theirs"), str(tmp_path / "back"), "--json"])
     assert back.exit_code == 0 and json.loads(back.output)["pairs"] == 7
+
+
+def test_same_and_cross_viewing_angles_stay_apart(tmp_path: Path):
+    for group in ("train_125", "val_125", "val_216", "test_125", "test_216"):
+        for kind, cells in (("25d", corner() & (np.arange(256) < 60)), ("3d", corner())):
+            model = {"train": "t", "val": "v", "test": "m"}[group.partition("_")[0]]
+            path = tmp_path / f"in/P1_02828884_bench/{group}_{kind}_vox256/{model}_0_2_0.npz"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(recgan_file_bytes(cells))
+    with pytest.raises(SettingsError, match="test pairs of 125 and 216 views, which the paper scores apart"):
+        import_recgan(tmp_path / "in", tmp_path / "both")
+    with pytest.raises(SettingsError, match="no test pairs of 50 views"):
+        import_recgan(tmp_path / "in", tmp_path / "both", views=50)
+    assert not (tmp_path / "both").exists()
+    for views in (125, 216):
+        assert import_recgan(tmp_path / "in", tmp_path / f"{views}", views=views) == 3
+        release = open_release(tmp_path / f"{views}")
+        assert release.metadata.name == f"in-{views}"
+        assert {t.recording for t in release.targets} == {"t-125", f"v-{views}", f"m-{views}"}
+        beside = published_beside(t.recording for t in release.split("test"))
+        assert [table.views for table in beside] == [views, views]
+    assert published_beside(["m-125", "m-216"]) == published_beside(["chair_01"]) == (REAL,)
+
+
+def test_the_papers_synthetic_tables():
+    assert [table.rows[0].iou[0] for table in SYNTHETIC] == [0.580, 0.531, 0.581, 0.540]
+    for table in SYNTHETIC:
+        assert [row.method for row in table.rows] == [row.method for row in REAL.rows]
+        assert all(table.rows[0].iou[n] == max(row.iou[n] for row in table.rows) for n in range(4))
+        assert all(table.rows[0].ce[n] == min(row.ce[n] for row in table.rows) for n in range(4))

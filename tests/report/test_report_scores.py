@@ -12,7 +12,8 @@ from report_fake_build import parsed_tables, score
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.report import charts, tables
-from kinectbench.report.run import baselines_of, files_in, files_named, rank
+from kinectbench.report.page import Groups
+from kinectbench.report.run import baselines_of, files_in, files_named, grouped
 from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.counts import THRESHOLDS
 
@@ -50,13 +51,13 @@ def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
         ("2.250", True),
         ("–", False),
     ]
-    assert table.base_rate == ("0.260", "0.260") and not table.ranked
+    assert table.base_rate == ("0.260", "0.260") and not table.grouped
 
 
-def test_intervals_and_tied_ranks() -> None:
+def test_intervals_and_groups() -> None:
     parsed = parsed_tables([made("a", 0.5, 1.0, [0.25, 0.7504]), made("b", 0.4, 1.0), made("c", 0.1, 1.0)])
-    table = tables.score_table(parsed, "known", {"a": 1, "b": 1, "c": 3})
-    assert [row.rank for row in table.rows] == ["1=", "1=", "3"] and table.ranked
+    table = tables.score_table(parsed, "known", {"a": "a", "b": "ab", "c": "b"})
+    assert [row.group for row in table.rows] == ["a", "ab", "b"] and table.grouped
     assert [row.iou[0].interval for row in table.rows] == ["0.250–0.750", "", ""]
 
 
@@ -229,16 +230,16 @@ def read(paths: list[Path]) -> list[ScoreTable]:
     return [ScoreTable.read_file(path) for path in paths]
 
 
-def test_ranks_tie_what_cannot_be_told_apart(tmp_path: Path) -> None:
+def test_letters_join_what_cannot_be_told_apart(tmp_path: Path) -> None:
     paths = [
         ranked_file(tmp_path, name, gain) for name, gain in (("low", 0.0), ("top", 0.2), ("as-top", 0.2))
     ]
     paths.insert(1, put(tmp_path, "older"))  # has no rows to test
-    ranks, notes = rank(read(paths), ("known", "occluded"))
-    assert ranks == {"known": {0: 3, 2: 1, 3: 1}}
-    assert any("occluded" in note for note in notes)
-    assert rank(read(paths[:2]), ("known",)) == ({}, ())
+    found = grouped(read(paths), ("known", "occluded"))
+    assert found.letters == {"known": {0: "b", 2: "a", 3: "a"}} and found.too_small == ""
+    assert any("occluded" in note for note in found.notes)
+    assert grouped(read(paths[:2]), ("known",)) == Groups()
     many = [ranked_file(tmp_path, name, gain, objects=45) for name, gain in (("many", 0.1), ("more", 0.2))]
-    ranks, notes = rank(read(many), ("known",))
-    assert ranks == {"known": {0: 2, 1: 1}}
-    assert any("a million sign flips drawn" in note for note in notes)
+    found = grouped(read(many), ("known",))
+    assert found.letters == {"known": {0: "b", 1: "a"}}
+    assert any("a million sign flips drawn" in note for note in found.notes)

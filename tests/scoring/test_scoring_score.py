@@ -15,7 +15,8 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target, open_release
-from kinectbench.scoring.references import CATEGORIES, LABEL, PUBLISHED, base_rates
+from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import score
 from kinectbench.scoring.terminal import score_table
 

@@ -151,7 +151,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
     return len(rows)
 
 
-def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> int:
+def import_recgan(folder: Path, out: Path, progress: Progress | None = None, views: int | None = None) -> int:
     """Write a release of all pairs of files in a folder of the authors' layout.
 
     Files of `kinectbench export` get their names and transforms back. Of others a recording is
@@ -161,18 +161,23 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         folder: holds `P1_<synset>_<category>/`.
         out: a new folder, or a release, which is replaced.
         progress: called with (pairs done, pairs in all).
+        views: which test and validation pairs, by the number in the names of their folders: 125 are the
+            viewing angles of the training pairs (SV in the paper), 216 are others (CV). None: what is there.
 
     Returns:
         The number of pairs.
 
     Raises:
-        SettingsError: no such files there, or `out` holds something else.
+        SettingsError: no such files there, test pairs of several numbers of views and none chosen, or `out`
+            holds something else.
         PairError: a file is damaged, or lacks its counterpart.
         StorageError: the disk is full or read-only.
     """
     exported = folder / EXPORT_JSON
     content = Exported.read(folder) if exported.exists() else Exported()
-    found = _exported(folder, content) if content.pairs else _theirs(folder)
+    if content.pairs and views is not None:
+        raise SettingsError(f"{exported}: a release that was exported has its own split; leave out --views")
+    found = _exported(folder, content) if content.pairs else _one_view_set(_theirs(folder), folder, views)
     if not found:
         raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
     with new_folder(out, BENCHMARK_JSON) as temporary:
@@ -185,7 +190,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
                 progress(done, len(found))
         first = found[0].values
         head = Head(
-            content.name or folder.resolve().name or "imported",
+            content.name or _name(folder, views),
             content.license,
             first.get("framing", "object"),
             first.get("partial_rule", "any"),
@@ -194,6 +199,29 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None) -> 
         )
         write_small_files(head, temporary, tuple(sorted(targets)), _infos(targets), [])
     return len(targets)
+
+
+def _name(folder: Path, views: int | None) -> str:
+    """Of the release: the folder's, with the number of views that was chosen."""
+    return (folder.resolve().name or "imported") + (f"-{views}" if views is not None else "")
+
+
+def _one_view_set(found: list[Found], folder: Path, views: int | None) -> list[Found]:
+    """The pairs with one number of views in test and validation: a mean over several would mean nothing."""
+
+    def number(one: Found) -> int:
+        return int(one.target.recording.rpartition("-")[2])
+
+    there = sorted({number(one) for one in found if one.target.split == "test"})
+    if views is None and len(there) > 1:
+        numbers = " and ".join(map(str, there))
+        raise SettingsError(
+            f"{folder}: test pairs of {numbers} views, which the paper scores apart (125: the viewing angles "
+            f"of training; 216: others); import each into its own release, with --views {there[0]} for one"
+        )
+    if views is not None and views not in there:
+        raise SettingsError(f"{folder}: no test pairs of {views} views; there are {there or 'none'}")
+    return [one for one in found if views is None or one.target.split == "train" or number(one) == views]
 
 
 def _exported(folder: Path, content: Exported) -> list[Found]:

@@ -1,0 +1,57 @@
+"""Groups of methods that cannot be told apart, as letters: a compact letter display.
+
+Not being told apart is not transitive: of three methods the first and the last may differ while the one
+between them differs from neither. Ranks cannot say so; letters can: two methods share one if, and only if, no
+difference between them is shown.
+
+Source: Piepho, An algorithm for a letter-based representation of all-pairwise comparisons, J. Comput. Graph.
+Stat. 13 (2004); here the groups are all maximal cliques, which makes the display right by construction.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from string import ascii_lowercase
+
+
+def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
+    """The letters of each method; in `a` is the best of them.
+
+    Args:
+        names: the methods, the best first, each once.
+        apart: pairs of methods that a difference is shown of.
+
+    Returns:
+        {name: its letters, such as "ab"}: a pair shares a letter if, and only if, it is not in `apart`.
+    """
+    place = {name: index for index, name in enumerate(names)}
+    alike = {
+        name: {other for other in names if other != name and frozenset((name, other)) not in apart}
+        for name in names
+    }
+    groups = sorted(sorted(place[name] for name in group) for group in _maximal_cliques(alike))
+    found = dict.fromkeys(names, "")
+    for index, group in enumerate(groups):
+        for member in group:
+            found[names[member]] += _letter(index)
+    return found
+
+
+def _maximal_cliques(neighbours: dict[str, set[str]]) -> Iterator[set[str]]:
+    """All sets of nodes that are joined pairwise and that no node can be added to.
+
+    Source: Bron and Kerbosch, Commun. ACM 16 (1973), with Tomita's choice of the pivot.
+    """
+    waiting: list[tuple[set[str], set[str], set[str]]] = [(set(), set(neighbours), set())]
+    while waiting:
+        clique, candidates, done = waiting.pop()
+        if not candidates and not done:
+            yield clique
+            continue
+        pivot = max(candidates | done, key=lambda node: len(neighbours[node] & candidates))
+        for node in sorted(candidates - neighbours[pivot]):
+            waiting.append((clique | {node}, candidates & neighbours[node], done & neighbours[node]))
+            candidates, done = candidates - {node}, done | {node}
+
+
+def _letter(index: int) -> str:
+    """a, b, … z, then (27), (28), …: in a row of letters each stays one."""
+    return ascii_lowercase[index] if index < len(ascii_lowercase) else f"({index + 1})"

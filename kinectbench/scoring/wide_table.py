@@ -1,0 +1,79 @@
+"""A table for terminals of any width: what does not fit beside each other stands below each other."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from rich.cells import cell_len
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderResult
+
+BESIDE_CELL = 3  # a border, and a space on both sides
+# A name takes a third of the width, or this, at most; what is longer ends in an ellipsis.
+NAME_SHARE, NAME_CELLS = 3, 30
+
+
+class WideTable(Table):
+    """A table that is drawn in as many pieces as the width asks for; its first columns stand in each of them.
+
+    No cell is wrapped or shortened, but for those of the first column.
+    """
+
+    def __init__(self, *, keep: int = 1, title: str | None = None, caption: str | None = None) -> None:
+        """An empty table.
+
+        Args:
+            keep: how many columns stand in every piece.
+            title: above the first piece.
+            caption: below the last.
+        """
+        super().__init__(title=title, caption=caption)
+        self.keep = keep
+
+    def __rich_console__(self, console: "Console", options: "ConsoleOptions") -> "RenderResult":
+        """Draw the pieces, one below the other."""
+        if self.title:
+            yield Text(str(self.title), style="italic")
+        yield from self._pieces(options.max_width)
+        if self.caption:
+            yield Text(str(self.caption), style="dim")
+
+    def _pieces(self, width: int) -> Iterator[Table]:
+        """The pieces, each no wider than `width`."""
+        most = max(NAME_CELLS, width // NAME_SHARE)
+        widths = [min(self._width(index), most) if index == 0 else self._width(index) for index in
+                  range(len(self.columns))]  # fmt: skip
+        room = width - 1 - sum(widths[: self.keep]) - BESIDE_CELL * self.keep
+        chosen: list[int] = []
+        used = 0
+        for index in range(self.keep, len(self.columns)):
+            widths[index] = min(widths[index], room - BESIDE_CELL)
+            if chosen and used + widths[index] + BESIDE_CELL > room:
+                yield self._piece(chosen, widths)
+                chosen, used = [], 0
+            chosen.append(index)
+            used += widths[index] + BESIDE_CELL
+        yield self._piece(chosen, widths)
+
+    def _width(self, index: int) -> int:
+        """Of the widest line in a column."""
+        column = self.columns[index]
+        texts = [str(column.header), *(str(cell) for cell in column.cells)]
+        return max(cell_len(line) for text in texts for line in [*text.splitlines(), ""])
+
+    def _piece(self, chosen: list[int], widths: list[int]) -> Table:
+        """The first columns and some others."""
+        piece = Table()
+        columns = [*range(self.keep), *chosen]
+        for index in columns:
+            of = self.columns[index]
+            piece.add_column(
+                of.header, justify=of.justify, no_wrap=True, overflow="ellipsis", min_width=1,
+                max_width=max(1, widths[index]),
+            )  # fmt: skip
+        cells = [list(self.columns[index].cells) for index in columns]
+        for row, drawn in zip(self.rows, zip(*cells, strict=True), strict=True):
+            piece.add_row(*drawn, style=row.style, end_section=row.end_section)
+        return piece
