@@ -16,7 +16,7 @@ WRONG = {
     "thresholds saved of baselines": (
         ["score", "--save-thresholds", "t.json"],
         2,
-        "--save-thresholds: of one",
+        "--save-thresholds applies to predictions",
     ),
     "missing": (["score", "mine", "--missing", "zero"], 2, "--missing zero"),
     "upsampling": (["score", "mine", "--upsampling", "corners"], 2, "no upsampling 'corners'"),

@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from kinectbench.core.errors import KinectBenchError, RecordingError, StorageErr
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.lab.evaluate.build import read_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
-from kinectbench.lab.evaluate.run import evaluate_recording
+from kinectbench.lab.evaluate.run import evaluate_recording, make_page
 from kinectbench.lab.evaluate.table import evaluation_table, sections
 from kinectbench.lab.simulate.truth import read_truth, write_truth
 
@@ -65,6 +66,15 @@ def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
     assert len(found["pairs"]["rows"]) == len(found["masks"]["rows"]) == 5
     assert evaluation.pairs and evaluation.pairs.iou
     assert found["pairs"]["iou"]["mean"] == pytest.approx(evaluation.pairs.iou.mean, rel=1e-6)
+
+
+def test_a_pair_of_which_nothing_is_known_stands_on_the_page(written: tuple[Evaluation, Path]):
+    evaluation, _ = written
+    assert evaluation.pairs
+    unknown = replace(evaluation.pairs.rows[0], known_iou=None)
+    pairs = replace(evaluation.pairs, rows=(unknown, *evaluation.pairs.rows[1:]))
+    page = make_page("chair", replace(evaluation, pairs=pairs), {})
+    assert f"<td>{unknown.iou:.4f}</td><td>–</td>" in page
 
 
 def test_pictures_show_what_they_should(written: tuple[Evaluation, Path]):
