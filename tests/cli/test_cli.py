@@ -268,7 +268,8 @@ def test_baselines_are_scored_without_predictions(command: Command, scored: Path
         assert rows[0] == rows[1]
     assert not (tmp_path / "predictions").exists() and not (tmp_path / "memory" / "baselines").exists()
     page = (tmp_path / "memory" / "index.html").read_text()
-    assert "silhouette" in page and ">baseline</span>" not in page
+    assert "silhouette" in page
+    assert all(f'{name} <span class="badge plain">baseline</span>' in page for name in METHODS)
 
 
 def test_the_baselines_stand_beside_a_method(command: Command, release: Release, tmp_path: Path) -> None:
