@@ -1,5 +1,6 @@
 """Masks that come with a recording, in each layout that has a place for them."""
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -32,7 +33,7 @@ def true_mask(recording: Path, index: int) -> np.ndarray:
     return np.asarray(image) > 0
 
 
-@pytest.mark.parametrize("layout", ["folder", "bop", "wildrgbd"])
+@pytest.mark.parametrize("layout", ["tum", "folder", "bop", "wildrgbd"])
 def test_masks_are_those_of_their_frames(layout: str, tmp_path: Path) -> None:
     recording = recorded(tmp_path / "mug", layout)
     opened = open_recording(recording, CameraSettings())
@@ -45,6 +46,7 @@ def test_masks_are_those_of_their_frames(layout: str, tmp_path: Path) -> None:
 
 def test_masks_by_hand_beside_a_tum_folder(tmp_path: Path) -> None:
     recording = recorded(tmp_path / "mug", "tum")
+    shutil.rmtree(recording / "masks")
     opened = open_recording(recording, CameraSettings())
     assert [opened.frame(index).mask for index in range(FRAMES)] == [None] * FRAMES
     (recording / "masks").mkdir()
