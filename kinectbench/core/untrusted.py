@@ -30,6 +30,7 @@ UNPACKED_BYTES = 256 << 20
 # What a whole file may unpack to, as a multiple of itself: bags and releases shrink to a third or a tenth,
 # rendered depth to a thirtieth (own choice); and by how much a small file may exceed it.
 MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
+# Read and written at a time: enough that a call costs nothing beside it (own choice).
 COPIED_BYTES = 1 << 20
 
 

@@ -8,6 +8,7 @@ from typing import IO
 # The end record, the locator of the one for large files (zip64), and that: see APPNOTE, 4.3.14 to 16.
 _END, _LOCATOR, _END_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 _END_BYTES, _LOCATOR_BYTES, _END_64_BYTES = 22, 20, 56
+# The format counts its bytes in 16 bits; and what may lie between the members (own choice).
 MOST_COMMENT_BYTES = 0xFFFF
 # A file's row in the directory: 46 bytes, its name and times (own choice; long names are no part of ours).
 ROW_BYTES = 1 << 10

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"\x93NUMPY"
+# numpy's own bound of a header (np.lib.format); of types only numbers, bools and short texts.
 MAX_HEADER_BYTES = 10_000
 PLAIN_TYPE = re.compile(r"[<>|=]?(?:[?bBiufcO][0-9]{0,2}|U[1-9][0-9]{0,5})")
 CHUNK_BYTES = 1 << 20
