@@ -27,7 +27,7 @@ FRAMES = 5
 CAMERA = Camera(160, 120, 131.25, 131.5, 79.5, 59.25)
 CRATE = OrientedBox((0.0, 0.0, 0.2), (0.5, 0.4, 0.4))
 START_NS, STEP_NS = 1_400_000_000 * 10**9, 200_000_000
-WITHOUT_POSES = ("realsense", "realsense_old", "klg", "redwood_zip")
+WITHOUT_POSES = ("realsense", "realsense_old", "klg", "redwood_zip", "azure_kinect")
 # Poses are text with nine decimals, float32, or what is left of a matrix that was made a quaternion.
 POSE_TOLERANCE = 2e-7
 
@@ -66,7 +66,7 @@ def source() -> Source:
         jpeg = cv2.imencode(".jpg", bgr)[1].tobytes()
         rgb = np.ascontiguousarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1)[..., ::-1])
         stamp_ns = START_NS + i * STEP_NS
-        frames.append(Stored(stamp_ns, mm / np.float32(1000), stamp_ns, rgb, T, None, jpeg))
+        frames.append(Stored(stamp_ns, mm / np.float32(1000), stamp_ns, rgb, T, jpeg=jpeg))
     mask = depth_of([surface], CAMERA, poses[2]) > 0
     fit = ViewFit(int(mask.sum()), 1.0, 0.0, 0.0, 1.0, 0.0)
     view = View("000", 2, frames[2].stamp_ns, "random", Alignment(poses[2], 0.0, 0.0), mask, fit)

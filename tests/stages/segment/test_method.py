@@ -23,6 +23,7 @@ ASIDE = {
     "floor": "the floor, which floor.json has with how well it was measured",
     "grids": "extents of grids, which every volume has",
     "near": "how near the cameras were: floor.json has it as `scale`",
+    "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
     "select": "what is chosen, as above",
     "support": "whether the floor is a table, as above",

@@ -44,5 +44,5 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
         "estimated IoU of the solid to the truth: 0.70 only because of "
     )
     assert ("an opening that nobody" in lines[0]) == told
-    remedies = [line for line in lines for words in ("closer", "walk around", "low down") if words in line]
+    remedies = [line for line in lines for words in ("closer", "all sides", "low down") if words in line]
     assert len(remedies) == (0 if told else 3)

@@ -32,16 +32,17 @@ def loop(a: int, b: int, believed: bool = True) -> dict[str, object]:
 
 
 def trajectory_of(poses: np.ndarray, **changes: object) -> Trajectory:
-    """With the health figures that are drawn; every third frame is a keyframe, each sees all."""
+    """With the health figures that are drawn; every third frame is a keyframe, the 60 compared see all."""
     n = len(poses)
     posed = np.isfinite(poses).all(axis=(1, 2))
     keyframes = [int(k) for k in np.flatnonzero(posed)[::3]]
+    compared = keyframes[:: len(keyframes) // 60 + 1]
     figures = {
         "keyframes": keyframes,
         "loops": [],
         "lost_stretches": [],
         "rejected": [],
-        "covisibility": {"keyframes": keyframes, "share": np.ones((len(keyframes),) * 2).tolist()},
+        "covisibility": {"keyframes": compared, "share": np.ones((len(compared),) * 2).tolist()},
         "per_frame": [
             {
                 "frame": i,
