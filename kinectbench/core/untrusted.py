@@ -6,6 +6,7 @@ text may steer the terminal that it is printed to. What is refused is an `OSErro
 reason, as if the system had refused it: who reports files that cannot be read reports these, too.
 """
 
+import codecs
 import errno
 import os
 import re
@@ -104,10 +105,35 @@ def read_plain_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
     """A UTF-8 text, with or without a byte order mark, whatever the locale.
 
     Raises:
-        OSError: as `read_plain`.
+        OSError: as `read_plain`; EFBIG: it takes more in memory.
         UnicodeDecodeError: it is not UTF-8.
     """
-    return read_plain(path, most_bytes).decode("utf-8-sig")
+    return decoded(read_plain(path, most_bytes).removeprefix(codecs.BOM_UTF8), most_bytes, str(path))
+
+
+def decoded(content: bytes, most_bytes: int, where: str) -> str:
+    """UTF-8 bytes as a text.
+
+    One character that takes two or four bytes in memory makes all others of a text as wide.
+
+    Args:
+        content: in UTF-8.
+        most_bytes: that the text may take in memory.
+        where: what the error names.
+
+    Raises:
+        OSError: EFBIG: it takes more.
+        UnicodeDecodeError: it is not UTF-8.
+    """
+    if 4 * len(content) > most_bytes and not content.isascii():
+        width = next((width for width, sign in _WIDTHS if sign.search(content)), 1)
+        if width * len(content) > most_bytes:
+            raise OSError(errno.EFBIG, f"takes more than {most_bytes} bytes as a text", where)
+    return content.decode()
+
+
+# The first byte, in UTF-8, of a character that takes so many bytes in memory (PEP 393).
+_WIDTHS = ((4, re.compile(rb"[\xf0-\xff]")), (2, re.compile(rb"[\xc4-\xff]")))
 
 
 def below(folder: Path, name: str) -> Path:

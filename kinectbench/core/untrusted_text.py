@@ -7,25 +7,43 @@ in JSON takes three characters and fifty bytes of memory.
 import csv
 import io
 import json
+import re
 from typing import Any, NoReturn
 
-# Values in one text: those of a quarter of a million lines of targets.csv, or of a hundred thousand pairs'
-# scores. Two million keys with a number each take 205 MB (own choice).
+# Values in one text: those of a quarter of a million lines of targets.csv, of seventy thousand rows of
+# scores, or of a benchmark.json of five thousand recordings. Read as a model, a value takes 150 bytes, and
+# an object 700: it counts as three (own choice).
 MOST_VALUES = 2_000_000
+OBJECT_VALUES = 3
+# A key takes 330 bytes where it is first seen: ids of recordings, or pairs (own choice).
+MOST_KEYS = 300_000
+# One escaped character beyond U+FFFF makes all of a string four bytes wide (own choice).
+WIDE_CHARACTERS = 16 << 20
+_FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
 def strict_json(text: str) -> Any:
     """Parse JSON without NaN and infinities.
 
     Raises:
-        ValueError: it is malformed, or has too many values; RecursionError: it is nested without end.
+        ValueError: it is malformed, or has too many values or keys; RecursionError: it is nested without end.
     """
+    keys = set[str]()
 
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not JSON")
 
-    _check_values(text, ",[{")
-    return json.loads(text, parse_constant=refuse)
+    def counted(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(pairs) <= MOST_KEYS:
+            keys.update(key for key, _ in pairs)
+        if max(len(keys), len(pairs)) > MOST_KEYS:
+            raise ValueError(f"it has more than {MOST_KEYS} keys")
+        return dict(pairs)
+
+    _check_values(text, ",[" + "{" * OBJECT_VALUES)
+    if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):
+        raise ValueError(f"it has more than {WIDE_CHARACTERS} characters, some beyond U+FFFF")
+    return json.loads(text, parse_constant=refuse, object_pairs_hook=counted)
 
 
 def csv_rows(text: str) -> list[list[str]]:

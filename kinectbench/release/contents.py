@@ -14,7 +14,7 @@ from typing import IO, Any
 from kinectbench.core import untrusted_text
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.untrusted import read_plain
+from kinectbench.core.untrusted import decoded, read_plain
 
 CARD = "README.md"
 READING = "READING.md"
@@ -31,6 +31,9 @@ CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
 LINK = "a link; in an archive only plain files are read"
 MAX_READ_BYTES = 64 << 20
+# A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to 1
+# GiB, and shrinks to a tenth or less (own choice).
+MOST_FILE_BYTES = 256 << 20
 # What zipfile, tarfile and gzip raise for damaged files; RuntimeError: the entry is encrypted; ValueError and
 # OverflowError: sizes and places that no file has.
 DAMAGED = (
@@ -102,8 +105,11 @@ class Contents:
         """Open a file that has no problem.
 
         Raises:
-            ReleaseError: its bytes are damaged, or cannot be read.
+            ReleaseError: it is larger than any file of a release, its bytes are damaged, or cannot be read.
         """
+        size = self.entries[name].size
+        if size > MOST_FILE_BYTES:
+            raise ReleaseError(f"{name}: {size} bytes are more than a file of a release can have")
         try:
             with self.entries[name].opener() as file:
                 yield file
@@ -120,9 +126,10 @@ class Contents:
             ReleaseError: as `read`, or it is no UTF-8.
         """
         try:
-            return self.read(name, limit).decode()
-        except UnicodeDecodeError as error:
-            raise ReleaseError(f"{name}: cannot be read ({error}); make or download it again") from error
+            return decoded(self.read(name, limit), limit, name)
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
 
 
 def read_text(path: Path) -> str:
@@ -132,7 +139,7 @@ def read_text(path: Path) -> str:
         ReleaseError: it cannot be read.
     """
     try:
-        return read_plain(path, MAX_READ_BYTES).decode()
+        return decoded(read_plain(path, MAX_READ_BYTES), MAX_READ_BYTES, str(path))
     except FileNotFoundError:
         raise ReleaseError(f"{path}: missing; make or download it again") from None
     except (OSError, UnicodeDecodeError) as error:

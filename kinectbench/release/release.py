@@ -18,9 +18,9 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import decoded, printable
 from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
-from kinectbench.release.contents import published_bytes, read_text
+from kinectbench.release.contents import MAX_READ_BYTES, published_bytes, read_text
 
 FIRST_LINE = 2  # of targets.csv that holds a target
 
@@ -99,9 +99,9 @@ class Release:
             ReleaseError: as `content`, or it is no UTF-8.
         """
         try:
-            return self.content(name).decode()
-        except UnicodeDecodeError as error:
-            raise ReleaseError(f"{self.folder / name}: not a UTF-8 text ({error})") from error
+            return decoded(self.content(name), MAX_READ_BYTES, name)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ReleaseError(f"{self.folder / name}: not a readable text ({error})") from error
 
     @cached_property
     def by_recording(self) -> dict[str, list[Target]]:

@@ -22,6 +22,9 @@ from kinectbench.core.untrusted import printable
 MAX_VERTICES = MAX_TRIANGLES = 1 << 20
 # The end of a finely cut cylinder is a polygon of so many corners.
 MAX_CORNERS = 1024
+# Of a .ply as text: a closed surface of so many triangles has 9.4 million with normals and colours.
+MAX_NUMBERS = 12 << 20
+PIECE_BYTES = 1 << 20
 MAX_HEADER_BYTES = 64 << 10
 MAX_PROPERTIES = 100
 # Rows of a ply file that are looked at together: some 10 MB.
@@ -32,6 +35,7 @@ _LONG = {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i
 TYPES = {**_SHORT, **_LONG, "float": "f4", "float32": "f4", "double": "f8", "float64": "f8"}
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 OBJ_LINES = re.compile(rb"^[ \t]*[vf][ \t][^\n]*", re.MULTILINE)
+SPACE = re.compile(rb"\s")
 CORNER_LISTS = ("vertex_index", "vertex_indices")
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -81,7 +85,7 @@ def read_ply(content: bytes) -> Triangles:
             needed stands before the faces, a face has a corner that is no vertex, or there are too many.
     """
     order, elements, offset = _header(content)
-    data = _numbers(content[offset:]) if order == "" else np.frombuffer(content, np.uint8)[offset:]
+    data = _numbers(content, offset) if order == "" else np.frombuffer(content, np.uint8)[offset:]
     position, vertices = 0, None
     for element in elements:
         if element.name == "face" and vertices is not None:
@@ -173,14 +177,24 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
     return order, found, line_end + 1
 
 
-def _numbers(text: bytes) -> NDArray[Any]:
-    """The numbers of a text."""
+def _numbers(content: bytes, start: int) -> NDArray[np.float64]:
+    """The numbers of a text, from a byte on; a piece at a time is split."""
+    numbers, count = np.empty(min(MAX_NUMBERS, (len(content) - start) // 2 + 1)), 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a word that is no number
-        try:
-            return np.fromstring(text + b" ", sep=" ")
-        except (ValueError, DeprecationWarning):
-            raise ValueError("a word that is no number") from None
+        while start < len(content):
+            space = SPACE.search(content, start + PIECE_BYTES)
+            end = space.end() if space else len(content)
+            words = content[start:end].strip()
+            try:
+                part = np.fromstring(words, sep=" ") if words else np.zeros(0)
+            except (ValueError, DeprecationWarning):
+                raise ValueError("a word that is no number") from None
+            if count + len(part) > len(numbers):
+                raise ValueError(f"more than {MAX_NUMBERS} numbers; write it as binary, or submit a grid")
+            numbers[count : count + len(part)] = part
+            start, count = end, count + len(part)
+    return numbers[:count]
 
 
 def _column(rows: NDArray[Any], element: _Element, name: str) -> NDArray[np.float64]:

@@ -132,7 +132,7 @@ def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
 
 def _step(value: float, where: str) -> float:
     """The threshold k / 20 that a number stands for."""
-    k = round(value * STEPS)
-    if k not in THRESHOLD_STEPS or abs(value - k / STEPS) > 1e-9:
-        raise SettingsError(f"{where} is {value!r}: it must be one of 0.1, 0.15, ... 0.9")
-    return k / STEPS
+    for k in THRESHOLD_STEPS:
+        if abs(value - k / STEPS) <= 1e-9:
+            return k / STEPS
+    raise SettingsError(f"{where} is {value!r}: it must be one of 0.1, 0.15, ... 0.9")

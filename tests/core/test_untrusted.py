@@ -34,6 +34,20 @@ def odd(tmp_path):
     return tmp_path
 
 
+@pytest.mark.parametrize(
+    ("sign", "count", "taken"),
+    [("a", 99, True), ("é", 49, True), ("€", 16, True), ("€", 40, False), ("😀", 26, False)],
+)
+def test_a_text_is_bounded_by_what_it_takes_in_memory(tmp_path, sign, count, taken):
+    path = tmp_path / "a.txt"
+    path.write_text(sign * count, encoding="utf-8")
+    if taken:
+        assert read_plain_text(path, 100) == sign * count
+        return
+    with pytest.raises(OSError, match=r"takes more than 100 bytes as a text|larger than the 100"):
+        read_plain_text(path, 100)
+
+
 @pytest.mark.parametrize("name", ["pipe", "zero", "linked_pipe", "folder", "socket"])
 @pytest.mark.parametrize("read", [open_plain, read_head, read_plain_text, lambda path: read_plain(path, 9)])
 def test_what_is_no_plain_file_is_refused_at_once(odd, name, read):

@@ -16,7 +16,7 @@ SECONDS = 15.0
 REGRESSIONS = sorted((Path(__file__).parents[2] / "benchmarks" / "fuzz" / "regressions").glob("*.tar.gz"))
 
 
-@pytest.mark.parametrize("name", ["predictions", "recordings"])
+@pytest.mark.parametrize("name", FUZZERS)
 def test_fifteen_seconds_find_nothing(name: str, tmp_path: Path) -> None:
     result = fuzz(FUZZERS[name], SECONDS, 0, tmp_path)
     assert result.inputs > 0

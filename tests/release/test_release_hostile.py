@@ -122,6 +122,14 @@ def test_pairs_that_are_no_files(copy: Path, tmp_path: Path, odd: Callable[[Path
         assert verify(copy) == [f"{PAIR}: not a plain file"]
 
 
+@pytest.mark.parametrize("name", ["LICENSE", MESH, PAIR, "index.html", "SHA256SUMS"])
+def test_a_file_larger_than_any_of_a_release_is_not_hashed(copy: Path, name: str) -> None:
+    os.truncate(copy / name, 1 << 40)
+    with within(5, 50):
+        lines = verify(copy)
+    assert any(line.startswith(f"{name}: ") and "more than" in line for line in lines), lines
+
+
 def refused_everywhere(release: Release, tmp_path: Path, line: str) -> None:
     """A pair is refused by whatever reads it."""
     target = next(target for target in release.targets if target.file == PAIR)

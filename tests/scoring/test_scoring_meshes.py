@@ -1,6 +1,7 @@
 """Meshes of strangers: every form is the same mesh, and what would cost too much is refused in time."""
 
 import struct
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from peak_memory import peak_mb
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.scoring.mesh_files import read_obj, read_ply
+from kinectbench.scoring.mesh_files import MAX_TRIANGLES, read_obj, read_ply
+from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES
 from kinectbench.scoring.prediction_file import load_prediction
 
 VOXEL_M = 0.004
@@ -129,3 +132,88 @@ def test_what_costs_too_much_is_refused_in_time(name: str, tmp_path: Path) -> No
         load_prediction(path, "chair_01/000", VOXEL_M)
     assert time.process_time() - started < 10
     assert len(str(caught.value)) < 250 and str(caught.value).isprintable()
+
+
+READ = """
+import sys
+from pathlib import Path
+from kinectbench.scoring.prediction_file import load_prediction
+assert load_prediction(Path(sys.argv[1]), None, 0.004).any()
+"""
+
+
+def largest(layers: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A million triangles: so many sheets of the grid's width, and small tetrahedra."""
+    sheet = trimesh.creation.box(bounds=[[0, 0, 0], [1.024, 1.024, 0.002]])
+    small = trimesh.creation.box(bounds=[[0, 0, 0], [0.002] * 3])
+    count = (MAX_TRIANGLES - 12 * layers) // 12
+    at = np.stack(np.unravel_index(np.arange(count), (50, 50, 50)), axis=1) * 0.02 + 0.001
+    corners = [(sheet.vertices[None] + np.arange(layers)[:, None, None] * [0, 0, 0.012]).reshape(-1, 3)]
+    corners.append((small.vertices[None] + at[:, None]).reshape(-1, 3))
+    faces = [sheet.faces + 8 * n for n in range(layers)]
+    faces.append((small.faces[None] + 8 * (layers + np.arange(count)[:, None, None])).reshape(-1, 3))
+    return np.concatenate(corners), np.concatenate(faces)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is told by Linux's /proc")
+@pytest.mark.parametrize("order", ["<", " "])
+def test_the_largest_mesh_takes_less_than_500_mb(order: str, tmp_path: Path) -> None:
+    """With Python and its libraries, which take 160 MB of it; in bytes, and in a text of 64 MB."""
+    vertices, faces = largest(layers=25)
+    if order == "<":
+        rows = np.zeros(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+        rows["count"], rows["corners"] = 3, faces
+        data = vertices.astype("<f4").tobytes() + rows.tobytes()
+    else:
+        data = "".join(f"{x:.4g} {y:.4g} {z:.4g}\n" for x, y, z in vertices).encode()
+        data += "".join(f"3 {a} {b} {c}\n" for a, b, c in faces.tolist()).encode()
+    content = ply(len(vertices), len(faces), data, form="" if order == "<" else "ascii")
+    path = tmp_path / "000.ply"
+    path.write_bytes(content + b" " * (MAX_MESH_BYTES - len(content)))
+    assert peak_mb(READ, str(path)) < 450
+
+
+def test_numbers_are_split_a_piece_at_a_time() -> None:
+    points = np.random.default_rng(0).random((60_000, 3))
+    text = "".join(f"{x!r} {y!r}\n{z!r}\t" for x, y, z in points.tolist()).encode()
+    content = ply(len(points), 1, text + b" " * (3 << 20) + b"3 0 1 2", form="ascii")
+    assert len(text) > 3 << 20
+    vertices, triangles = read_ply(content)
+    np.testing.assert_array_equal(vertices, points)
+    np.testing.assert_array_equal(triangles, [[0, 1, 2]])
+    with pytest.raises(ValueError, match="more than 12582912 numbers"):
+        read_ply(ply(3, 1, b"0 " * (13 << 20), form="ascii"))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_mesh_is_closed_as_trimesh_says(seed: int, tmp_path: Path) -> None:
+    """Spheres and boxes, whole, or with a face lost, turned or added; corners at one place, or shared."""
+    random = np.random.default_rng(seed)
+    mesh = [BOX, trimesh.creation.icosphere(2, 0.3).apply_translation([0.5] * 3)][seed % 2].copy()
+    vertices, faces = mesh.vertices, mesh.faces.copy()
+    at = random.integers(len(faces))
+    change = seed // 2 % 6
+    if change == 1:
+        faces = np.delete(faces, at, axis=0)
+    elif change == 2:
+        faces[at] = faces[at, ::-1]
+    elif change == 3:
+        faces = np.concatenate([faces, faces[[at]]])
+    elif change == 4:
+        faces = np.concatenate([faces, faces[[at], ::-1]])
+    elif change == 5:
+        faces = np.concatenate([faces, faces + len(vertices)])
+        vertices = np.concatenate([vertices, 0.5 * vertices])
+    if random.random() < 0.5:
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+        vertices = vertices + random.choice([-1e-10, 0, 1e-10], vertices.shape)
+    expected = trimesh.Trimesh(vertices, faces, process=False)
+    expected.merge_vertices()
+    text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
+    text += "".join(f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist())
+    (tmp_path / "000.obj").write_text(text)
+    if expected.is_watertight and expected.is_winding_consistent:
+        assert load_prediction(tmp_path / "000.obj", "a", VOXEL_M).any()
+        return
+    with pytest.raises(PredictionError, match="not closed"):
+        load_prediction(tmp_path / "000.obj", "a", VOXEL_M)

@@ -89,6 +89,7 @@ def test_threshold_file(tmp_path: Path) -> None:
         ({"thresholds": {"chair": True}}, "'thresholds.chair': Input should be a valid number"),
         ({"thresholds": {"chair": "0.5"}}, "'thresholds.chair': Input should be a valid number"),
         ({"thresholds": {"chair": 1e300}}, "must be one of"),
+        ({"thresholds": {"chair": -1.7e308}}, "must be one of"),
         ({"thresholds": {"chair": 0.5}, "objects": "red"}, "'objects': Input should be a valid array"),
         ({"thresholds": {"chair": 0.5}, "objects": ["red"]}, r"on objects of the test split \(red\)"),
     ],

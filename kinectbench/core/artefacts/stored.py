@@ -18,6 +18,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    FailFast,
     GetCoreSchemaHandler,
     PlainSerializer,
     SerializerFunctionWrapHandler,
@@ -29,27 +30,38 @@ from pydantic import (
     model_validator,
 )
 from pydantic_core import CoreSchema
+from pydantic_core.core_schema import DictSchema, ListSchema, TupleSchema
 
 from kinectbench.core.errors import KinectBenchError, StorageError
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import TEXT_BYTES, printable, read_plain_text
+from kinectbench.core.untrusted import printable, read_plain_text
 from kinectbench.core.untrusted_text import strict_json
 
+# Of one file: 32 bytes for each value that it may have.
+JSON_BYTES = 64 << 20
 # Of one file that are written out as Python's values, a kilobyte each (own choice).
 MOST_ERRORS = 1000
 
 
-def _leave_lists_early(schema: Any) -> None:
-    """Set pydantic's `fail_fast` in all lists and tuples of a core schema."""
+# What can be left at its first wrong entry; mappings since pydantic 2.13.
+EARLY = [
+    kind
+    for kind, schema in (("tuple", TupleSchema), ("list", ListSchema), ("dict", DictSchema))
+    if "fail_fast" in schema.__annotations__
+]
+
+
+def _leave_early(schema: Any) -> None:
+    """Set pydantic's `fail_fast` in all lists, tuples and mappings of a core schema."""
     if isinstance(schema, list):
         for part in schema:
-            _leave_lists_early(part)
+            _leave_early(part)
     elif isinstance(schema, dict):
-        if schema.get("type") in ("tuple", "list"):
+        if schema.get("type") in EARLY:
             schema["fail_fast"] = True
         for part in schema.values():
-            _leave_lists_early(part)
+            _leave_early(part)
 
 
 class Part(BaseModel):
@@ -71,9 +83,9 @@ class Part(BaseModel):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """As pydantic makes it, but a list is left at its first wrong entry: each has half a kilobyte."""
+        """As pydantic makes it, but a list or a mapping is left at its first wrong entry, half a kilobyte."""
         schema = handler(source)
-        _leave_lists_early(schema)
+        _leave_early(schema)
         return schema
 
     # A return type would take the place of the model's JSON schema in mode "serialization".
@@ -103,7 +115,7 @@ class Stored(Part):
     FILE: ClassVar[str]
     ADVICE: ClassVar[str] = "`kinectbench build --force` makes it again"
     ERROR: ClassVar[type[KinectBenchError]] = StorageError
-    MAX_BYTES: ClassVar[int] = TEXT_BYTES
+    MAX_BYTES: ClassVar[int] = JSON_BYTES
 
     def text(self) -> str:
         """The file's content."""
@@ -150,19 +162,26 @@ class Stored(Part):
             KinectBenchError: `cls.ERROR`, in one line that names the first key that is wrong.
         """
         try:
-            strict_json(text)
+            if missing := cls._missing(strict_json(text)):
+                raise cls.ERROR(f"{where}: '{missing}': Field required; {cls.ADVICE}")
             return cls.validated(text)
         except ValidationError as error:
             if error.error_count() > MOST_ERRORS:
                 told = f"{error.error_count()} values are not as they should be"
                 raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
-            first = error.errors()[0]
+            first = error.errors(include_input=False)[0]
             key = ".".join(str(part) for part in first["loc"])
             why = first["msg"].removeprefix("Value error, ")
             told = f"'{printable(key)}': {printable(why, 200)}" if key else why
             raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
         except (ValueError, RecursionError) as error:
             raise cls.ERROR(f"{where}: not valid JSON ({error}); {cls.ADVICE}") from error
+
+    @classmethod
+    def _missing(cls, content: Any) -> str:
+        """The first key that an object lacks, or ""; pydantic would copy the object for each of them."""
+        keys = (field.alias or name for name, field in cls.model_fields.items() if field.is_required())
+        return next((key for key in keys if isinstance(content, dict) and key not in content), "")
 
     @classmethod
     def validated(cls, text: str) -> Self:
@@ -174,10 +193,15 @@ class Bare(Stored):
     """A whole file that is the value of the model's one field, such as a list of rows without a key."""
 
     @classmethod
+    def _missing(cls, content: Any) -> str:
+        return ""
+
+    @classmethod
     def validated(cls, text: str) -> Self:
         """The value of the one field, from the whole text."""
         ((name, field),) = cls.model_fields.items()
-        kind: TypeAdapter[Any] = TypeAdapter(field.rebuild_annotation())
+        early: Any = Annotated[field.rebuild_annotation(), FailFast()]
+        kind: TypeAdapter[Any] = TypeAdapter(early)
         value = kind.validate_json(text, strict=True, by_alias=True, by_name=False)
         return cls(**{name: value})
 

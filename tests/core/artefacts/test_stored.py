@@ -1,8 +1,11 @@
 """A stored value is in the units of memory by a field's name, and in those of the file by its key."""
 
 import json
+import sys
+from pathlib import Path
 
 import pytest
+from peak_memory import peak_mb
 from pydantic import ValidationError
 
 from kinectbench.core.artefacts.object import FloorFile
@@ -75,3 +78,40 @@ def test_an_array_is_of_numbers_alone(plane: object) -> None:
         FloorFile.parse(json.dumps(content), "here")
     sound = FloorFile.parse(json.dumps(content | {"plane_world": [0, 0.0, 1, 10**30]}), "here")
     assert sound.plane_world.tolist() == [0.0, 0.0, 1.0, 1e30]
+
+
+READ = """
+import sys
+from kinectbench.core.artefacts import scores, sequence
+from kinectbench.core.errors import StorageError
+from pathlib import Path
+try:
+    {"scores.json": scores.ScoreTable, "frames.json": sequence.FramesFile}[Path(sys.argv[1]).name].read_file(
+        Path(sys.argv[1])
+    )
+except StorageError as error:
+    assert sys.argv[2] in str(error), error
+"""
+STRINGS = json.dumps([f"s{n}" for n in range(1_900_000)])
+COSTLY = {
+    "keys": ("scores.json", "{" + ",".join(f'"k{n}":0' for n in range(1_900_000)) + "}", "300000 keys"),
+    "objects": ("scores.json", '{"x":[' + ",".join(['{"a":0}'] * 990_000) + "]}", "2000000 values"),
+    "a key that lacks": ("scores.json", f'{{"x":{STRINGS}}}', "'method': Field required"),
+    "wrong rows": ("frames.json", "[" + ",".join(['{"a":0}'] * 490_000) + "]", "'0.index': Field required"),
+    "wrong values": (
+        "scores.json",
+        '{"method":"a","base_rate":{' + ",".join(f'"k{n}":{{}}' for n in range(290_000)) + "}}",
+        "'base_rate.k0.value': Field required",
+    ),
+    "wide": ("scores.json", '{"x":"\U0001f600' + "a" * (60 << 20) + '"}', "as a text"),
+    "wide by an escape": ("scores.json", '{"x":"\\ud83d\\ude00' + "a" * (60 << 20) + '"}', "beyond U+FFFF"),
+}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is told by Linux's /proc")
+@pytest.mark.parametrize("name", COSTLY)
+def test_the_costliest_texts_take_less_than_500_mb(name: str, tmp_path: Path) -> None:
+    """With Python and its libraries, which take 45 MB of it."""
+    file, text, line = COSTLY[name]
+    (tmp_path / file).write_text(text, encoding="utf-8")
+    assert peak_mb(READ, str(tmp_path / file), line) < 450
