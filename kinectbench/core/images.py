@@ -1,22 +1,17 @@
 """Depth, colour and masks of a view as pictures, their encoding into the page, and how sharp they are."""
 
 import base64
-import math
-import struct
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Bools, Float64, Rgb
-from kinectbench.core.untrusted import read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 
 NO_DEPTH = 40
-# Of a view's picture: 8192 a side (own choice).
-MOST_PIXELS, IMAGE_BYTES = 1 << 26, 1 << 27
-# Before a JPEG's size; each thumbnail, profile or note has one or some (own choice).
-MOST_SEGMENTS = 1000
 CONTOUR_RGB = (255, 120, 20)
 
 
@@ -91,34 +86,13 @@ def read_gray(path: Path) -> NDArray[np.uint16]:
     return pixels.astype(np.uint16)
 
 
-def _decode(path: Path, flag: int) -> NDArray[np.generic]:
-    import cv2
-
+def _decode(path: Path, mode: int) -> NDArray[np.generic]:
     try:
         data = read_plain(path, IMAGE_BYTES)
-    except OSError as error:
+        image_head(data)
+        return decoded(data, mode)
+    except (OSError, ValueError) as error:
         raise _unreadable(path) from error
-    if not 0 < picture_pixels(data) <= MOST_PIXELS:
-        raise _unreadable(path)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
-    if image is None:
-        raise _unreadable(path)
-    return np.asarray(image)
-
-
-def picture_pixels(data: bytes) -> int:
-    """Width times height, as the head of a PNG or a JPEG says, before it is unpacked; 0 if it says none."""
-    if data.startswith(b"\x89PNG\r\n\x1a\n") and data[12:16] == b"IHDR" and len(data) >= 24:
-        return math.prod(struct.unpack_from(">II", data, 16))
-    at = 2 if data.startswith(b"\xff\xd8") else len(data)
-    for _ in range(MOST_SEGMENTS):
-        if at + 9 > len(data) or data[at] != 0xFF:
-            break
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # SOF0 to SOF15
-            return math.prod(struct.unpack_from(">HH", data, at + 5))
-        at += 1 if marker == 0xFF else 2 + length
-    return 0
 
 
 def _unreadable(path: Path) -> StorageError:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres
@@ -181,7 +182,7 @@ def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
     _, width, _ = image_header(data, name)
     flags = (cv2.IMREAD_REDUCED_GRAYSCALE_8, cv2.IMREAD_REDUCED_GRAYSCALE_4, cv2.IMREAD_REDUCED_GRAYSCALE_2)
     fitting = (flag for flag, by in zip(flags, (8, 4, 2), strict=True) if width >= by * GRAY_COLUMNS)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), next(fitting, cv2.IMREAD_GRAYSCALE))
-    if image is None:
-        raise DamagedImageError(f"{name}: cannot be decoded; the image is damaged")
-    return np.asarray(image, np.uint8)
+    try:
+        return np.asarray(decoded(data, next(fitting, cv2.IMREAD_GRAYSCALE)), np.uint8)
+    except ValueError as error:
+        raise DamagedImageError(f"{name}: {error}") from error

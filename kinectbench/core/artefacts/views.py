@@ -6,19 +6,18 @@ from pydantic import AfterValidator, Field, StringConstraints
 
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import MOST_SIDE_PX
 
 UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
 
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
 Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
-# What `camera:` in benchmark.yaml may say, too.
-MOST_SIDE = 8192
 
 
 def _checked_side(pixels: int) -> int:
-    if not 1 <= pixels <= MOST_SIDE:
-        raise ValueError(f"must be 1 to {MOST_SIDE} pixels")
+    if not 1 <= pixels <= MOST_SIDE_PX:
+        raise ValueError(f"must be 1 to {MOST_SIDE_PX} pixels")
     return pixels
 
 

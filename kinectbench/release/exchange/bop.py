@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.rigid import is_rigid
-from kinectbench.core.images import picture_pixels
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
@@ -220,13 +220,15 @@ def _color_registered(release: Release, recording: str) -> bool:
 def _depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
     import cv2
 
-    pixels = picture_pixels(png)
-    if pixels > MOST_DEPTH_PIXELS:
-        raise ReleaseError(f"{where}: {pixels} pixels, more than the depth of a view can have")
-    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED) if pixels else None
-    if image is None or image.ndim != 2 or image.dtype != np.uint16:
-        raise ReleaseError(f"{where}: not a PNG of 16-bit depth")
-    return np.asarray(image, dtype=np.uint16)
+    try:
+        head = image_head(png)
+        if not head.is_gray16:
+            raise ValueError("another kind of image")
+        if head.width * head.height > MOST_DEPTH_PIXELS:
+            raise ValueError(f"{head.width}x{head.height} pixels, more than the depth of a view can have")
+        return np.asarray(decoded(png, cv2.IMREAD_UNCHANGED), dtype=np.uint16)
+    except ValueError as error:
+        raise ReleaseError(f"{where}: not a PNG of 16-bit depth ({error}); run `verify`") from error
 
 
 def _mask_png(mask: Bools) -> bytes:

@@ -15,9 +15,8 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
-from kinectbench.core.images import IMAGE_BYTES
 from kinectbench.core.storage import sha256_file, write_below
-from kinectbench.core.untrusted import read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.artefacts.views import Refused, ViewRow, ViewsFile
+from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
@@ -22,7 +23,6 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
 from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
-from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.sample_views.alignment import Alignment, align_view
 from kinectbench.stages.sample_views.masks import (
     GivenMasks,
@@ -270,11 +270,10 @@ def _read_mask(path: Path) -> Bools | None:
 
     try:
         data = read_plain(path, IMAGE_BYTES)
-        image_header(data, str(path))
-    except (OSError, DamagedImageError):
+        image_head(data)
+        return np.asarray(decoded(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8) > 0
+    except (OSError, ValueError):
         return None
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    return None if image is None else np.asarray(image, dtype=np.uint8) > 0
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
 from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.stages.ingest.bags.rvl import decode_rvl
 from kinectbench.stages.ingest.images import (
-    PNG_MAGIC,
     DamagedImageError,
     decode_depth_png,
     encode_png,
@@ -72,7 +72,7 @@ def color_encoding(message: Any) -> str | None:
     data = bytes(message.data[:32])
     if COMPRESSED_DEPTH in message.format or is_depth_png(data):
         return None
-    return "compressed" if data.startswith((PNG_MAGIC, b"\xff\xd8\xff")) else None
+    return "compressed" if data.startswith((PNG_MAGIC, JPEG_MAGIC)) else None
 
 
 def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray[np.uint16]:

@@ -1,0 +1,143 @@
+"""Encoded images of strangers: what a PNG or a JPEG costs to decode is known from its head, and bounded.
+
+OpenCV decodes whatever it is given: a PNG of a few kilobytes may claim a billion pixels, and each scan of a
+progressive JPEG goes over the whole image once more. So heads are read here first, by every room.
+"""
+
+import struct
+import zlib
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.untrusted import IMAGE_BYTES, MOST_SIDE_PX
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC = b"\xff\xd8\xff"
+JPEG_SCAN = 0xDA
+# SOF0-SOF15 hold the size; C4, C8 and CC in that range are other segments.
+JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# Chunks of a PNG, segments of a JPEG: in parts of 8 KB the largest has 16,000 (own choice).
+MOST_PARTS = 50_000
+# Markers that no length follows: TEM, RST0-RST7.
+JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
+# Each scan of a progressive JPEG goes over the whole image once more; encoders make ten (own choice). All of
+# its coefficients are kept meanwhile, which takes twice as much memory as its pixels.
+MOST_SCANS, MOST_PIXELS_OF_SCANS = 32, MOST_SIDE_PX**2 // 4
+
+
+class ImageHead(NamedTuple):
+    """What an encoded image says of itself.
+
+    Attributes:
+        suffix: of its kind.
+        width: pixels.
+        height: pixels.
+        bits: of a sample.
+        color_type: as a PNG says it: 0 is grey, 3 a palette, 2 colour; 2 for every JPEG.
+    """
+
+    suffix: Literal[".png", ".jpg"]
+    width: int
+    height: int
+    bits: int
+    color_type: int
+
+    @property
+    def is_gray16(self) -> bool:
+        """Whether it is a PNG of one channel with 16 bits, as depth is stored."""
+        return self.suffix == ".png" and self.bits == 16 and self.color_type == 0
+
+
+def image_head(data: bytes) -> ImageHead:
+    """Read the head of a PNG or JPEG, check that it is whole, and that decoding it is bounded.
+
+    Raises:
+        ValueError: it is neither, is cut off, is larger than an image can be, takes too many scans, or (PNG)
+            a checksum is wrong; the message says which.
+    """
+    if len(data) > IMAGE_BYTES:
+        raise ValueError(f"{len(data)} bytes are more than an image may have ({IMAGE_BYTES})")
+    if data.startswith(PNG_MAGIC):
+        return _png_head(data)
+    if data.startswith(JPEG_MAGIC):
+        return _jpeg_head(data)
+    raise ValueError("neither a PNG nor a JPEG image" if data else "the file is empty")
+
+
+def decoded(data: bytes, mode: int) -> NDArray[np.generic]:
+    """The pixels of an image whose head was read, in a mode of `cv2.imdecode`.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    import cv2
+
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+    except cv2.error as error:
+        raise ValueError(f"cannot be decoded ({error.err})") from error
+    if image is None:
+        raise ValueError("cannot be decoded; the image is damaged")
+    pixels: NDArray[np.generic] = image
+    return pixels
+
+
+def _png_head(data: bytes) -> ImageHead:
+    """The head of a PNG whose every chunk is whole."""
+    position, view = len(PNG_MAGIC), memoryview(data)
+    for _ in range(MOST_PARTS):
+        if position + 12 > len(data):
+            break
+        (length,) = struct.unpack_from(">I", data, position)
+        kind, end = data[position + 4 : position + 8], position + 12 + length
+        if end > len(data):
+            break
+        if zlib.crc32(view[position + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+            raise ValueError(f"the PNG is damaged (checksum of a {kind!r} chunk is wrong)")
+        if kind == b"acTL":
+            raise ValueError("is an animation, not an image")
+        if kind == b"IEND":
+            if data[12:16] != b"IHDR":
+                raise ValueError("the PNG is cut off or damaged")
+            width, height, bits, color_type = struct.unpack_from(">IIBB", data, 16)
+            _check_size(width, height)
+            return ImageHead(".png", width, height, bits, color_type)
+        position = end
+    raise ValueError(f"the PNG is cut off after {len(data)} bytes, or in too many parts")
+
+
+def _check_size(width: int, height: int) -> None:
+    if max(width, height) > MOST_SIDE_PX:
+        raise ValueError(
+            f"says that it has {width}x{height} pixels; more than {MOST_SIDE_PX} a side are not read"
+        )
+
+
+def _jpeg_head(data: bytes) -> ImageHead:
+    """The head of a JPEG that has its end marker, and whose decoding is bounded."""
+    position, size, progressive = 2, None, False
+    for _ in range(MOST_PARTS):
+        if position + 4 > len(data) or data[position] != 0xFF:
+            break
+        marker = data[position + 1]
+        if marker == 0xFF or marker in JPEG_ALONE:  # 0xFF fills up
+            position += 1 if marker == 0xFF else 2
+            continue
+        if marker in JPEG_FRAMES and position + 9 <= len(data):
+            height, width = struct.unpack_from(">HH", data, position + 5)
+            _check_size(width, height)
+            size, progressive = (width, height), marker not in (0xC0, 0xC1)
+        if marker == JPEG_SCAN:
+            break
+        position += 2 + int(struct.unpack_from(">H", data, position + 2)[0])
+    # Inside the scan 0xFF is stuffed, so the end marker cannot occur by chance, nor that of a scan.
+    if size is None or data.find(b"\xff\xd9", position) < 0:
+        raise ValueError(f"the JPEG is cut off after {len(data)} bytes or damaged")
+    scans = data.count(bytes((0xFF, JPEG_SCAN)), position)
+    if scans > MOST_SCANS or ((progressive or scans > 1) and size[0] * size[1] > MOST_PIXELS_OF_SCANS):
+        raise ValueError(
+            f"{size[0]}x{size[1]} pixels in {scans} scans cost too much to read; save it as a baseline JPEG"
+        )
+    return ImageHead(".jpg", *size, 8, 2)
