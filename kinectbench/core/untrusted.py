@@ -10,19 +10,21 @@ import codecs
 import errno
 import os
 import re
+import reprlib
 import stat
 import unicodedata
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-# No format that is read needs more than this to be told by its first bytes (own choice).
+# The first 64 KB tell every format apart (own choice).
 HEAD_BYTES = 64 << 10
-# Lists of frames, trajectories and settings: a million rows of a hundred characters (own choice).
+# A text whose reader says nothing else: a JSON file of ours, as a million lines of a hundred characters (own
+# choice).
 TEXT_BYTES = 100 << 20
 # What a line for people quotes of a text that came from a file (own choice).
 QUOTED = 80
-# Of an image, pixels: what `camera:` in benchmark.yaml may say, four times a 4K camera's (own choice).
+# Of an image, pixels a side: what `camera:` in benchmark.yaml may say, twice a 4K camera's (own choice).
 MOST_SIDE_PX = 8192
 # An image as it is encoded: two bytes for each pixel of the largest.
 IMAGE_BYTES = 2 * MOST_SIDE_PX**2
@@ -31,6 +33,8 @@ UNPACKED_BYTES = 256 << 20
 # What a whole file may unpack to, as a multiple of itself: bags and releases shrink to a third or a tenth,
 # rendered depth to a thirtieth (own choice); and by how much a small file may exceed it.
 MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
+# Of a path that an index names, characters (own choice); and of a name in it, bytes: what Linux takes.
+MOST_NAME, MOST_PART_BYTES = 1024, 255
 # Read and written at a time: enough that a call costs nothing beside it (own choice).
 COPIED_BYTES = 1 << 20
 
@@ -51,6 +55,11 @@ def open_plain(path: Path) -> BufferedReader:
     return os.fdopen(handle, "rb")
 
 
+def size_of(file: IO[bytes]) -> int:
+    """The bytes that an open file has; its path may lead to another meanwhile."""
+    return os.fstat(file.fileno()).st_size
+
+
 def read_plain(path: Path, most_bytes: int) -> bytes:
     """The bytes of a regular file.
 
@@ -62,8 +71,8 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
         OSError: as `open_plain`; EFBIG: it is larger.
     """
     with open_plain(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        # As much as is there is asked for, and once more: it may grow, and the kernel's own files claim none.
+        size = size_of(file)
+        # The loop reads what came to the file meanwhile, and the kernel's own files, which say 0 bytes.
         content = file.read(size + 1) if size <= most_bytes else b""
         while size < len(content) <= most_bytes and (more := file.read(COPIED_BYTES)):
             content += more
@@ -147,7 +156,7 @@ def below(folder: Path, name: str) -> Path:
         ValueError: the name is absolute, leads upwards, is hidden, or is none; the message says which.
     """
     way = PurePosixPath(name)
-    if not name or "\0" in name:
+    if not name or "\0" in name or not _can_be(way):
         raise ValueError("is no name of a file")
     if way.is_absolute() or ".." in way.parts:
         raise ValueError(
@@ -156,6 +165,19 @@ def below(folder: Path, name: str) -> Path:
     if any(part.startswith(".") for part in way.parts):
         raise ValueError(f"'{printable(name)}' is hidden; a name must not begin with '.'")
     return folder / way
+
+
+def _can_be(way: PurePosixPath) -> bool:
+    """Whether a file can have such a path."""
+    try:
+        return len(str(way)) <= MOST_NAME and all(len(part.encode()) <= MOST_PART_BYTES for part in way.parts)
+    except UnicodeEncodeError:  # half of a pair of surrogates, as JSON may hold
+        return False
+
+
+def quoted(value: Any) -> str:
+    """A value that was parsed, as a line for people may quote it: in Python's words, and short."""
+    return printable(reprlib.repr(value))
 
 
 def printable(text: str, most: int = QUOTED) -> str:

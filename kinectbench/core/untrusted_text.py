@@ -23,7 +23,16 @@ _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
 def strict_json(text: str) -> Any:
-    """Parse JSON without NaN and infinities.
+    """`parsed_json` without NaN and infinities, which are no JSON."""
+    return parsed_json(text, constants=False)
+
+
+def parsed_json(text: str, *, constants: bool) -> Any:
+    """Parse JSON.
+
+    Args:
+        text: JSON.
+        constants: accept NaN, Infinity and -Infinity, as many programs write them.
 
     Raises:
         ValueError: it is malformed, or has too many values or keys; RecursionError: it is nested without end.
@@ -43,7 +52,7 @@ def strict_json(text: str) -> Any:
     _check_values(text, ",[" + "{" * OBJECT_VALUES)
     if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):
         raise ValueError(f"it has more than {WIDE_CHARACTERS} characters, some beyond U+FFFF")
-    return json.loads(text, parse_constant=refuse, object_pairs_hook=counted)
+    return json.loads(text, parse_constant=None if constants else refuse, object_pairs_hook=counted)
 
 
 def csv_rows(text: str) -> list[list[str]]:

@@ -1,5 +1,6 @@
 """Masks of every frame of a recording that is segmented by them: a person's, its own, or of what turns."""
 
+import re
 from pathlib import Path
 
 from kinectbench.core.errors import SegmentationError
@@ -12,6 +13,9 @@ from kinectbench.engine.stages import Job
 from kinectbench.settings.models import Vector4
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.turntable import plane_below, turntable_masks
+
+# A frame's number, and the ending of a mask.
+FRAME_MASK = re.compile(r"[0-9]{1,9}\.(?i:png)")
 
 
 def frame_masks(job: Job, sequence: Sequence) -> Masks | None:
@@ -50,11 +54,16 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
     """A person's masks, `<frame>.png`: the frame's number counts from 0, as in frames.json.
 
     Raises:
-        SegmentationError: no file is named by a frame's number; later: one is damaged or of another size.
+        SegmentationError: no file is named by a frame's number, or two by one; later: one is damaged or
+            of another size.
     """
     given = read_masks(folder)
-    numbered = {int(Path(name).stem): name for name in given.names if Path(name).stem.isdecimal()}
-    names = {number: name for number, name in numbered.items() if name.lower().endswith(".png")}
+    names: dict[int, str] = {}
+    for name in given.names:
+        if FRAME_MASK.fullmatch(name) and (before := names.setdefault(int(Path(name).stem), name)) != name:
+            raise SegmentationError(
+                f"{folder}: {before} and {name} are masks of one frame; remove the one that is wrong"
+            )
     last = len(sequence) - 1
     if not any(number <= last for number in names):
         raise SegmentationError(

@@ -14,8 +14,10 @@ from kinectbench.settings import yaml_nodes
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
 
-# A hundred thousand recordings of ten lines each; libyaml reads as much in half a minute.
-MOST_BYTES = 32 << 20
+# Ten thousand recordings with a page about each; how many values there may be is bounded apart (own choice).
+MOST_BYTES = 16 << 20
+# Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes (own choice).
+RECORDINGS_AT_ONCE = 5000
 # Lines about what is wrong: of more than that one reason is usually behind all.
 SHOWN = 20
 
@@ -106,11 +108,32 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
         for key, value in yaml_nodes.plain(root).items()
         if value is not None or key not in fields or fields[key].is_required()
     }
-    try:
-        return BenchmarkSettings.model_validate(values)
-    except ValidationError as error:
-        found = error.errors(include_url=False)
+    found = _errors_of_first(values)
+    if not found:
+        try:
+            return BenchmarkSettings.model_validate(values)
+        except ValidationError as error:
+            found = error.errors(include_url=False)
     raise SettingsError(*_error_lines(root, values, found))
+
+
+def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
+    """What is wrong with the first recordings of a long list that are wrong; nothing if the list is short."""
+    recordings = values.get("recordings")
+    if not isinstance(recordings, list) or len(recordings) <= RECORDINGS_AT_ONCE:
+        return []
+    for start in range(0, len(recordings), RECORDINGS_AT_ONCE):
+        part = values | {"recordings": recordings[start : start + RECORDINGS_AT_ONCE]}
+        try:
+            BenchmarkSettings.model_validate(part)
+        except ValidationError as error:
+            found = [one for one in error.errors(include_url=False) if one["loc"]]
+            for one in found:
+                if one["loc"][0] == "recordings" and len(one["loc"]) > 1:
+                    one["loc"] = ("recordings", start + int(one["loc"][1]), *one["loc"][2:])
+            if found:
+                return found
+    return []
 
 
 def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[ErrorDetails]) -> list[str]:

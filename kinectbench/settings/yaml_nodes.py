@@ -22,6 +22,10 @@ FLOAT_TAG = "tag:yaml.org,2002:float"
 STR_TAG = "tag:yaml.org,2002:str"
 MAP_TAG = "tag:yaml.org,2002:map"
 OVERRIDE = "in --set "
+# Keys and values in one text: of ten thousand recordings of fifteen lines (own choice); read in four seconds.
+MOST_VALUES = 400_000
+# Of a line, characters among which a tab is looked for (own choice).
+MOST_INDENT = 1000
 # What PyYAML's own parser reads in about two seconds.
 SPELT_OUT = 1 << 20
 
@@ -40,7 +44,25 @@ _PATTERNS = {
 _Parser: Any = import_module("yaml._yaml").CParser if yaml.__with_libyaml__ else None
 
 
-class _FastLoader(Composer, Resolver):
+class _TooManyError(yaml.composer.ComposerError):
+    """More values than a file may have."""
+
+
+class _Counting(Composer):
+    """PyYAML's composer, which stops at too many values; each takes a kilobyte as a node."""
+
+    _values = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self._values += 1
+        if self._values > MOST_VALUES:
+            mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's
+            problem = f"more than the {MOST_VALUES} keys and values that such a file may have"
+            raise _TooManyError(None, None, problem, mark)
+        return super().compose_node(parent, index)
+
+
+class _FastLoader(_Counting, Resolver):
     """libyaml's parser, and PyYAML's composer with the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own attribute
@@ -55,7 +77,7 @@ class _FastLoader(Composer, Resolver):
         self.check_event = parser.check_event
 
 
-class _PlainLoader(yaml.SafeLoader):
+class _PlainLoader(_Counting, yaml.SafeLoader):
     """PyYAML's own parser with the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers = _FastLoader.yaml_implicit_resolvers
@@ -87,7 +109,7 @@ def compose(text: str, source: str) -> yaml.Node:
         node = _nodes(text, source)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark or null_mark(source)
-        raise SettingsError(f"{_place(source, mark.line)}: {_problem(error, text, mark.line)}") from None
+        raise SettingsError(f"{_place(source, mark.line)}: {_problem(error, text, mark.index)}") from None
     except yaml.reader.ReaderError as error:
         place = _place(source, text[: error.position].count("\n"))
         raise SettingsError(
@@ -114,13 +136,15 @@ def null_mark(source: str) -> yaml.Mark:
     return yaml.Mark(source, 0, 0, 0, None, 0)
 
 
-def _problem(error: yaml.MarkedYAMLError, text: str, line: int) -> str:
-    lines = text.splitlines()
-    if line < len(lines) and re.match(r"\s*\t", lines[line]):
+def _problem(error: yaml.MarkedYAMLError, text: str, index: int) -> str:
+    line = max(text.rfind("\n", 0, index), text.rfind("\r", 0, index)) + 1
+    if re.match(r"[^\S\r\n]*\t", text[line : line + MOST_INDENT]):
         return "indented with a tab; use spaces"
     problem = error.problem or error.context or "unreadable"
     if problem.startswith("but ") and error.context:
         problem = f"{error.context}, {problem}"
+    if isinstance(error, _TooManyError):
+        return problem
     return f"not valid YAML: {problem}; check indentation, colons and quotes"
 
 

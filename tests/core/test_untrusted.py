@@ -16,6 +16,7 @@ from kinectbench.core.untrusted import (
     cell,
     open_plain,
     printable,
+    quoted,
     read_head,
     read_plain,
     read_plain_text,
@@ -96,7 +97,15 @@ def test_a_name_stays_in_its_folder(tmp_path, name):
         below(tmp_path, name)
 
 
-@pytest.mark.parametrize("name", ["a", "depth/1.png", "a b", "./a", "a..b/c"])
+@pytest.mark.parametrize("name", ["\ud800", "a/\udfff.png", "x" * 256, "é" * 128, "a/" * 512 + "b"])
+def test_a_name_that_no_file_can_have_is_none(tmp_path, name):
+    with pytest.raises(ValueError, match="is no name of a file"):
+        below(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    "name", ["a", "depth/1.png", "a b", "./a", "a..b/c", "x" * 255, "é" * 127, "a/" * 511 + "b"]
+)
 def test_other_names_are_taken(tmp_path, name):
     assert below(tmp_path, name) == tmp_path / name
 
@@ -113,6 +122,13 @@ def test_other_names_are_taken(tmp_path, name):
 )
 def test_what_is_quoted_only_prints(text, shown):
     assert printable(text) == shown
+
+
+@pytest.mark.parametrize(
+    "value", ["x" * 1000, [["\x1b"] * 1000] * 1000, {"a": {"b": {"c": [1]}}}, 10**4000, None, 1e300, "\ud800"]
+)
+def test_values_are_quoted_in_short(value):
+    assert quoted(value).isprintable() and len(quoted(value)) <= 80
 
 
 def test_a_file_that_may_not_grow_so_large_is_told_as_a_full_disk_is(tmp_path):

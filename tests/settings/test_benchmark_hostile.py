@@ -31,7 +31,7 @@ def test_a_file_that_is_too_large(tmp_path: Path) -> None:
     path = tmp_path / "benchmark.yaml"
     with path.open("wb") as file:
         file.truncate(MOST_BYTES + 1)
-    with pytest.raises(SettingsError, match="cannot be read: larger than the 33554432 bytes"):
+    with pytest.raises(SettingsError, match="cannot be read: larger than the 16777216 bytes"):
         load_benchmark(path)
 
 
@@ -66,6 +66,34 @@ COSTLY = {
     "a long number": (f"license: 1.{'0' * 100_000}\n", "in quotes"),
     "a long tag": (f"license: !{'k' * 100_000} a\n", "is not used here"),
 }
+
+
+TOO_MANY = "more than the 400000 keys and values that such a file may have"
+COSTLIER = {
+    "values": ("x: [" + "1," * (yaml_nodes.MOST_VALUES + 10) + "]\n", TOO_MANY),
+    "lines": ("x:\n" + "- 1\n" * (3 << 20), TOO_MANY),
+    "numbers for recordings": ("recordings: [" + "1," * 50_000 + "]\n", "recordings[0]: found 1; wanted"),
+    "nothing for recordings": ("recordings: [" + "{}," * 50_000 + "]\n", "recordings[0].id: missing"),
+    "many aliases": ("a: &a [1, 1]\nb: [" + "*a," * 50_000 + "]\n", "a: unknown key"),
+}
+
+
+@pytest.mark.parametrize("name", COSTLIER)
+def test_what_costs_most_of_so_many_values(name: str, tmp_path: Path) -> None:
+    text, words = COSTLIER[name]
+    started = time.process_time()
+    assert words in complaint(tmp_path, f"name: a\n{text}")
+    assert time.process_time() - started < 10
+
+
+def test_the_first_wrong_recording_of_many_is_told_by_its_place(tmp_path: Path) -> None:
+    rows = [f"- {{id: r{n}, path: p, category: c}}\n" for n in range(12_000)]
+    rows[7000] = "- {id: r7000, path: p, category: 7}\n"
+    told = complaint(tmp_path, "".join(["name: a\n", "recordings:\n", *rows]))
+    assert told.startswith("benchmark.yaml:7003: recordings.r7000.category: found 7")
+    rows[7000] = rows[1].replace("p,", "q,")
+    told = complaint(tmp_path, "".join(["name: a\n", "recordings:\n", *rows]))
+    assert told.startswith("benchmark.yaml:7003: ") and "r1" in told
 
 
 @pytest.mark.parametrize("name", COSTLY)

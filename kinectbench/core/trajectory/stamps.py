@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Int64
+from kinectbench.core.untrusted import printable
 
 NS_PER_S = 10**9
 LIMIT_NS = 2**63
@@ -43,7 +44,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
     if not stamp.is_finite() or stamp.adjusted() > 11 or abs(stamp) * NS_PER_S >= LIMIT_NS:
         unit = UNITS_OF_TODAY.get(stamp.adjusted() // 3 * 3) if stamp.is_finite() else None
         advice = f"it looks like {unit}: write seconds" if unit else "correct or remove the line"
-        raise RecordingError(f"{where}: '{text}' is not a time stamp in seconds; {advice}")
+        raise RecordingError(f"{where}: '{printable(text)}' is not a time stamp in seconds; {advice}")
     return int((stamp * NS_PER_S).to_integral_value())
 
 

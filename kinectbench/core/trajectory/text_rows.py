@@ -45,7 +45,7 @@ def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]
         RecordingError: it cannot be read, is not text, or holds too much of it.
     """
     text = read_text(path, most_bytes)
-    if sum(map(text.count, LINE_ENDS)) > 2 * MOST_ROWS:  # some lines have two ends
+    if sum(map(text.count, LINE_ENDS)) - text.count("\r\n") > MOST_ROWS:
         raise RecordingError(f"{path}: holds more than the {MOST_ROWS} lines that such a file may have")
     lines = enumerate(text.splitlines(), start=1)
     stripped = ((number, line.strip()) for number, line in lines)

@@ -1,7 +1,8 @@
 """Intrinsics: what a recording says, what the settings say instead, and whether that fits the images."""
 
-import json
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import quoted
+from kinectbench.core.untrusted_text import parsed_json
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.recording import ColorCalibration
 
@@ -23,8 +26,10 @@ MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
 # What any camera's are, pixels (own choices).
 LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
-# Poses and intrinsics of 50,000 frames; as values they take up to 24 times as much memory (own choice).
+# Poses and intrinsics of 50,000 frames; how many values there may be is bounded apart (own choice).
 JSON_BYTES = 16 << 20
+# Of one frame among many: apps write a few kilobytes (own choice).
+FRAME_JSON_BYTES = 256 << 10
 HELD = "width, height, fx, fy, cx, cy"
 
 
@@ -173,7 +178,7 @@ def numbers_of(value: object) -> Float64:
     """The numbers in a list of a JSON file, or in lists of it; (0,) where it holds anything else."""
     try:
         return np.array(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # an integer may have a thousand digits
         return np.empty(0)
 
 
@@ -259,13 +264,35 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
     return replace(matrix, width=width, height=height)
 
 
-def read_object(path: Path, what: str) -> dict[str, Any]:
-    """Read a JSON object; `what` it must hold, for messages.
+def read_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Args:
+        path: the file.
+        what: it must hold, for messages.
+        most_bytes: a larger file is refused.
 
     Raises:
-        RecordingError: the file is not valid JSON, or no object.
+        RecordingError: the file is too large, not valid JSON, or no object.
     """
-    return object_of(read_text(path, JSON_BYTES), str(path), what)
+    return object_of(read_text(path, most_bytes), str(path), what)
+
+
+def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, Any] | None:
+    """The JSON object of one frame among many: its `keys` and "file", its own name; None if there is none.
+
+    Each value is a number, None, a text, or an array of numbers: a list of anything takes many times the
+    memory of its text, and all frames are kept.
+
+    Raises:
+        RecordingError: the file is too large, not valid JSON, or no object.
+    """
+    if not file.is_file():
+        return None
+    said = read_object(file, what, FRAME_JSON_BYTES)
+    kept = {key: said[key] for key in keys if key in said}
+    lean = {key: numbers_of(v) if isinstance(v, list | dict) else v for key, v in kept.items()}
+    return lean | {"file": str(file)}
 
 
 def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
@@ -277,7 +304,8 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
     if len(text) > JSON_BYTES:
         raise RecordingError(f"{where}: is larger than the {JSON_BYTES} bytes that it may have")
     try:
-        raw = json.loads(text)
+        # Python writes NaN for a pose that was lost.
+        raw = parsed_json(text if isinstance(text, str) else text.decode("utf-8-sig"), constants=True)
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{where}: is not valid JSON ({error})") from error
     if not isinstance(raw, dict):
@@ -291,9 +319,10 @@ def number_of(value: object, where: str) -> float:
     Raises:
         RecordingError: it is not a finite number.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise RecordingError(f"{where} must be a number, not {value!r}")
-    return float(value)
+    with suppress(OverflowError):  # an integer may have a thousand digits
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    raise RecordingError(f"{where} must be a number, not {quoted(value)}")
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:

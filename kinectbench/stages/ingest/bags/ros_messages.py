@@ -11,7 +11,7 @@ from pathlib import Path
 from sqlite3 import Blob
 from typing import Any, BinaryIO, Literal, NamedTuple
 
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
+from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.bags.ros_definitions import known_types
 from kinectbench.stages.ingest.images import DamagedImageError
 
@@ -19,14 +19,10 @@ Encoding = Literal["ros1", "cdr"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # The longest name of a topic or type, and what a bag says of one: its definition, mostly (own choices).
 LONGEST_NAME, DEFINITION_BYTES = 1000, 1 << 20
-# No record of a bag takes less of its file, however well it is compressed, but for these (own choices).
-LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
 # Enough of a message to hold its Header's sequence number and stamp.
 PEEK_BYTES = 16
 # In as many bytes a message that is compressed begins: a block of zstd and its head. How chunks are unpacked.
 PACKED_HEAD_BYTES, PART_BYTES = 256 << 10, 4 << 20
-# Chunks that were read last are kept up to this many bytes, and always one.
-CACHED_BYTES = 96 << 20
 TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
 # rosbags' store of ROS 1 types lacks these.
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
@@ -38,38 +34,6 @@ HEADERLESS = frozenset(
 
 class DamagedRecordError(Exception):
     """A record of a bag that is not whole or does not make sense, or is more than such a file can hold."""
-
-
-class WalkBudget:
-    """What a walk through a bag's file may cost: time that grows with its size, and memory that does not.
-
-    A few bytes of compressed chunks may hold any number of records.
-    """
-
-    def __init__(self, file_bytes: int) -> None:
-        """Start before the first record of a file of this size."""
-        self._records = ALWAYS_RECORDS + file_bytes // LEAST_RECORD_BYTES
-        self._bytes = unpacked_bound(file_bytes)
-
-    def take_record(self) -> None:
-        """Count a record.
-
-        Raises:
-            DamagedRecordError: there are too many.
-        """
-        self._records -= 1
-        if self._records < 0:
-            raise DamagedRecordError
-
-    def take_bytes(self, count: int) -> None:
-        """Count what a chunk is to be unpacked to.
-
-        Raises:
-            DamagedRecordError: it is too much, alone or with those before.
-        """
-        if count > min(UNPACKED_BYTES, self._bytes):
-            raise DamagedRecordError
-        self._bytes -= count
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,38 +234,6 @@ class FoundMessages:
             if connection is not None and connection.type in self._types:
                 joined.setdefault(connection, []).extend(places)
         return tuple(key._replace(messages=by_stamp(joined[key])) for key in sorted(joined))
-
-
-class BagReader:
-    """Reads single messages of a bag's file, and keeps the chunks that were unpacked last."""
-
-    def __init__(self, path: Path, unpack: Callable[[BinaryIO, int], bytes]) -> None:
-        """Read from this file; `unpack` makes the bytes of the chunk at a position of it."""
-        self._path = path
-        self._unpack = unpack
-        self._chunks: dict[int, bytes] = {}
-
-    def keep(self, position: int, data: bytes) -> None:
-        """Keep a chunk that was unpacked already, as long as there is room: the first are read first."""
-        if self._kept_bytes + len(data) <= CACHED_BYTES:
-            self._chunks[position] = data
-
-    def __call__(self, place: MessagePlace) -> bytes:
-        """The serialised message that lies there."""
-        if place.chunk not in self._chunks:
-            with open_plain(self._path) as file:
-                if place.chunk < 0:
-                    file.seek(place.offset)
-                    return file.read(place.size)
-                data = self._unpack(file, place.chunk)
-            while self._chunks and self._kept_bytes + len(data) > CACHED_BYTES:
-                del self._chunks[next(iter(self._chunks))]
-            self._chunks[place.chunk] = data
-        return self._chunks[place.chunk][place.offset : place.offset + place.size]
-
-    @property
-    def _kept_bytes(self) -> int:
-        return sum(map(len, self._chunks.values()))
 
 
 def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:

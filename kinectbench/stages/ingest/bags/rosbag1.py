@@ -13,16 +13,15 @@ from pathlib import Path
 from typing import BinaryIO, ClassVar
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, read_head
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, read_head, size_of
+from kinectbench.stages.ingest.bags.bag_reader import BagReader, WalkBudget
 from kinectbench.stages.ingest.bags.ros_messages import (
     DEFINITION_BYTES,
     LONGEST_NAME,
-    BagReader,
     BagTopic,
     DamagedRecordError,
     FoundMessages,
     RosBag,
-    WalkBudget,
     unpacked_chunk,
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
@@ -53,6 +52,7 @@ class Rosbag1Recording(RosRecording):
         walk = _Walk(cls.wanted, cls.own_types, reader.keep, WalkBudget(path.stat().st_size))
         complete = walk.take_all(path)
         topics = walk.found.topics()
+        reader.start_reading(sum(len(topic.messages) for topic in topics))
         if complete and not walk.damaged_chunks:
             return RosBag(path, topics, reader)
         what = "is damaged" if complete else "is cut off or has no index"
@@ -89,8 +89,8 @@ class _Walk:
         Raises:
             RecordingError: it is encrypted.
         """
-        size = path.stat().st_size
         with open_plain(path) as file:
+            size = size_of(file)
             file.seek(len(MAGIC))
             try:
                 fields, data_size = _read_header(file, size)
@@ -138,10 +138,10 @@ class _Walk:
         try:
             self.budget.take_bytes(_number(fields, b"size", "<I"))
             chunk = _decompress(fields, data)
+            self._keep(position, chunk)
             unpacked = BytesIO(chunk)
             for inner, offset, length in _records_of(unpacked, len(chunk)):
                 self._take(inner, unpacked, offset, length, chunk=position)
-            self._keep(position, chunk)
         except DamagedRecordError:
             self.damaged_chunks += 1
 

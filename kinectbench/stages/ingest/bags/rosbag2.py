@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import copy_bounded, open_plain, read_head, unpacked_bound
+from kinectbench.core.untrusted import copy_bounded, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
+from kinectbench.stages.ingest.bags.bag_reader import WalkBudget
 from kinectbench.stages.ingest.bags.ros_messages import (
     ZSTD_MAGIC,
     BagTopic,
@@ -22,6 +23,8 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 from kinectbench.stages.ingest.recording import visible
 
+# One a minute, for sixteen hours (own choice).
+MOST_FILES = 1000
 MAGICS = (rosbag2_sqlite.MAGIC, rosbag2_mcap.MAGIC)
 
 
@@ -44,7 +47,12 @@ class Rosbag2Recording(RosRecording):
     def walk(cls, path: Path) -> RosBag:
         """Walk through the files of the bag."""
         files = [file for file in _bag_files(path) if _is_bag_file(file)] if path.is_dir() else [path]
-        bags = [_walk_file(file, cls.wanted) for file in files]
+        if len(files) > MOST_FILES:
+            raise RecordingError(
+                f"{path}: holds more than the {MOST_FILES} files that a bag may have; name the folder of one"
+            )
+        budget = WalkBudget(sum(file.stat().st_size for file in files))
+        bags = [_walk_file(file, cls.wanted, budget) for file in files]
         if not any(bag.topics for bag in bags) and any(bag.trouble for bag in bags):
             raise RecordingError(
                 next(bag.trouble for bag in bags if bag.trouble) + ", and nothing in it can be saved"
@@ -69,16 +77,16 @@ def _is_bag_file(file: Path) -> bool:
     )
 
 
-def _walk_file(file: Path, types: frozenset[str]) -> RosBag:
+def _walk_file(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     start = _start_of(file)
     if start.startswith(ZSTD_MAGIC):
-        return _walk_packed(file, types)
-    is_mcap = start.startswith(rosbag2_mcap.MAGIC)
-    bag = rosbag2_mcap.walk(file, types) if is_mcap else rosbag2_sqlite.walk(file, types)
+        return _walk_packed(file, types, budget)
+    walk = rosbag2_mcap.walk if start.startswith(rosbag2_mcap.MAGIC) else rosbag2_sqlite.walk
+    bag = walk(file, types, budget)
     return replace(bag, read=lambda place: unpacked_message(bag.read(place)))
 
 
-def _walk_packed(file: Path, types: frozenset[str]) -> RosBag:
+def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     """Walk through a file that is compressed as a whole."""
     import zstandard
 
@@ -92,18 +100,23 @@ def _walk_packed(file: Path, types: frozenset[str]) -> RosBag:
     with open_plain(file) as source, unpacked.open("wb") as target:
         stream = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
         try:
-            copy_bounded(stream, target, unpacked_bound(file.stat().st_size))
+            copy_bounded(stream, target, budget.bytes_left)
         except zstandard.ZstdError as error:
             trouble = f"{file}: is damaged or cut off ({error})"
         except OSError as error:
             if error.errno != errno.EFBIG or error.filename is not None:
                 raise
             raise RecordingError(f"{file}: {error.strerror}, which no bag of its size does") from error
+        finally:
+            budget.take_file(target.tell())
     if not _start_of(unpacked).startswith(MAGICS):
         trouble = trouble or f"{file}: is cut off or holds no ROS 2 bag"
         return RosBag(file, (), lambda place: b"", trouble)
-    bag = _walk_file(unpacked, types)
-    return replace(bag, read=read, trouble=bag.trouble.replace(str(unpacked), str(file)))
+    bag = _walk_file(unpacked, types, budget)
+    told = bag.trouble.replace(str(unpacked), str(file))
+    if not bag.topics:  # nothing will be read, and the folder goes at once
+        return RosBag(file, (), lambda place: b"", told)
+    return replace(bag, read=read, trouble=told)
 
 
 def _joined(path: Path, bags: list[RosBag]) -> RosBag:

@@ -10,17 +10,16 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, size_of
+from kinectbench.stages.ingest.bags.bag_reader import BagReader, WalkBudget
 from kinectbench.stages.ingest.bags.ros_messages import (
     DEFINITION_BYTES,
     LONGEST_NAME,
-    BagReader,
     BagTopic,
     DamagedRecordError,
     Encoding,
     FoundMessages,
     RosBag,
-    WalkBudget,
     short_type,
     unpacked_chunk,
 )
@@ -37,22 +36,28 @@ MAX_RATIO = 2000
 ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
-def walk(path: Path, types: frozenset[str]) -> RosBag:
+def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     """Find the messages of the wanted types.
+
+    Args:
+        path: the file.
+        types: that are wanted, in ROS 1's spelling.
+        budget: of the whole bag.
 
     Raises:
         RecordingError: the topics are serialised in a way that cannot be read.
     """
     reader = BagReader(path, _chunk_at)
-    size = path.stat().st_size
-    walked = _Walk(types, reader.keep, WalkBudget(size))
+    walked = _Walk(types, reader.keep, budget)
     with open_plain(path) as file:
+        size = size_of(file)
         file.seek(len(MAGIC))
         try:
             complete = walked.take_all(file, len(MAGIC), size, chunk=-1)
         except DamagedRecordError:
             complete = False
     topics = walked.found.topics()
+    reader.start_reading(sum(len(topic.messages) for topic in topics))
     if walked.unknown and not topics:
         raise RecordingError(
             f"{path}: its messages are encoded as {', '.join(sorted(walked.unknown))}; only cdr (ROS 2) and "
@@ -147,8 +152,8 @@ class _Walk:
                 return
             self.budget.take_bytes(parts.unpacked_size)
             data = _unpack_chunk(file, parts)
-            self.take_all(BytesIO(data), 0, len(data), chunk=body - RECORD.size, nested=True)
             self._keep(body - RECORD.size, data)
+            self.take_all(BytesIO(data), 0, len(data), chunk=body - RECORD.size, nested=True)
         except DamagedRecordError:
             self.damaged_chunks += 1
 

@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import copy_bounded, open_plain, read_head
+from kinectbench.stages.ingest.bags.bag_reader import STEPS_AT_ONCE, WalkBudget
 from kinectbench.stages.ingest.bags.ros_messages import (
     DEFINITION_BYTES,
     BagTopic,
@@ -26,15 +27,21 @@ TABLES = ("topics", "messages")
 MOST_TOPICS = 10_000
 # In the head: how often the file was changed, and after how many changes its count of pages was right.
 CHANGE_COUNTER, VALID_FOR = slice(24, 28), 92
-# Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file (own choices).
-ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
 HEAD_BYTES, LEAST_PAGE_BYTES = 100, 512
 # A message as long as a page less this does not fit into a page with others.
 CELL_BYTES = 100
+# What rows of a file that was cut off speak of, as a multiple of what is left: the pages of some are lost
+# (own choice).
+LOST_TIMES = 4
 
 
-def walk(path: Path, types: frozenset[str]) -> RosBag:
+def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     """Find the messages of the wanted types in the order in which they were written.
+
+    Args:
+        path: the file.
+        types: that are wanted, in ROS 1's spelling.
+        budget: of the whole bag.
 
     Raises:
         RecordingError: not a bag's database.
@@ -46,8 +53,7 @@ def walk(path: Path, types: frozenset[str]) -> RosBag:
     try:
         with closing(reader.connect()) as database:
             # Pages that lead back to each other would make rows without end.
-            left = iter(range(ALWAYS_STEPS + reader.file_bytes * STEPS_A_BYTE, 0, -STEPS_AT_ONCE))
-            database.set_progress_handler(lambda: next(left, 0) == 0, STEPS_AT_ONCE)
+            database.set_progress_handler(lambda: not budget.take_step(), STEPS_AT_ONCE)
             _check_tables(database)
             rows = database.execute(
                 "SELECT id, name, type, serialization_format FROM topics LIMIT ?", (MOST_TOPICS,)
@@ -109,6 +115,8 @@ class _Reader:
         try:
             if self._database is None:
                 self._database = self.connect()
+                # A row is found in some ten steps.
+                self._database.set_progress_handler(lambda: True, STEPS_AT_ONCE)
             with self._database.blobopen("messages", "data", place.offset, readonly=True) as blob:
                 return blob.read(place.size)
         except sqlite3.DatabaseError:
@@ -166,15 +174,20 @@ def _take_messages(
     """Note where the messages lie; no more of them is read than their first bytes, or else `all_of_them`.
 
     Raises:
-        DamagedRecordError: a message says that it is larger than the file.
+        DamagedRecordError: messages say that they are larger than the file, alone or together: rows may share
+            their pages, and to read each would take rows times the file.
     """
     query = (
         "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE typeof(data) = 'blob' "
         "ORDER BY rowid"
     )
+    left_bytes = file_bytes * (LOST_TIMES if all_of_them else 1)
     for row, topic, recorded_ns, size in database.execute(query):
+        left_bytes -= size
         if size > file_bytes:  # its pages go round
             raise DamagedRecordError("a message is larger than the file")
+        if left_bytes < 0:
+            raise DamagedRecordError("its messages are larger than the file, all of them together")
         # One whose end is lost is passed over.
         if topic in found.connections:
             with (

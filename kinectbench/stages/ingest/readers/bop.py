@@ -10,6 +10,7 @@ from kinectbench.core.geometry import rigid
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import Intrinsics, numbers_of, read_object, scale_warnings
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, first_file
@@ -116,10 +117,10 @@ def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str
     rows = _read_by_image(file)
     try:
         ids = {number: [int(row["obj_id"]) for row in found] for number, found in rows.items()}
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"{file}: every row needs an obj_id") from error
     known = sorted({found for row in ids.values() for found in row})
-    names = ", ".join(map(str, known))
+    names = printable(", ".join(map(str, known)))
     if object_id is None and len(known) != 1:
         return {}, [f"{path}: has the objects {names}; no masks are read: name one as `mask_object`"]
     if object_id is not None and object_id not in known:

@@ -13,6 +13,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S, no_times
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory, trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
@@ -104,7 +105,8 @@ def image_files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
 
 def counting_key(stem: str) -> list[tuple[int, str]]:
     """What sorts names in the order people count: 2 before 10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", stem)]
+    # A name may stand in an index, where it can have any length; Python refuses numbers of 4300 digits.
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
 
 
 def frame_key(file: PurePath) -> str:
@@ -176,9 +178,9 @@ def _read_log(file: Path, frames: int) -> list[Float64]:
     for start in range(0, len(rows), 5):
         where, head = rows[start]
         index = head.split()[0]
-        if not index.isdecimal() or int(index) >= frames:
+        if not FRAME_NUMBER.fullmatch(index) or int(index) >= frames:
             raise RecordingError(
-                f"{where}: '{head}' does not name one of the {frames} frames (0-{frames - 1})"
+                f"{where}: '{printable(head)}' does not name one of the {frames} frames (0-{frames - 1})"
             )
         values = [parse_floats(row.split(), row_where) for row_where, row in rows[start + 1 : start + 5]]
         if any(len(row) != 4 for row in values):

@@ -19,7 +19,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import below, printable, read_head
+from kinectbench.core.untrusted import below, printable, quoted, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import (
@@ -38,6 +38,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
 )
 from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size, first_file
 from kinectbench.stages.ingest.registration import Undistortion
+from kinectbench.stages.ingest.sources import check_count
 
 FILE = "transforms.json"
 DEPTH_KEYS = ("depth_file_path", "depth_path")
@@ -45,6 +46,8 @@ SCALE_KEYS = ("depth_unit_scale_factor", "integer_depth_scale")
 PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
 # In Brown's order; a fourth radial term is not in his model.
 BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
+# All that is read of a frame, whether it is said there or of all frames.
+FRAME_KEYS = (*PINHOLE_KEYS, *BROWN_KEYS, "w", "h", "k4", "camera_model", "transform_matrix")
 MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 # Of depth images, where `depth_unit_scale_factor` does not say otherwise: nerfstudio's default.
 METRES_PER_UNIT = 0.001
@@ -82,7 +85,7 @@ class NerfstudioRecording(PhoneRecording):
             for index, (depth, frame) in enumerate(frames)
         )
         size_px = first_depth_size(files)
-        whole = [said | frame for _, frame in frames]
+        whole = [_of_frame(said, frame) for _, frame in frames]
         intrinsics, varied = _intrinsics(path, whole, first_color_size(files) or size_px, size_px)
         unit_m = number_of(_first(said, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
         if unit_m <= 0:
@@ -128,9 +131,15 @@ def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]
             f"{file}: none of its {len(frames)} frames has a depth_file_path, so there is colour only: "
             "export it with depth, as from a camera or phone that measures it"
         )
+    check_count(file, len(named))
     alone = len(frames) - len(named)
     warnings = [f"{file}: {alone} frames have no depth_file_path and were left out"] if alone else []
     return said, sorted(named, key=lambda row: counting_key(row[0])), warnings
+
+
+def _of_frame(said: Frame, frame: Frame) -> Frame:
+    """What is said of a frame, or else of all of them; keys that nobody reads are left out."""
+    return {key: home[key] for key in FRAME_KEYS for home in (said, frame) if key in home}
 
 
 def _first(said: Frame, keys: tuple[str, ...], default: object = None) -> Any:
@@ -145,7 +154,7 @@ def _name(file: Path, name: object) -> str:
         below(file.parent, name)
     except ValueError as error:
         raise RecordingError(
-            f"{file}: {printable(repr(name))} does not name a file inside the recording's folder"
+            f"{file}: {quoted(name)} does not name a file inside the recording's folder"
         ) from error
     return name
 
@@ -160,11 +169,10 @@ def _intrinsics(
 ) -> tuple[Intrinsics, list[str]]:
     """The intrinsics of the depth images; and warnings."""
     file = path / FILE
-    model = {str(frame.get("camera_model")) for frame in frames if frame.get("camera_model") not in MODELS}
-    if model:
-        raise RecordingError(
-            f"{file}: cameras of the model {min(model)} are not read: undistort the images first"
-        )
+    model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
+    if model is not None:
+        name = printable(model) if isinstance(model, str) else quoted(model)
+        raise RecordingError(f"{file}: cameras of the model {name} are not read: undistort the images first")
     if any(frame.get(key) is None for frame in frames for key in PINHOLE_KEYS):
         return Intrinsics(), []
     sizes = {

@@ -17,7 +17,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, read_object
+from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
@@ -101,9 +101,7 @@ class PolycamRecording(PhoneRecording):
 
 def _read_camera(file: Path) -> dict[str, Any] | None:
     """The JSON of a frame, or None if it is not there."""
-    if not file.is_file():
-        return None
-    return read_object(file, "the intrinsics and t_00 to t_23") | {"file": str(file)}
+    return read_camera_of_frame(file, "the intrinsics and t_00 to t_23", (*CAMERA_KEYS, *POSE_KEYS))
 
 
 def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64, tuple[int, int], list[str]]:

@@ -8,11 +8,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import numbers_of, read_object
+from kinectbench.stages.ingest.intrinsics import numbers_of, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
     COLOR_PX,
     GRAVITY_UP,
@@ -29,6 +29,8 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
+# What is read of the JSON of a frame.
+CAMERA_KEYS = ("time", "intrinsics", "cameraPoseARFrame")
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
 
 
@@ -84,9 +86,7 @@ class ScannerAppRecording(PhoneRecording):
 
 def _read_camera(file: Path) -> dict[str, Any] | None:
     """The JSON of a frame, or None if it is not there."""
-    if not file.is_file():
-        return None
-    return read_object(file, "intrinsics and cameraPoseARFrame") | {"file": str(file)}
+    return read_camera_of_frame(file, "intrinsics and cameraPoseARFrame", CAMERA_KEYS)
 
 
 def _matrix(camera: dict[str, Any], key: str, side: int) -> Float64:
@@ -107,9 +107,9 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
 
 def _stamps_ns(path: Path, cameras: list[dict[str, Any] | None]) -> tuple[list[int], list[str]]:
     """The times of the frames, where all have one and they increase; else the frames count seconds."""
-    times = [camera.get("time") if camera else None for camera in cameras]
-    if all(isinstance(time, int | float) and np.isfinite(time) for time in times):
-        stamps_ns = [round(float(time) * NS_PER_S) for time in times if time is not None]
+    times_s = numbers_of([camera.get("time") if camera else None for camera in cameras])
+    if times_s.ndim == 1 and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all() and len(times_s) == len(cameras):
+        stamps_ns = [round(time_s * NS_PER_S) for time_s in times_s.tolist()]
         if all(after > before for before, after in pairwise(stamps_ns)):
             return stamps_ns, []
     counted = [index * NS_PER_S for index in range(len(cameras))]

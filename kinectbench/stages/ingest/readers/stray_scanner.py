@@ -12,7 +12,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import first_by_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
-from kinectbench.core.untrusted import MOST_SIDE_PX, read_head
+from kinectbench.core.untrusted import MOST_SIDE_PX, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
@@ -144,7 +144,7 @@ def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
             raise RecordingError(f"{where}: holds {len(words)} values, not {len(names)}")
         values = dict(zip(names, words, strict=True))
         if not NUMBER.fullmatch(values["frame"]):
-            raise RecordingError(f"{where}: '{values['frame']}' is not a frame number")
+            raise RecordingError(f"{where}: '{printable(values['frame'])}' is not a frame number")
         numbers = parse_floats([values[name] for name in COLUMNS[2:]], where)
         stamp_ns = parse_stamp_ns(values["timestamp"], where)
         rows.append(

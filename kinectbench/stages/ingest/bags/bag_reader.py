@@ -1,0 +1,121 @@
+"""What it may cost to walk through a bag, and to read its messages one by one."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
+from kinectbench.stages.ingest.bags.ros_messages import DamagedRecordError, MessagePlace
+
+# No record of a bag takes less of its file, however well it is compressed, but for these (own choices).
+LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
+# Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file (own choices).
+ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
+# Chunks that were read last are kept up to this many bytes, and always one.
+CACHED_BYTES = 96 << 20
+# How often all chunks may be unpacked before as many messages were read (own choice).
+PASSES = 2
+
+
+class WalkBudget:
+    """What a walk through a bag's files may cost: time that grows with their size, and memory that does not.
+
+    A few bytes of compressed chunks may hold any number of records.
+    """
+
+    def __init__(self, bag_bytes: int) -> None:
+        """Start before the first record of a bag whose files have this size together."""
+        self._records = ALWAYS_RECORDS + bag_bytes // LEAST_RECORD_BYTES
+        self._steps = ALWAYS_STEPS + bag_bytes * STEPS_A_BYTE
+        self._bytes = unpacked_bound(bag_bytes)
+
+    def take_record(self) -> None:
+        """Count a record.
+
+        Raises:
+            DamagedRecordError: there are too many.
+        """
+        self._records -= 1
+        if self._records < 0:
+            raise DamagedRecordError
+
+    def take_step(self) -> bool:
+        """Count a few steps of SQLite's machine; whether there were any left."""
+        self._steps -= STEPS_AT_ONCE
+        return self._steps >= 0
+
+    @property
+    def bytes_left(self) -> int:
+        """What may still be unpacked."""
+        return self._bytes
+
+    def take_file(self, count: int) -> None:
+        """Count what a file that is compressed as a whole was unpacked to, no more than `bytes_left`."""
+        self._bytes -= count
+
+    def take_bytes(self, count: int) -> None:
+        """Count what a chunk is to be unpacked to.
+
+        Raises:
+            DamagedRecordError: it is too much, alone or with those before.
+        """
+        if count > min(UNPACKED_BYTES, self._bytes):
+            raise DamagedRecordError
+        self._bytes -= count
+
+
+class BagReader:
+    """Reads single messages of a bag's file, and keeps the chunks that were unpacked last.
+
+    Messages are read in the order of their stamps, which is that of their chunks but for a few. Where it is
+    not, each message may cost a chunk; so what is unpacked is bounded by how many messages were read.
+    """
+
+    def __init__(self, path: Path, unpack: Callable[[BinaryIO, int], bytes]) -> None:
+        """Read from this file; `unpack` makes the bytes of the chunk at a position of it."""
+        self._path = path
+        self._unpack = unpack
+        self._chunks: dict[int, bytes] = {}
+        self._whole_bytes = 0
+        self._bytes_a_read = 0.0
+        self._bytes_left = 0.0
+
+    def keep(self, position: int, data: bytes) -> None:
+        """Keep a chunk that was unpacked already, as long as there is room: the first are read first."""
+        self._whole_bytes += len(data)
+        if self._kept_bytes + len(data) <= CACHED_BYTES:
+            self._chunks[position] = data
+
+    def start_reading(self, messages: int) -> None:
+        """Set what may be unpacked: all chunks `PASSES` times, and once more whenever so many were read."""
+        self._bytes_left = PASSES * self._whole_bytes
+        self._bytes_a_read = self._whole_bytes / max(messages, 1)
+
+    def __call__(self, place: MessagePlace) -> bytes:
+        """The serialised message that lies there.
+
+        Raises:
+            RecordingError: to read the messages, the same chunks must be unpacked again and again.
+        """
+        self._bytes_left += self._bytes_a_read
+        if place.chunk not in self._chunks:
+            if self._bytes_left < 0:
+                raise RecordingError(
+                    f"{self._path}: messages of one time lie in chunks far apart, and each costs a chunk: "
+                    "write the bag again in the order of time, in chunks of a megabyte"
+                )
+            with open_plain(self._path) as file:
+                if place.chunk < 0:
+                    file.seek(place.offset)
+                    return file.read(place.size)
+                data = self._unpack(file, place.chunk)
+            self._bytes_left -= len(data)
+            while self._chunks and self._kept_bytes + len(data) > CACHED_BYTES:
+                del self._chunks[next(iter(self._chunks))]
+            self._chunks[place.chunk] = data
+        return self._chunks[place.chunk][place.offset : place.offset + place.size]
+
+    @property
+    def _kept_bytes(self) -> int:
+        return sum(map(len, self._chunks.values()))
