@@ -70,7 +70,6 @@ RAW = {
     "core/voxels/pair_file.py": "owner of the pair file",
     "core/voxels/recgan_file.py": "files of the 3D-RecGAN authors",
     "cli/": "tables that are printed",
-    "stages/ingest/intrinsics.py": "intrinsics as cameras' programs write them",
     "stages/fuse/reconstruction.py": "owner of reconstruction/volume.npz",
     "lab/simulate/writers/": "recordings as other programs write them",
     "lab/simulate/truth.py": "owner of a simulated recording's truth",
