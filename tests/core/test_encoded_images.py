@@ -25,7 +25,7 @@ def test_scans_of_a_jpeg_are_counted_before_it_is_decoded(tmp_path: Path) -> Non
     data, path = progressive_jpeg(1024, 5000), tmp_path / "000.color.jpg"
     path.write_bytes(data)
     with within(1, 50):
-        with pytest.raises(ValueError, match="1024x1024 pixels in .* scans cost too much to read"):
+        with pytest.raises(ValueError, match=r"1024x1024 pixels in .* scans cost too much to read"):
             image_head(data)
         for read in (read_color, read_gray):
             with pytest.raises(StorageError, match="not a readable image of its kind"):
