@@ -58,18 +58,21 @@ def init(
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path]) -> list[Path]:
-    """The folders right below one in which no recording was found, and which are no results of ours."""
+    """The folders right below one in which no recording was found; those that hold results are none of them."""
     from kinectbench.stages.ingest.readers import TRUTH
 
     ours = {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"}
-    children = [] if folder in recordings else sorted(child for child in folder.iterdir() if child.is_dir())
+    if folder in recordings:
+        return []
+    holding = {path.relative_to(folder).parts[0] for path in recordings}
+    children = sorted(child for child in folder.iterdir() if child.is_dir())
     return [
         child
         for child in children
         if not child.name.startswith(".")
         and child.name not in ours
         and not (child / TRUTH).is_file()
-        and not any(path.is_relative_to(child) for path in recordings)
+        and child.name not in holding
     ]
 
 

@@ -263,13 +263,16 @@ ObjectTruth = tuple[str, str, int, str, int]
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
     """How much of each object's truth is unknown, the most unknown first; the methods share one truth."""
+    most: dict[str, tuple[ScoreTable, list[ScoreRow]]] = {}
+    for table in tables:
+        for name, rows in _by_object(table.pairs(protocol)).items():
+            # The table that has most of its pairs: of another method some predictions may have failed.
+            if name not in most or len(rows) > len(most[name][1]):
+                most[name] = table, rows
     found = []
-    for name in {name for table in tables for name in table.truth_unknown_share}:
-        # That which has most of its pairs: of another method some predictions may have failed.
-        table = max(tables, key=lambda of: len(_pairs_of(of, protocol, name)))
-        rows, left_out = _pairs_of(table, protocol, name), table.all_unknown_pairs.get(protocol, ())
-        if rows and name in table.truth_unknown_share:
-            count = sum(row.pair in left_out for row in rows)
+    for name, (table, rows) in most.items():
+        if name in table.truth_unknown_share:
+            count = sum(row.iou is None for row in rows)
             found.append((table.truth_unknown_share[name], name, rows[0].category, len(rows), count))
     falling = sorted(found, key=lambda row: (-row[0], row[1]))
     return tuple(
@@ -277,9 +280,12 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
     )
 
 
-def _pairs_of(table: ScoreTable, protocol: str, name: str) -> list[ScoreRow]:
-    """The rows of one object under a protocol."""
-    return [row for row in table.pairs(protocol) if row.object == name]
+def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
+    """The rows of each object."""
+    found: dict[str, list[ScoreRow]] = {}
+    for row in rows:
+        found.setdefault(row.object, []).append(row)
+    return found
 
 
 def best_and_worst(tables: Sequence[ScoreTable], protocol: str) -> dict[str, Extremes]:

@@ -1,6 +1,6 @@
 """From rows to averages: pair -> object -> category -> macro; `paper` takes the plain mean of the pairs."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
@@ -60,22 +60,19 @@ class ObjectMeans:
     pairs: int
 
 
-def object_means(
-    rows: Sequence[ScoreRow], left_out: Mapping[str, Collection[str]]
-) -> dict[str, dict[str, ObjectMeans]]:
+def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
     """{protocol: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
 
     Views of one object are not independent: each object counts once, however many views it has. The
     protocol `paper` weighs every pair alike, as the paper does.
 
     Args:
-        rows: of a table.
-        left_out: {protocol: pairs that are all unknown}.
+        rows: of a table; one without an IoU is of a pair that is all unknown, and counts nowhere.
     """
     groups: dict[str, dict[str, dict[str, list[ScoreRow]]]] = {}
     for row in rows:
         categories = groups.setdefault(row.protocol, {})
-        if row.pair not in left_out.get(row.protocol, ()):
+        if row.iou is not None:
             categories.setdefault(row.category, {}).setdefault(row.object, []).append(row)
     return {
         protocol: {

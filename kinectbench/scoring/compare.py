@@ -202,7 +202,7 @@ def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
 
 def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMeans]:
     """The object means of each category."""
-    means = object_means(table.rows, table.all_unknown_pairs).get(protocol)
+    means = object_means(table.rows).get(protocol)
     if means is None:
         raise SettingsError(f"{table.method}: not scored under '{protocol}'; score it again with it")
     if not means:

@@ -59,11 +59,12 @@ def from_rows(
         quality: of the truth of each recording.
         complete: whether every pair was scored.
     """
-    left_out = {
-        name: tuple(row.pair for row in rows if row.protocol == name and row.iou is None)
-        for name in dict.fromkeys((*protocols, *(row.protocol for row in rows)))
-    }
-    means = object_means(rows, left_out)
+    left_out: dict[str, list[str]] = {name: [] for name in protocols}
+    for row in rows:
+        left_out.setdefault(row.protocol, [])
+        if row.iou is None:
+            left_out[row.protocol].append(row.pair)
+    means = object_means(rows)
     objects = _by_object(rows, quality)
     by_category = category_averages(means, rates, objects) if complete else None
     return FromRows(
@@ -72,7 +73,7 @@ def from_rows(
         truth_unknown_share={
             name: of.unknown_share for name, of in sorted(objects.items()) if of.unknown_share is not None
         },
-        all_unknown_pairs=left_out,
+        all_unknown_pairs={name: tuple(pairs) for name, pairs in left_out.items()},
         notes=tuple(_few_objects(rows, means)),
         extremes=extremes(rows),
         iou_by_threshold=curves(rows, protocols) if complete else None,

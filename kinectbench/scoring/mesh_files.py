@@ -163,7 +163,7 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
                 properties[-1].append(_Property(words[-1], kind_type, count_type, order == ""))
     except (IndexError, KeyError, ValueError, TypeError):
         raise malformed from None
-    if lines[0] != ["ply"] or order is None or sum(map(len, properties)) > MAX_PROPERTIES:
+    if lines[:1] != [["ply"]] or order is None or sum(map(len, properties)) > MAX_PROPERTIES:
         raise malformed
     found = [_Element(*facts, tuple(of)) for facts, of in zip(elements, properties, strict=True)]
     least = [element.rows * max(element.width, 1) for element in found]

@@ -13,6 +13,10 @@ MIN_OBJECTS = 3
 RESAMPLES = 10_000
 SEED = 0
 RESAMPLES_AT_ONCE = 1000
+# Of figures that are drawn together: 32 MB, and as fast as more (own choice).
+DRAWN_AT_ONCE = 1 << 22
+# Objects that are resampled; 2000 of twelve metrics take 1.5 s (measured).
+MOST_RESAMPLED = 2000
 
 
 def student_interval(values: Float64, weights: Float64) -> Float64 | None:
@@ -31,14 +35,19 @@ def student_interval(values: Float64, weights: Float64) -> Float64 | None:
     """
     from scipy.special import stdtrit
 
-    count = len(values)
-    if count < MIN_OBJECTS:
+    if len(values) < MIN_OBJECTS:
         return None
+    mean, deviation = _mean_and_deviation(values, weights)
+    half = float(stdtrit(len(values) - 1, (1 + LEVEL) / 2)) * deviation
+    return np.stack([mean - half, mean + half], axis=1)
+
+
+def _mean_and_deviation(values: Float64, weights: Float64) -> tuple[Float64, Float64]:
+    """Weighted mean of each column, and its standard deviation: see `student_interval`."""
+    count = len(values)
     mean = weights @ values / weights.sum()
     residuals = weights[:, None] * (values - mean)
-    deviation = np.sqrt(count / (count - 1) * (residuals**2).sum(axis=0)) / weights.sum()
-    half = float(stdtrit(count - 1, (1 + LEVEL) / 2)) * deviation
-    return np.stack([mean - half, mean + half], axis=1)
+    return mean, np.sqrt(count / (count - 1) * (residuals**2).sum(axis=0)) / weights.sum()
 
 
 def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
@@ -51,22 +60,43 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
         (m, 2) lower and upper end; None if a category has fewer than three objects, since resampling one or
         two says nothing of how objects differ. The same for the same values: the seed is fixed.
 
+    Of more than 2000 objects in all, only categories that have no more than their share of 2000 are resampled.
+    The means of the others are drawn together from the normal distribution that they have with so many.
+
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are an own rule.
     """
-    if min(len(values) for values, _ in groups) < MIN_OBJECTS:
+    counts = [len(values) for values, _ in groups]
+    if min(counts) < MIN_OBJECTS:
         return None
+    most = MOST_RESAMPLED if sum(counts) <= MOST_RESAMPLED else MOST_RESAMPLED // len(groups)
     rng = np.random.default_rng(SEED)
-    means = np.zeros((RESAMPLES, groups[0][0].shape[1]))
+    metrics = groups[0][0].shape[1]
+    means = np.zeros((RESAMPLES, metrics))
+    shift, variance = np.zeros(metrics), np.zeros(metrics)
     for values, weights in groups:
-        for start in range(0, RESAMPLES, RESAMPLES_AT_ONCE):  # memory stays small
-            drawn = rng.integers(len(values), size=(RESAMPLES_AT_ONCE, len(values)))
-            drawn_weights = weights[drawn]
-            sums = np.einsum("bk,bkm->bm", drawn_weights, values[drawn])
-            means[start : start + RESAMPLES_AT_ONCE] += (
-                sums / drawn_weights.sum(axis=1, keepdims=True) / len(groups)
-            )
+        if len(values) > most:
+            mean, deviation = _mean_and_deviation(values, weights)
+            shift += mean / len(groups)
+            variance += (deviation / len(groups)) ** 2
+        else:
+            _add_resampled(means, rng, values, weights, len(groups))
+    if max(counts) > most:
+        means += shift + np.sqrt(variance) * rng.standard_normal(means.shape)
     tail = (1 - LEVEL) / 2
     return np.quantile(means, [tail, 1 - tail], axis=0).T
+
+
+def _add_resampled(
+    means: Float64, rng: np.random.Generator, values: Float64, weights: Float64, groups: int
+) -> None:
+    """Add the means of one category's resamples, as one of so many categories, to those of the others."""
+    rows = min(RESAMPLES_AT_ONCE, max(1, DRAWN_AT_ONCE // values.size))
+    for start in range(0, RESAMPLES, rows):
+        here = means[start : start + rows]
+        drawn = rng.integers(len(values), size=(len(here), len(values)))
+        drawn_weights = weights[drawn]
+        sums = np.einsum("bk,bkm->bm", drawn_weights, values[drawn])
+        here += sums / drawn_weights.sum(axis=1, keepdims=True) / groups
 
 
 MAX_EXACT = 30

@@ -232,7 +232,7 @@ def test_scores_are_read_back(tmp_path: Path) -> None:
 
 def test_means_of_objects() -> None:
     rows = [row("chair", 0, 0, 0.2), row("chair", 0, 1, 0.4), row("chair", 1, 0, 0.9)]
-    means = object_means(rows, {})
+    means = object_means(rows)
     here = means["known"]["chair"]
     np.testing.assert_allclose(here.values[:, AVERAGED.index("iou")], [0.3, 0.9])
     assert np.isnan(here.values[:, AVERAGED.index("chamfer_mm")]).all()

@@ -37,7 +37,7 @@ def rows() -> list[ScoreRow]:
 
 
 def averages(quality: dict[str, QualityFile]) -> dict[str, CategoryAverages]:
-    means = object_means(rows(), {})
+    means = object_means(rows())
     rates = {name: BaseRate(value=0.1, source="test") for name in ("chair", "table")}
     by_category = category_averages(means, rates, _by_object(rows(), quality))
     return {**by_category["known"], "overall": overall_averages(by_category, means)["known"]}  # type: ignore[dict-item]

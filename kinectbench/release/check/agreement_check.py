@@ -27,7 +27,7 @@ from kinectbench.release.contents import (
     Contents,
     strict_json,
 )
-from kinectbench.release.publish.attribution import common_license
+from kinectbench.release.publish.attribution import common_license, license_text
 from kinectbench.release.publish.card import counts_table
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
@@ -35,8 +35,11 @@ from kinectbench.settings.yaml_nodes import compose, items
 
 # Of an object whose truth is held back.
 PUBLIC_OF_OBJECT = ("floor.json",)
-# A CITATION.cff of two thousand authors (own choice); PyYAML reads 0.1 MB a second.
+# A CITATION.cff of two thousand authors (own choice); PyYAML reads 0.1 MB a second. LICENSE and README.md may
+# have as much beside what benchmark.json lets them say, such as the words of a licence.
 CITATION_BYTES = 256 << 10
+# Of a recording in README.md: its figures and a warning or two (own choice).
+CARD_BYTES = 1 << 10
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,8 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
         stated: what the files must agree with.
         damaged: files that are not the published ones, by name.
     """
-    whole = [name for name in sorted(contents.entries) if name not in damaged]
-    for name in whole:
+    whole = contents.entries.keys() - damaged.keys()
+    for name in sorted(whole):
         if name.endswith(".json") and name != BENCHMARK_JSON:
             yield from _json_problems(contents, name)
     checks: dict[str, Check] = {
@@ -95,11 +98,12 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     checks |= {
         f"views/{name}/views.json": partial(_views_problems, name) for name in stated.metadata.recordings
     }
+    limits = _limits(stated.metadata)
     for name, check in checks.items():
         if name in whole:
             try:
-                limit = CITATION_BYTES if name == CITATION else MAX_READ_BYTES
-                yield from (f"{name}: {fault}" for fault in check(contents.text(name, limit), stated))
+                text = contents.text(name, limits.get(name, MAX_READ_BYTES))
+                yield from (f"{name}: {fault}" for fault in check(text, stated))
             except (ReleaseError, SettingsError) as error:
                 yield str(error)
             except (StorageError, KeyError, TypeError, AttributeError, ValueError):
@@ -118,6 +122,25 @@ def _json_problems(contents: Contents, name: str) -> Iterator[str]:
     yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
 
 
+def _limits(metadata: ReleaseInfo) -> dict[str, int]:
+    """Bytes of the texts that are searched for what benchmark.json says: larger ones are not read."""
+    said = license_text(metadata.name, metadata.license, metadata.recordings)
+    of_license = CITATION_BYTES + len(said.encode("utf-8", "replace"))
+    of_card = of_license + CARD_BYTES * len(metadata.recordings)
+    return {CITATION: CITATION_BYTES} | {
+        name: min(most, MAX_READ_BYTES) for name, most in ((LICENSE, of_license), (CARD, of_card))
+    }
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    """Where each line of a text begins, and the line; one at a time, for a list of them needs its memory."""
+    begin = 0
+    while (end := text.find("\n", begin)) >= 0:
+        yield begin, text[begin:end]
+        begin = end + 1
+    yield begin, text[begin:]
+
+
 def _license(metadata: ReleaseInfo) -> str:
     """The licence of all recordings; one that does not say, as in earlier releases, has the benchmark's."""
     infos = {
@@ -131,15 +154,21 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     for what, said in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
         if said not in text:
             yield f"does not state the {what} '{printable(said)}' of {BENCHMARK_JSON}"
-    for row in counts_table(stated.targets).splitlines():
-        if row not in text:
-            yield f"does not have the row '{row}', which {TARGETS_CSV} counts"
+    rows = dict.fromkeys(counts_table(stated.targets).splitlines())
+    found = {line for _, line in _lines(text) if line in rows}
+    for row in rows:
+        if row not in found:
+            yield f"does not have the row '{printable(row, 200)}', which {TARGETS_CSV} counts"
 
 
 def _license_problems(text: str, stated: Stated) -> Iterator[str]:
-    for name, info in stated.metadata.recordings.items():
-        said = f"{name}\n  licence: {info.license}\n  source: {' '.join(info.source.split())}\n"
-        if said not in text:
+    said = {
+        name: f"{name}\n  licence: {info.license}\n  source: {' '.join(info.source.split())}\n"
+        for name, info in stated.metadata.recordings.items()
+    }
+    found = {line for at, line in _lines(text) if line in said and text.startswith(said[line], at)}
+    for name in said:
+        if name not in found:
             yield f"does not state licence and source of {printable(name)} as {BENCHMARK_JSON} does"
 
 

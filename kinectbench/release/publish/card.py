@@ -1,6 +1,7 @@
 """What a release says to people: the card README.md, and READING.md, which reads it without this package."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -158,12 +159,12 @@ def _notice(info: ReleaseInfo) -> str:
 
 def counts_table(targets: Sequence[Target]) -> str:
     """Pairs and objects per category and split."""
-    rows = []
-    for category in sorted({target.category for target in targets}):
-        here = [target for target in targets if target.category == category]
-        objects = len({target.object for target in here})
-        per_split = [str(sum(target.split == split for target in here)) for split in SPLITS]
-        rows.append([category, str(objects), *per_split])
+    pairs = Counter((target.category, target.split) for target in targets)
+    objects = Counter(category for category, _ in {(target.category, target.object) for target in targets})
+    rows = [
+        [category, str(objects[category]), *(str(pairs[category, split]) for split in SPLITS)]
+        for category in sorted(objects)
+    ]
     return _markdown(["category", "objects", *(f"{split} pairs" for split in SPLITS)], rows)
 
 
