@@ -58,7 +58,7 @@ def init(
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path]) -> list[Path]:
-    """The folders right below one in which no recording was found; those that hold results are none of them."""
+    """The folders right below one in which no recording was found, but for those that hold results."""
     from kinectbench.stages.ingest.readers import TRUTH
 
     ours = {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"}

@@ -14,7 +14,7 @@ from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.letters import letters
 from kinectbench.scoring.read_table import read_table
-from kinectbench.scoring.uncertainty import MAX_EXACT, holm, sign_flip_ps, smallest_p
+from kinectbench.scoring.uncertainty import MAX_EXACT, holm, samples, sign_flip_ps, smallest_p
 
 ALPHA = 0.05
 ALL = "all"
@@ -113,7 +113,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
             small[scope] = too_small(count, pairs)
             notes.append(f"{scope}: {small[scope]}")
         if count > MAX_EXACT:
-            notes.append(f"{scope}: {count} objects; a million sign flips drawn, not all")
+            notes.append(f"{scope}: {count} objects; {samples(count):,} sign flips drawn, not all")
     averages = {
         scope: {name: _mean(column[scope]) for name, column in zip(names, columns, strict=True)}
         for scope in scopes

@@ -217,7 +217,9 @@ def _faces(data: NDArray[Any], position: int, element: _Element) -> NDArray[np.i
         _refuse_many(int(np.maximum(sizes - 2, 0).sum()) + triangles, "triangles", MAX_TRIANGLES)
         of = next(one for one in element.properties if one.count is not None and one.name in CORNER_LISTS)
         for size in np.unique(sizes[sizes > 2]):
-            polygons = _gathered(data, starts[sizes == size], int(size), of.kind, of.text).astype(np.int64)
+            polygons = _gathered(data, starts[sizes == size], int(size), of.kind, of.text)
+            # A corner in a text may be any number, or none: no vertex.
+            polygons = np.where(np.abs(polygons) <= MAX_VERTICES, polygons, -1).astype(np.int64)
             firsts = np.repeat(polygons[:, :1], size - 2, axis=1)
             made.append(np.stack([firsts, polygons[:, 1:-1], polygons[:, 2:]], axis=2).reshape(-1, 3))
             triangles += len(made[-1])

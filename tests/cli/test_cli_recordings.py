@@ -2,11 +2,13 @@
 
 import json
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 from small_benchmark import Run
 
+from kinectbench.cli.recordings import _without_recording
 from kinectbench.stages.ingest.readers import FORMATS
 
 
@@ -42,3 +44,12 @@ def test_init_names_the_folders_in_which_there_is_no_recording(
     assert run.err.split("\n")[0].startswith("note: colour_only: left out: no recording of a known format")
     assert "scores" not in run.err
     assert "chair.truth" not in run.err
+
+
+def test_folders_are_looked_up_among_the_recordings_once(tmp_path: Path) -> None:
+    for n in range(4000):
+        (tmp_path / f"{n:04d}").mkdir()
+    recordings = [tmp_path / f"{n:04d}" / "below" for n in range(3999)]
+    started = time.process_time()
+    assert _without_recording(tmp_path, recordings) == [tmp_path / "3999"]
+    assert time.process_time() - started < 5  # with a scan for each: over a minute

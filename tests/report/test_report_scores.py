@@ -242,4 +242,4 @@ def test_letters_join_what_cannot_be_told_apart(tmp_path: Path) -> None:
     many = [ranked_file(tmp_path, name, gain, objects=45) for name, gain in (("many", 0.1), ("more", 0.2))]
     found = grouped(read(many), ("known",))
     assert found.letters == {"known": {0: "b", 1: "a"}}
-    assert any("a million sign flips drawn" in note for note in found.notes)
+    assert any("1,000,000 sign flips drawn" in note for note in found.notes)

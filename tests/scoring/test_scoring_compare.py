@@ -25,11 +25,10 @@ from kinectbench.scoring.uncertainty import (
 RNG = np.random.default_rng(4)
 
 
-def row(category: str, thing: int, view: int, iou: float) -> ScoreRow:
+def row(category: str, thing: int, view: int, iou: float | None) -> ScoreRow:
     name = f"{category}_{thing}"
-    return ScoreRow(
-        name, name, f"{view:03d}", category, "known", 0.5, iou, 1 - iou, iou, iou, iou, 0.3, 0.9, 0.9
-    )
+    ce = None if iou is None else 1 - iou
+    return ScoreRow(name, name, f"{view:03d}", category, "known", 0.5, iou, ce, iou, iou, iou, 0.3, 0.9, 0.9)
 
 
 def table(method: str, rows: list[ScoreRow], benchmark: str = "a" * 64) -> ScoreTable:

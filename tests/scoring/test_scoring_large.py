@@ -1,0 +1,102 @@
+"""Tables of many rows, objects and categories: time and memory grow with them, no faster."""
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+from test_scoring_compare import row
+
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.types import Float64
+from kinectbench.report.tables import truth_of_objects
+from kinectbench.scoring import uncertainty
+from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.uncertainty import bootstrap_interval, sign_flip_ps, student_interval
+
+EARLIER = [0.14906275222793647, 0.4262096330836071]
+Groups = list[tuple[Float64, Float64]]
+
+
+def groups(*counts: int, metrics: int = 12) -> Groups:
+    rng = np.random.default_rng(3)
+    return [(rng.random((k, metrics)) ** 2, rng.integers(1, 50, k).astype(float)) for k in counts]
+
+
+def test_pairs_that_are_all_unknown_are_counted_once() -> None:
+    rows = [row("chair", n, 0, None) for n in range(60_000)] + [row("chair", 60_000, 0, 0.5)]
+    started = time.process_time()
+    found = from_rows(rows, ["known"], {}, {}, complete=True)
+    assert time.process_time() - started < 10  # with a scan for each: over a minute
+    assert len(found.all_unknown_pairs["known"]) == 60_000
+    assert found.by_category is not None and found.by_category["known"]["chair"].pairs == 1
+
+
+def test_the_truth_of_many_objects_is_looked_up_once() -> None:
+    rows = tuple(row("chair", n, 0, None if n % 2 else 0.5) for n in range(6000))
+    shares = {of.object: 0.25 for of in rows}
+    one = ScoreTable(method="one", rows=rows, truth_unknown_share=shares)
+    started = time.process_time()
+    found = truth_of_objects([one, one.model_copy(update={"rows": rows[:10]}), one], "known")
+    assert time.process_time() - started < 10  # with a scan for each object: over a minute
+    assert len(found) == 6000 and sum(left for *_, left in found) == 3000
+
+
+def test_what_is_drawn_at_once_changes_no_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = groups(3, 40, 7)
+    whole = bootstrap_interval(given)
+    assert whole is not None and whole[0].tolist() == EARLIER
+    monkeypatch.setattr(uncertainty, "DRAWN_AT_ONCE", 1 << 15)
+    np.testing.assert_array_equal(bootstrap_interval(given), whole)
+
+
+def test_the_memory_of_an_interval_is_bounded() -> None:
+    given = groups(2000)
+    tracemalloc.start()
+    bootstrap_interval(given)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 120 << 20  # 190 MB for each thousand resamples
+
+
+@pytest.mark.parametrize("counts", [(5000,), (3000, 5, 4), (2000, 2000), (3,) * 700])
+def test_the_interval_of_many_objects_is_that_of_resamples(
+    counts: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = groups(*counts, metrics=1)
+    if max(counts) == 3:  # with other weights the mean of a ratio of three is biased, which is not imitated
+        given = [(values, np.ones(3)) for values, _ in given]
+    found = bootstrap_interval(given)
+    monkeypatch.setattr(uncertainty, "MOST_RESAMPLED", 10**9)
+    drawn = bootstrap_interval(given)
+    assert found is not None and drawn is not None
+    # 10,000 resamples place an end to within 2.6 % of the width.
+    assert np.abs(found - drawn).max() < 0.04 * (drawn[0, 1] - drawn[0, 0])
+
+
+@pytest.mark.parametrize("counts", [(200_000,), (3,) * 60_000])
+def test_no_number_of_objects_takes_long(counts: tuple[int, ...]) -> None:
+    given = groups(*counts)
+    started = time.process_time()
+    found = bootstrap_interval(given)
+    assert time.process_time() - started < 10  # resampled: minutes
+    assert found is not None
+    if len(counts) == 1:
+        expected = student_interval(*given[0])
+        assert expected is not None
+        assert np.abs(found - expected).max() < 0.04 * np.ptp(expected, axis=1).min()
+
+
+def test_no_number_of_objects_takes_long_to_compare() -> None:
+    rng = np.random.default_rng(1)
+    differences = rng.normal(0.003, 1, (2, 100_000))
+    started = time.process_time()
+    tracemalloc.start()
+    found = sign_flip_ps(differences)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert time.process_time() - started < 10 and peak < 300 << 20
+    # With so many the sum is normal: Hoeffding, The large-sample power of tests based on permutations, 1952.
+    of_normal = 2 * ndtr(-np.abs(differences.sum(axis=1)) / np.sqrt((differences**2).sum(axis=1)))
+    assert found == pytest.approx(of_normal.tolist(), abs=0.03)
