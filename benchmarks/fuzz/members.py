@@ -98,7 +98,7 @@ def _zip(members: list[tuple[str, bytes]], packing: int, draw: Random, at: int |
             info = zipfile.ZipInfo(name.replace("\0", "?"))
             info.compress_type = packing
             if number == at and kind == "bomb":
-                _add_bomb(archive, buffer, info, data[:128] if data[:6] == b"\x93NUMPY" else b"")
+                add_bomb(archive, buffer, info, data[:128] if data[:6] == b"\x93NUMPY" else b"")
                 continue
             archive.writestr(info, data)
             if number == at:
@@ -106,7 +106,7 @@ def _zip(members: list[tuple[str, bytes]], packing: int, draw: Random, at: int |
     return buffer.getvalue()
 
 
-def _add_bomb(archive: zipfile.ZipFile, buffer: io.BytesIO, info: zipfile.ZipInfo, head: bytes) -> None:
+def add_bomb(archive: zipfile.ZipFile, buffer: io.BytesIO, info: zipfile.ZipInfo, head: bytes) -> None:
     """A member of a head and zeros; its checksum is not right, which is known only once all is read."""
     first = zlib.compressobj(9, zlib.DEFLATED, -15)
     data = first.compress(head) + first.flush(zlib.Z_FULL_FLUSH) + zeros()

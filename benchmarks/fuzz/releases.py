@@ -107,7 +107,7 @@ def seal(release: Path) -> None:
     }
     benchmark = release / "benchmark.json"
     if _is_listed(benchmark):
-        whole = hashlib.sha256("".join(lines.values()).encode()).hexdigest().encode()
+        whole = hashlib.sha256("".join(lines[name] for name in sorted(lines)).encode()).hexdigest().encode()
         content = benchmark.read_bytes()
         put(benchmark, re.sub(rb'("benchmark_sha256": *")[0-9a-f]{64}', rb"\g<1>" + whole, content))
         lines[benchmark.name] = f"{_sha256(benchmark)}  {benchmark.name}\n"

@@ -89,7 +89,7 @@ def _run(folder: Path, arguments: tuple[str, ...], told: Path, call: Call) -> Ra
     sys.stderr.flush()
     os.chdir(told)
     if not fault:
-        fault, detail = _judged((told / OUT).read_bytes(), (told / ERR).read_bytes(), status)
+        fault, detail = judged((told / OUT).read_bytes(), (told / ERR).read_bytes(), status)
     if not fault and used_mb > MOST_MB:
         fault, detail = "memory", f"{used_mb:.0f} MB"
     return Ran(status, used_mb, fault, detail)
@@ -138,7 +138,7 @@ def _called(call: Call, arguments: tuple[str, ...]) -> tuple[int, str, str]:
         return 1, f"{type(error).__name__} in {where}", detail
 
 
-def _judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
+def judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
     """What is wrong with what a command has printed, as a class and in detail."""
     if status not in STATUSES:
         return f"exit status {status}", ""

@@ -246,6 +246,11 @@ class _Slice(io.RawIOBase):
         return self._at
 
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        """Fill a buffer with the next bytes; returns how many, 0 at the end.
+
+        Raises:
+            EOFError: the file ends before the run of bytes does.
+        """
         left = max(0, self._size - self._at)
         self._file.seek(self._start + self._at)
         part = self._file.read(min(len(buffer), left))

@@ -2,6 +2,7 @@
 
 import math
 import re
+from datetime import date
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
@@ -24,7 +25,7 @@ CITED = {
     "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
     "doi": (r"10\.\S+/\S+", "a DOI such as 10.5281/zenodo.1234, without https://doi.org/"),
     "url": (r"https?://\S+", "an address that begins with https://"),
-    "date_released": (r"[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])", "a date as year-month-day"),
+    "date_released": (r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date as year-month-day"),
 }
 
 
@@ -252,6 +253,8 @@ class CitationSettings(Settings):
         pattern, wanted = CITED[str(info.field_name)]
         if value is not None and not re.fullmatch(pattern, value):
             raise ValueError(f"wanted {wanted}")
+        if value is not None and info.field_name == "date_released":
+            date.fromisoformat(value)  # the calendar has such a day
         return value
 
 

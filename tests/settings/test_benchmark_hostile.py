@@ -159,3 +159,13 @@ def test_init_gives_names_that_can_be_used_and_soon(tmp_path: Path) -> None:
     (tmp_path / "benchmark.yaml").write_text(text, encoding="utf-8")
     settings = load_benchmark(tmp_path / "benchmark.yaml")
     assert len({one.id.lower() for one in settings.recordings}) == len(found)
+
+
+@pytest.mark.parametrize(
+    "day",
+    ["٢٠٢٤-01-01", "２０２４-01-01", "2024-13-01", "2024-02-30", "0000-01-01", "20240101", "2024-W01-1"],
+)
+def test_a_date_is_a_day_of_the_calendar_in_plain_digits(day: str, tmp_path: Path) -> None:
+    assert "date_released" in complaint(
+        tmp_path, f'name: a\nrecordings: []\npublish: {{citation: {{date_released: "{day}"}}}}\n'
+    )

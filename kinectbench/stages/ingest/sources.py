@@ -12,6 +12,8 @@ MOST_FRAMES = 250_000
 MOST_FILES = 4 * MOST_FRAMES
 # No recording's folders lie deeper in each other (own choice).
 MOST_DEPTH = 32
+# Links to folders that are followed: a few that link to each other are a tree without end (own choice).
+MOST_LINKED = 1000
 MISSING = "there is no such file or folder; correct the recording's `path:`"
 # Some of the way to a file, as a line for people may quote it.
 QUOTED = 300
@@ -62,7 +64,9 @@ def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
         OSError: a folder cannot be read.
     """
     found: list[Path] = []
-    for number, (path, plain) in enumerate(_entries(folder, frozenset(), follow_links)):
+    for number, (path, plain) in enumerate(
+        _entries(folder, frozenset(), follow_links, iter(range(MOST_LINKED)))
+    ):
         if number >= MOST_FILES:
             raise RecordingError(
                 f"{folder}: holds more than {MOST_FILES} files and folders; name the folder of one recording"
@@ -87,7 +91,7 @@ def check_link(path: Path, *, follow_links: bool) -> None:
 
 
 def _entries(
-    folder: Path, above: frozenset[tuple[int, int]], follow_links: bool
+    folder: Path, above: frozenset[tuple[int, int]], follow_links: bool, links: Iterator[int]
 ) -> Iterator[tuple[Path, bool]]:
     """Everything in a folder and below, and whether it is a plain file.
 
@@ -95,6 +99,7 @@ def _entries(
         folder: listed with all below.
         above: the folders on the way to it.
         follow_links: links are taken for what they lead to.
+        links: one for each link to a folder that may still be followed.
     """
     status = folder.stat()
     identity = status.st_dev, status.st_ino
@@ -111,8 +116,12 @@ def _entries(
         if entry.is_symlink():
             check_link(path, follow_links=follow_links)
         if entry.is_dir():
+            if entry.is_symlink() and next(links, None) is None:
+                raise RecordingError(
+                    f"{path}: holds more than {MOST_LINKED} links to folders; copy what they lead to"
+                )
             yield path, False
-            yield from _entries(path, above | {identity}, follow_links)
+            yield from _entries(path, above | {identity}, follow_links, links)
         elif entry.is_file():
             yield path, True
         else:

@@ -99,6 +99,22 @@ def test_rows_without_end_are_bounded(tmp_path: Path) -> None:
     assert time.monotonic() - started < 5
 
 
+def test_of_messages_that_do_not_decode_a_thousand_are_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = ENDLESS.replace("FROM c)", "FROM c WHERE x < 30000)")
+    rows = f"INSERT INTO messages {endless} SELECT x, 1, x, x'00' FROM c"
+    path = database(tmp_path / "r.db3", (TOPICS, A_TOPIC, MESSAGES, rows))
+    tried: list[int] = []
+    usual = ros_messages.RosBag.decode
+    monkeypatch.setattr(
+        ros_messages.RosBag, "decode", lambda bag, topic, at: tried.append(at) or usual(bag, topic, at)
+    )
+    with pytest.raises(RecordingError, match="no topic holds depth images"):
+        open_recording(path)
+    assert max(tried) == 999
+
+
 def test_a_message_larger_than_the_file_is_not_read(tmp_path: Path) -> None:
     """Its pages go round: SQLite would copy them as often as its size asks for."""
     size = 100_000
@@ -237,7 +253,7 @@ import cv2, rosbags.typesys, zstandard
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.readers import open_recording
 for path in sorted(Path(sys.argv[1]).iterdir()):
-    started = time.monotonic()
+    started = time.process_time()
     try:
         recording = open_recording(path)
         said = [type(recording).__name__]
@@ -245,13 +261,13 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
         said = str(error).splitlines()
     status = Path("/proc/self/status").read_text()  # getrusage counts what the process was made of, too
     used = int(re.search(r"VmHWM:\\s+(\\d+)", status)[1]) >> 10
-    print(len(said), round(time.monotonic() - started, 2), used, path.name, said[0], flush=True)
+    print(len(said), round(time.process_time() - started, 2), used, path.name, said[0], flush=True)
 """
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is told by Linux's /proc")
 def test_bombs_take_neither_time_nor_memory(tmp_path: Path) -> None:
-    """10 s and 500 MB for each of them, with Python and its libraries; twice the time on a machine in use."""
+    """10 s of a processor and 500 MB for each of them, with Python and its libraries."""
     (tmp_path / "all").mkdir()
     for number, make in enumerate(BOMBS.values()):
         name, data = make()
@@ -263,7 +279,7 @@ def test_bombs_take_neither_time_nor_memory(tmp_path: Path) -> None:
     assert len(rows) == len(BOMBS) and done.stderr == ""
     for lines, seconds, megabytes, _, said in rows:
         assert (lines, said.startswith(str(tmp_path))) == ("1", True)
-        assert float(seconds) < 20 and int(megabytes) < 500, (seconds, megabytes, said)
+        assert float(seconds) < 10 and int(megabytes) < 500, (seconds, megabytes, said)
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4", "zstd"])
@@ -317,10 +333,10 @@ def test_the_definition_of_librealsense_is_known() -> None:
 @pytest.mark.parametrize("name", DEFINITIONS)
 def test_a_definition_that_is_a_program_is_not_compiled(tmp_path: Path, name: str) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
-    started = time.monotonic()
+    started = time.process_time()
     with pytest.raises(ValueError, match=r"\w"):
         known_types("realsense_msgs/msg/stream_info", DEFINITIONS[name], store)
-    assert time.monotonic() - started < 5
+    assert time.process_time() - started < 5
 
 
 def test_messages_of_such_a_type_do_not_decode(tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ LONGEST_NAME, DEFINITION_BYTES = 1000, 1 << 20
 PEEK_BYTES = 16
 # In as many bytes a message that is compressed begins: a block of zstd and its head. How chunks are unpacked.
 PACKED_HEAD_BYTES, PART_BYTES = 256 << 10, 4 << 20
+# Messages of a topic that are tried for one that decodes, before it is none of images (own choice).
+FIRST_TRIED = 1000
 TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
 # rosbags' store of ROS 1 types lacks these.
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
@@ -108,15 +110,15 @@ class RosBag:
         except (SerdeError, ValueError, struct.error, LookupError, OverflowError, RecursionError) as error:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
-    def whole(self, topic: BagTopic) -> Iterator[Any]:
-        """Every message of a topic that decodes."""
-        for index in range(len(topic.messages)):
+    def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Any]:
+        """Every message of a topic that decodes; `most` messages are tried, or all."""
+        for index in range(len(topic.messages[:most])):
             with suppress(DamagedImageError):
                 yield self.decode(topic, index)
 
     def first(self, topic: BagTopic) -> Any | None:
-        """The first message that decodes, or None."""
-        return next(self.whole(topic), None)
+        """The first message that decodes, or None where none of the first thousand does."""
+        return next(self.whole(topic, FIRST_TRIED), None)
 
 
 @cache
