@@ -95,7 +95,7 @@ def cases() -> Iterator[Case]:
         )
         yield from on(
             "report --benchmark release --out page.html --scores scores",
-            _instead("release", "scores/a/scores.json", kind),
+            _instead("release", "scores/a/scores.json", kind, (1, 2)),
             _instead("release", "scores/a/gallery.npz", kind),
         )
         yield from on(

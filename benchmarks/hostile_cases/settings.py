@@ -38,7 +38,12 @@ def cases() -> Iterator[Case]:
     yield from on(
         MANY,
         Case(
-            "M6", "5,000 recordings", "", with_yaml(lambda: _recordings(5000)), statuses=(0, 1, 3), errors=60
+            "M6",
+            "5,000 recordings",
+            "",
+            with_yaml(lambda: _recordings(5000)),
+            statuses=(0, 1, 3),
+            errors=5001,
         ),
     )
     yield Case("M6", "5,000 recordings", "--help", with_yaml(lambda: _recordings(5000)), statuses=(0,))

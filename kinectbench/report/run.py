@@ -193,12 +193,17 @@ def page_of_release(
 ) -> tuple[Path, list[str]]:
     """The same with the score tables of a release that has no build folders here."""
     info = release.metadata
+    # Not validated: the names are another's, and are only shown.
     recordings = [
-        RecordingSettings(id=name, path="-", category=r.category, object=r.object, split=r.split)
+        RecordingSettings.model_construct(
+            id=name, path="-", category=r.category, object=r.object, split=r.split
+        )
         for name, r in info.recordings.items()
     ]
     pairs = PairSettings(framing=info.framing, partial_rule=info.partial_rule)
-    settings = BenchmarkSettings(name=info.name, license=info.license, recordings=recordings, pairs=pairs)
+    settings = BenchmarkSettings.model_construct(
+        name=info.name, license=info.license, recordings=recordings, pairs=pairs
+    )
     tables, beside, warnings = _scores(scores, release, baselines)
     page = out or _folder(scores, Path("scores")) / INDEX
     return write_report(settings, None, tables, page, beside=beside, released=info), warnings

@@ -1,11 +1,13 @@
 """`kinectbench report` on several score files: one page of one truth, or one line why not."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz.releases import seal
 from small_benchmark import Run
 
 from kinectbench.release.release import Release
@@ -41,6 +43,21 @@ def test_several_merge_into_one_page(command: Command, release: Release, scored:
     assert 'data-value="net"' in text and 'data-value="net #2"' in text
     data = json.loads(text.partition('id="gallery-data">')[2].partition("</script>")[0])
     assert [method["name"] for method in data["methods"]] == ["net", "net #2"]
+
+
+def test_a_release_may_have_a_name_that_no_benchmark_yaml_accepts(
+    command: Command, release: Release, scored: Path, tmp_path: Path
+) -> None:
+    """As `import` gives it, by its folder; and a stranger may write anything there."""
+    copy = Path(shutil.copytree(release.folder, tmp_path / "release"))
+    text = (copy / "benchmark.json").read_text(encoding="utf-8")
+    said = json.loads(text) | {"name": "my chairs <b> \x1b[2J"}
+    (copy / "benchmark.json").write_text(json.dumps(said), encoding="utf-8")
+    seal(copy)
+    done = command(scored / "ours", "report", "--benchmark", str(copy), "--out", str(tmp_path / "page.html"))
+    assert done.status == 0 and done.err == "", done.err
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "my chairs &lt;b&gt;" in page and "<b> \x1b" not in page
 
 
 def test_without_names_it_is_the_folder_of_scores(command: Command, release: Release, scored: Path) -> None:
