@@ -13,6 +13,7 @@ from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
 from kinectbench.report.page import Beside, Groups, write_report
 from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, read_named, too_small
+from kinectbench.scoring.of_release import not_of_release
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.uncertainty import smallest_p
@@ -253,6 +254,9 @@ def _scores(
     else:
         files = files_named(scores, sha256)
     files += baselines_of(files) if baselines else []
+    if release is not None:
+        files, others = _of_release(files, release, refuse=not isinstance(scores, Path))
+        warnings += others
     tables = [file.table for file in files]
     # The truth that is shown is the release's, whatever came with the scores.
     truths: dict[str, PairTruth] = {}
@@ -261,6 +265,22 @@ def _scores(
         wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
     return tables, Beside(grouped(tables, COMPARED), [file.gallery for file in files], truths), warnings
+
+
+def _of_release(
+    files: Sequence[ScoreFile], release: Release, refuse: bool
+) -> tuple[list[ScoreFile], list[str]]:
+    """The files that agree with the release, and a warning for each that does not; or refuse the first."""
+    found, warnings = [], []
+    for file in files:
+        problem = next(not_of_release(file.table, release), None)
+        if problem is None:
+            found.append(file)
+        elif refuse:
+            raise SettingsError(f"{file.path}: {problem}; score the predictions again or leave it out")
+        else:
+            warnings.append(f"{file.path}: {problem}; left out of the page, score again")
+    return found, warnings
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:

@@ -75,6 +75,7 @@ class Table:
         unknown: share of the true shapes that is not known, under each category; empty if not known.
         left_out: how many pairs are left out as all unknown, in a sentence; "" if none.
         grouped: whether rows have groups.
+        shared: the marks that every row has; they stand above the table, and not in the rows.
     """
 
     title: str
@@ -86,6 +87,7 @@ class Table:
     grouped: bool
     unknown: tuple[str, ...] = ()
     left_out: str = ""
+    shared: tuple[str, ...] = ()
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
@@ -119,11 +121,13 @@ def score_table(
     note = PROTOCOL_NOTES.get(protocol, "")
     table = _table(f"Protocol “{protocol}”", protocol, note, columns, cells)
     of = {table.method: table for table in ordered}
+    marks = {method: [mark.words for mark in marks_of(table)] for method, table in of.items()}
+    shared = _shared([*marks.values()])
     rows = tuple(
         replace(
             row,
             group=(groups or {}).get(row.method, ""),
-            marks=tuple(mark.words for mark in marks_of(of[row.method])),
+            marks=tuple(words for words in marks[row.method] if words not in shared),
             standing=of[row.method].standing,
         )
         for row in table.rows
@@ -139,7 +143,14 @@ def score_table(
         base_rate=() if BASE_RATE in of else table.base_rate,
         unknown=tuple(map(per_cent, shares)) if any(share is not None for share in shares) else (),
         left_out=next(filter(None, (one.left_out_line(protocol) for one in ordered)), ""),
+        shared=shared,
     )
+
+
+def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """The marks of every one of several rows; of a single row they stand in it."""
+    first = marks[0] if len(marks) > 1 else ()
+    return tuple(words for words in first if all(words in of for of in marks))
 
 
 def published_table(published: PublishedTable = REAL) -> Table:

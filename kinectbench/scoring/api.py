@@ -19,7 +19,7 @@ from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, Job, count, count_job
 from kinectbench.scoring.prediction_file import checked
-from kinectbench.scoring.predictions import missing_line
+from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import check_missing, check_words, pairs_to_score
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
@@ -151,9 +151,11 @@ class Scorer:
         Raises:
             ReleaseError: no release there, or its truth is held back.
             SettingsError: an unknown protocol, an object in two splits, or an unusable threshold file.
+            PredictionError: the method has no name for one.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
         check_words(protocols, upsampling)
+        check_method(method)
         self._missing = check_missing(missing)
         check_splits(release.targets, str(release.folder))
         self._release, self._method = release, method

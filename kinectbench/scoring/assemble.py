@@ -25,7 +25,7 @@ from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
-from kinectbench.scoring.thresholds import Thresholds
+from kinectbench.scoring.thresholds import VALIDATION_SOURCE, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 
 
@@ -95,7 +95,7 @@ def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
     """How much of the validation split was predicted, if the thresholds are from there."""
-    if thresholds.source != "validation":
+    if thresholds.source != VALIDATION_SOURCE:
         return None
     predicted = sum(target.split == "validation" and target not in empty for target in results)
     return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES
+from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES, ScoreRow
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
@@ -214,14 +214,27 @@ def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMea
 
 
 def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: str) -> None:
-    pairs = [{(r.recording, r.view, r.object) for r in t.rows if r.protocol == protocol} for t in tables]
+    """Refuse tables of other pairs, or that say other things of the same truth."""
+    for name, table in zip(names, tables, strict=True):
+        if table.base_rate != tables[0].base_rate:
+            raise SettingsError(f"{name}: other base rates than {names[0]}; score both again")
+    pairs = [{row.pair: _of_truth(row) for row in table.pairs(protocol)} for table in tables]
     for name, here in zip(names, pairs, strict=True):
-        if here != pairs[0]:
+        if here.keys() != pairs[0].keys():
             raise SettingsError(f"{name}: other pairs than {names[0]}; score both against one benchmark")
+        other = next((pair for pair, of in here.items() if of != pairs[0][pair]), None)
+        if other is not None:
+            raise SettingsError(f"{name}: states other truth of {other} than {names[0]}; score both again")
     for name, table in zip(names, tables, strict=True):
         left_out, first = (set(t.all_unknown_pairs.get(protocol, ())) for t in (table, tables[0]))
         if left_out != first:  # the truth alone decides
             raise SettingsError(f"{name}: leaves out other pairs than {names[0]}; score both again")
+
+
+def _of_truth(row: ScoreRow) -> tuple[object, ...]:
+    """What a row says that no prediction changes."""
+    of = row.object, row.category, row.coverage_voxels, row.coverage_shape, row.unknown_share
+    return (*of, row.base_rate_ce)
 
 
 Weighted = Mapping[str, tuple[float, float]]

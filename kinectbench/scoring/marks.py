@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 
 from kinectbench.core.artefacts import score_marks as kinds
-from kinectbench.core.artefacts.score_marks import Mark
+from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.references import BASELINE_NAMES
-from kinectbench.scoring.thresholds import FIXED, FROM_FILE
+from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
@@ -17,6 +18,7 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
     """
     found: list[tuple[kinds.Kind, str]] = [
         (kinds.BASELINE, _baseline(table)),
+        (kinds.OLDER_VERSION, _older(table)),
         (kinds.MISSING_AS_EMPTY, _missing(table)),
         (kinds.VALIDATION_PARTIAL, _validation(table)),
         (kinds.THRESHOLDS_FIXED, _fixed(table)),
@@ -27,7 +29,13 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 def _baseline(table: ScoreTable) -> str:
     """By its name: the names of the baselines are theirs, so that a file of their predictions is known."""
-    return "baseline" if table.baseline or table.method in BASELINE_NAMES else ""
+    return "baseline" if table.baseline or table.method.lower() in BASELINE_NAMES else ""
+
+
+def _older(table: ScoreTable) -> str:
+    """Of a version that says less of how its scores came about: what it lacks cannot be marked."""
+    version = table.score_version
+    return "" if version >= ACCOUNTED else f"score version {version}, now {VERSIONS['score']}"
 
 
 def _missing(table: ScoreTable) -> str:
@@ -48,8 +56,8 @@ def _validation(table: ScoreTable) -> str:
 def _fixed(table: ScoreTable) -> str:
     """Categories whose threshold was neither searched nor given."""
     sources = table.threshold_source_by_category
-    names = [name for name, source in sorted(sources.items()) if source == "fixed"]
-    if table.threshold_source == "fixed" and len(names) == len(sources):
+    names = [name for name, source in sorted(sources.items()) if source == FIXED_SOURCE]
+    if table.threshold_source == FIXED_SOURCE and len(names) == len(sources):
         return f"thresholds fixed at {FIXED}"
     return f"threshold fixed at {FIXED}: {_listed(names)}" if names else ""
 

@@ -9,10 +9,10 @@ from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import Part
 from kinectbench.core.errors import StorageError
+from kinectbench.scoring.contradictions import contradictions
 from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
@@ -39,7 +39,7 @@ def read_table(path: Path) -> ScoreTable:
 
 def recomputed(table: ScoreTable, where: str) -> ScoreTable:
     """The table that another one's rows make; errors as those of `read_table`, beginning with `where`."""
-    problem = next(_contradictions(table), None)
+    problem = next(contradictions(table), None)
     if problem is None:
         complete = not table.failures and bool(table.complete or table.overall or table.by_category)
         derived = from_rows(
@@ -57,39 +57,6 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
         and table.verified.predictions_sha256 == table.predictions_sha256()
     )
     return table.model_copy(update=values | ({} if holds else {"verified": None}))
-
-
-def _contradictions(table: ScoreTable) -> Iterator[str]:
-    """What is wrong with the rows themselves."""
-    thing: dict[str, tuple[str, str]] = {}
-    pairs: dict[str, set[str]] = {}
-    for row in table.rows:
-        of, here = f"the row of {row.pair} under {row.protocol}", pairs.setdefault(row.protocol, set())
-        if row.pair in here:
-            yield f"{of} stands there twice"
-        here.add(row.pair)
-        if thing.setdefault(row.pair, (row.object, row.category)) != (row.object, row.category):
-            yield f"{of} is of another object or category than under another protocol"
-        if table.thresholds.get(row.category, row.threshold) != row.threshold:
-            yield f"{of} has the threshold {row.threshold:g}, its category {table.thresholds[row.category]:g}"
-        yield from (f"{of} {words}" for words in _beside_its_curve(row))
-    if any(of != pairs[table.rows[0].protocol] for of in pairs.values()):
-        yield "its protocols are of different pairs"
-    if table.complete and table.failures:
-        yield f"it is called complete, but {len(table.failures)} predictions failed"
-    if not table.rows and (table.overall or table.by_category):
-        yield "it states averages, but holds no rows"
-
-
-def _beside_its_curve(row: ScoreRow) -> Iterator[str]:
-    """A row whose IoU is not that of its own curve at its threshold."""
-    curve = row.iou_by_threshold
-    if curve is None:
-        return
-    if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
-        yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
-    elif not _close(of := curve[THRESHOLDS.index(row.threshold)], row.iou):
-        yield f"states an IoU of {_short(row.iou)}, and {_short(of)} at its threshold"
 
 
 def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Any]) -> Iterator[str]:

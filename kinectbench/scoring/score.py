@@ -27,7 +27,13 @@ from kinectbench.scoring.predictions import (
     stray_lines,
 )
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.thresholds import Thresholds, read_thresholds, searched_thresholds, thresholds_for
+from kinectbench.scoring.thresholds import (
+    VALIDATION_SOURCE,
+    Thresholds,
+    read_thresholds,
+    searched_thresholds,
+    thresholds_for,
+)
 from kinectbench.scoring.workers import run_tasks
 
 Missing = Literal["error", "empty"]
@@ -295,7 +301,7 @@ def _methods(
 
 def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
     """Write the thresholds that were found on validation to a file."""
-    if table.threshold_source != "validation":
+    if table.threshold_source != VALIDATION_SOURCE:
         raise SettingsError(
             f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
         )

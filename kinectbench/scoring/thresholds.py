@@ -16,6 +16,9 @@ from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, proto
 from kinectbench.scoring.metrics import ious
 
 FIXED = 0.5
+# Where a threshold is from; of a file its SHA-256 follows.
+VALIDATION_SOURCE = "validation"
+FIXED_SOURCE = "fixed"
 FROM_FILE = "file:"
 
 
@@ -69,19 +72,19 @@ def searched_thresholds(targets: Sequence[Target], tallies: Mapping[Target, Tall
     for category in categories:
         here = [target for target in tallies if target.category == category]
         of[category] = best_threshold([tallies[target] for target in here]) if here else FIXED
-        sources[category] = "validation" if here else "fixed"
+        sources[category] = VALIDATION_SOURCE if here else FIXED_SOURCE
         objects |= {target.object for target in here}
         if not here:
             warnings.append(f"threshold of {category} fixed at {FIXED}: no validation prediction of it")
     if not objects:
         return _fixed(categories, tuple(warnings))
-    return Thresholds(of, "validation", tuple(warnings), sources, tuple(sorted(objects)))
+    return Thresholds(of, VALIDATION_SOURCE, tuple(warnings), sources, tuple(sorted(objects)))
 
 
 def _fixed(categories: Sequence[str], warnings: tuple[str, ...]) -> Thresholds:
     """The same threshold for every category, which nothing was searched for."""
-    fixed = dict.fromkeys(categories, "fixed")
-    return Thresholds(dict.fromkeys(categories, FIXED), "fixed", warnings, fixed)
+    fixed = dict.fromkeys(categories, FIXED_SOURCE)
+    return Thresholds(dict.fromkeys(categories, FIXED), FIXED_SOURCE, warnings, fixed)
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:

@@ -16,7 +16,9 @@ from kinectbench.scoring.read_table import recomputed
 
 def row(category: str, thing: int, view: int, iou: float) -> ScoreRow:
     name = f"{category}_{thing}"
-    return ScoreRow(name, name, f"{view:03d}", category, "known", 0.5, iou, 1 - iou, iou, iou, iou)
+    return ScoreRow(
+        name, name, f"{view:03d}", category, "known", 0.5, iou, 1 - iou, 1.0, iou, 2 * iou / (1 + iou)
+    )
 
 
 def method(name: str, rows: list[ScoreRow]) -> ScoreTable:

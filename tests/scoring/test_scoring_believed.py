@@ -12,13 +12,15 @@ import pytest
 from small_benchmark import Run
 
 import kinectbench
+from kinectbench.core.artefacts.score_figures import VOXEL_METRICS
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.baselines.registry import BASELINES
 from kinectbench.scoring.compare import compare, read_named
 from kinectbench.scoring.marks import marks_of
-from kinectbench.scoring.read_table import read_table, recomputed
+from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.score import score, score_methods
@@ -132,20 +134,23 @@ def test_rounding_is_no_difference_and_what_is_not_stated_is_computed(net: Path,
     assert read_table(changed(net, tmp_path / "scores.json", less)).text() == whole.text()
 
 
-def test_tables_of_older_versions_stay_readable(net: Path, tmp_path: Path) -> None:
-    def older(of: dict[str, Any]) -> None:
-        for row in of["rows"]:
-            del row["iou_by_threshold"]
-        for key in (
-            *("threshold_source_by_category", "threshold_objects", "validation", "missing_as_empty"),
-            *("marks", "verified"),
-        ):
-            of.pop(key, None)
-        of["settings"]["score_version"] = 3
+def older(of: dict[str, Any]) -> None:
+    """As score version 3 wrote it."""
+    for row in of["rows"]:
+        del row["iou_by_threshold"]
+    for key in (
+        *("threshold_source_by_category", "threshold_objects", "validation", "missing_as_empty"),
+        *("marks", "verified"),
+    ):
+        of.pop(key, None)
+    of["settings"]["score_version"] = 3
 
+
+def test_tables_of_older_versions_stay_readable(net: Path, tmp_path: Path) -> None:
     path = changed(net, tmp_path / "scores.json", older)
     found, now = read_table(path), read_table(net / "scores" / "scores.json")
     assert found.overall == now.overall and found.iou_by_threshold == now.iou_by_threshold
+    assert [mark.words for mark in found.marks] == [f"score version 3, now {VERSIONS['score']}"]
 
     def and_forged(of: dict[str, Any]) -> None:
         older(of)
@@ -155,19 +160,20 @@ def test_tables_of_older_versions_stay_readable(net: Path, tmp_path: Path) -> No
         read_table(changed(net, path, and_forged))
 
 
-def test_pairs_that_are_left_out_are_those_of_every_method(net: Path) -> None:
-    table = read_table(net / "scores" / "scores.json")
-    nothing = dict.fromkeys(("iou", "ce", "precision", "recall", "f1", "iou_by_threshold"))
-    first = table.rows[0]
-    cut = tuple(
-        type(row)(**{**vars(row), **nothing}) if row.pair == first.pair else row for row in table.rows
-    )
-    content = table.model_copy(
-        update={"rows": cut, "by_category": None, "overall": None, "extremes": {}, "iou_by_threshold": None,
-                "all_unknown_pairs": {}, "method": "cut"}
-    )  # fmt: skip
+def test_pairs_that_are_left_out_are_those_of_every_method(net: Path, tmp_path: Path) -> None:
+    """Of tables whose rows say less: newer ones are refused when they are read."""
+
+    def cut(of: dict[str, Any]) -> None:
+        older(of)
+        for key in ("by_category", "overall", "extremes", "iou_by_threshold", "all_unknown_pairs", "notes"):
+            del of[key]
+        nothing = dict.fromkeys(("iou", "ce", "precision", "recall", "f1"))
+        of["rows"] = [row | nothing if row["view"] == "000" else row for row in of["rows"]]
+        of["method"] = "cut"
+
+    whole = read_table(changed(net, tmp_path / "whole.json", older))
     with pytest.raises(SettingsError, match="cut: leaves out other pairs than net"):
-        compare([table, recomputed(content, "cut")])
+        compare([whole, read_table(changed(net, tmp_path / "cut.json", cut))])
 
 
 def test_a_recheck_verifies(net: Path, release: Release, command: Command, tmp_path: Path) -> None:
@@ -182,7 +188,7 @@ def test_a_recheck_verifies(net: Path, release: Release, command: Command, tmp_p
     assert table.standing == f"verified {table.verified.date}, kinectbench {kinectbench.__version__}"
     assert not (tmp_path / "scores").exists()
     for edit in (
-        lambda of: of["rows"][0].update(coverage_voxels=0.5),
+        lambda of: of["rows"][0].update(ce=0.5),
         lambda of: of.update(method="other"),
         lambda of: of["hashes"]["chair_01/000"].update(prediction="blake3:" + "0" * 64),
         lambda of: of["settings"].update(missing="empty"),
@@ -201,8 +207,10 @@ RECHECKED: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         "chair_01/000 under known: 'ce' states",
     ),
     "a pair declared unknown": (
-        lambda of: of["rows"][0].update(dict.fromkeys(("iou", "ce", "f1", "iou_by_threshold"))),
-        "chair_01/000 under paper: 'iou' states nothing, but it is",
+        lambda of: next(row for row in of["rows"] if row["protocol"] == "known").update(
+            dict.fromkeys(VOXEL_METRICS), iou_by_threshold=None, coverage_shape=0.0
+        ),
+        "chair_01/000 under known: 'iou' states nothing, but it is",
     ),
     "another base rate": (lambda of: of["base_rate"]["chair"].update(value=0.5), "'base_rate.chair.value'"),
     "other predictions": (
@@ -210,7 +218,10 @@ RECHECKED: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         "chair_01/001: another file than the one that was scored",
     ),
     "a pair less": (
-        lambda of: of.update(rows=[row for row in of["rows"] if row["recording"] != "chair_01"]),
+        lambda of: of.update(
+            rows=[row for row in of["rows"] if row["recording"] != "chair_01"],
+            hashes={name: found for name, found in of["hashes"].items() if not name.startswith("chair_01/")},
+        ),
         "chair_01/000 under known: not in the table",
     ),
 }
@@ -236,19 +247,31 @@ def test_a_consistent_forgery_is_found_by_a_recheck(
     assert path.read_bytes() == before
 
 
+def as_if_from_a_file(of: dict[str, Any]) -> None:
+    """All that a table says of thresholds that were read from a file."""
+    source = "file:" + "0" * 64
+    pairs = {f"{row['recording']}/{row['view']}" for row in of["rows"]}
+    of.update(
+        threshold_source=source,
+        threshold_source_by_category=dict.fromkeys(of["thresholds"], source),
+        threshold_objects=["elsewhere"],
+        validation=None,
+        hashes={name: found for name, found in of["hashes"].items() if name in pairs},
+    )
+
+
 def test_what_cannot_be_rechecked_is_one_line(
     net: Path, release: Release, command: Command, tmp_path: Path
 ) -> None:
     path = changed(net, tmp_path / "scores.json", lambda of: None)
-    older = changed(net, tmp_path / "older.json", lambda of: of["settings"].update(score_version=3))
+    before = changed(net, tmp_path / "older.json", older)
     other = changed(net, tmp_path / "other.json", lambda of: of.update(benchmark_sha256="0" * 64))
-    source = {"threshold_source": "file:" + "0" * 64}
-    from_file = changed(net, tmp_path / "file.json", lambda of: of.update(source))
+    from_file = changed(net, tmp_path / "file.json", as_if_from_a_file)
     rest = [str(net / "net"), "--benchmark", str(release.folder)]
     for arguments, words in (
         ([str(path), "--benchmark", str(release.folder)], "name the folder of the predictions"),
         ([str(path), *rest, "--method", "a"], "--method: not with --recheck"),
-        ([str(older), *rest], "counted by score version 3"),
+        ([str(before), *rest], "counted by score version 3"),
         ([str(other), *rest], "scored against benchmark 000000000000"),
         ([str(from_file), *rest], "give it: --thresholds"),
         ([str(tmp_path / "none.json"), *rest], "no such file"),

@@ -27,8 +27,9 @@ RNG = np.random.default_rng(4)
 
 def row(category: str, thing: int, view: int, iou: float | None) -> ScoreRow:
     name = f"{category}_{thing}"
-    ce = None if iou is None else 1 - iou
-    return ScoreRow(name, name, f"{view:03d}", category, "known", 0.5, iou, ce, iou, iou, iou, 0.3, 0.9, 0.9)
+    ce, precision, f1 = (None,) * 3 if iou is None else (1 - iou, 1.0, 2 * iou / (1 + iou))
+    figures = iou, ce, precision, iou, f1
+    return ScoreRow(name, name, f"{view:03d}", category, "known", 0.5, *figures, 0.3, 0.9, 0.9)
 
 
 def table(method: str, rows: list[ScoreRow], benchmark: str = "a" * 64) -> ScoreTable:

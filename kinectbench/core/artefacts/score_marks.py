@@ -9,13 +9,21 @@ from kinectbench.core.artefacts.stored import Part
 Sha256 = Annotated[str, Field(json_schema_extra={"pattern": "^[0-9a-f]{64}$"})]
 
 BASELINE: Final = "baseline"
+OLDER_VERSION: Final = "older-version"
 MISSING_AS_EMPTY: Final = "missing-as-empty"
 THRESHOLDS_FIXED: Final = "thresholds-fixed"
 THRESHOLDS_UNCHECKED: Final = "thresholds-unchecked"
 VALIDATION_PARTIAL: Final = "validation-partial"
 Kind = Literal[
-    "baseline", "missing-as-empty", "thresholds-fixed", "thresholds-unchecked", "validation-partial"
+    "baseline",
+    "older-version",
+    "missing-as-empty",
+    "thresholds-fixed",
+    "thresholds-unchecked",
+    "validation-partial",
 ]
+# From this version of `score` on a table accounts for its thresholds and for what is missing.
+ACCOUNTED = 4
 REPORTED = "reported"
 
 

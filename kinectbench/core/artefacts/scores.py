@@ -80,10 +80,18 @@ class OverallAverages(Averages):
 class ScoreSettings(Part):
     """Every choice that the numbers depend on, in words and numbers."""
 
-    score_version: int | None = Field(None, description="counts the changes of what `score` computes")
+    score_version: int | None = Field(
+        None,
+        description="counts the changes of what `score` computes; 1 where it is not stated",
+        json_schema_extra={"minimum": 1},
+    )
     protocols: tuple[str, ...] = Field((), description="those that were scored")
     primary_protocol: str | None = Field(None, description="the one that methods are ranked by")
-    missing: str | None = Field(None, description='of a prediction: "error", or "empty" for an empty grid')
+    missing: str | None = Field(
+        None,
+        description='of a prediction: "error", or "empty" for an empty grid',
+        json_schema_extra={"enum": ["error", "empty"]},
+    )
     threshold_range: tuple[float, float] | None = Field(None, description="lowest and highest threshold")
     threshold_step: float | None = Field(None, description="between neighbouring thresholds")
     threshold_rule: str | None = Field(None, description="how thresholds are chosen")

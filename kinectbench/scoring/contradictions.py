@@ -1,0 +1,186 @@
+"""What a score table says that cannot all be true, whatever was predicted.
+
+`read_table` refuses a table with the first of these sentences. They need nothing but the table; what only the
+release can tell is in `of_release`, and what only the predictions can tell is found by `recheck`.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from kinectbench.core.artefacts.score_figures import VOXEL_METRICS, ScoreRow
+from kinectbench.core.artefacts.score_marks import ACCOUNTED
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.storage import name_problem
+from kinectbench.core.untrusted import printable
+from kinectbench.engine.artefact import VERSIONS
+from kinectbench.scoring.counts import CE_CLIP, THRESHOLDS
+from kinectbench.scoring.table_bounds import ROUNDING, out_of_bounds
+from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, VALIDATION_SOURCE
+
+# What a table states from the version on that accounts for thresholds and missing predictions; from then on
+# each row has its IoU at every threshold, too.
+ACCOUNTS = (
+    *("complete", "benchmark_sha256", "thresholds", "threshold_source", "threshold_source_by_category"),
+    *("threshold_objects", "validation", "missing_as_empty", "base_rate", "failures", "hashes"),
+)
+MOST_CE = -math.log(CE_CLIP)  # nats a voxel, of a prediction that is wrong everywhere
+
+
+def contradictions(table: ScoreTable) -> Iterator[str]:
+    """What is wrong with what a table states as facts, a sentence each, the gravest first."""
+    yield from out_of_bounds(table)
+    yield from _of_version(table)
+    yield from _of_rows(table)
+    yield from _of_thresholds(table)
+    if table.score_version >= ACCOUNTED:
+        yield from _of_sources(table)
+        yield from _of_missing(table)
+    if table.complete and table.failures:
+        yield f"it is called complete, but {len(table.failures)} predictions failed"
+    if not table.rows and (table.overall or table.by_category):
+        yield "it states averages, but holds no rows"
+
+
+def _of_version(table: ScoreTable) -> Iterator[str]:
+    """What a table of its version has, or cannot have."""
+    version, known = table.score_version, VERSIONS["score"]
+    if version > known:
+        yield f"counted by score version {version}, and this kinectbench knows none after {known}"
+    if version < ACCOUNTED:
+        if any(row.iou_by_threshold is not None for row in table.rows):
+            yield f"its rows have an IoU at every threshold, which score version {version} did not write"
+        return
+    yield from (
+        f"lacks '{key}', which score version {version} states"
+        for key in ACCOUNTS
+        if key not in table.model_fields_set
+    )
+    if problem := name_problem(table.method, also="+"):
+        yield f"'{printable(table.method)}': no name for a method: {problem}"
+    if table.complete is False and not table.failures:
+        yield "it is called incomplete, but no prediction failed"
+
+
+def _of_rows(table: ScoreTable) -> Iterator[str]:
+    """What is wrong with the rows: each by itself, and those of a pair, a recording and a protocol."""
+    thing: dict[str, tuple[str, str]] = {}
+    whole: dict[str, tuple[int, float | None]] = {}
+    pairs: dict[str, set[str]] = {}
+    for row in table.rows:
+        of, here = f"the row of {row.pair} under {row.protocol}", pairs.setdefault(row.protocol, set())
+        if row.pair in here:
+            yield f"{of} stands there twice"
+        here.add(row.pair)
+        if thing.setdefault(row.recording, (row.object, row.category)) != (row.object, row.category):
+            yield f"{of} is of another object or category than another row of its recording"
+        if whole.setdefault(row.pair, (row.cells, row.unknown_share)) != (row.cells, row.unknown_share):
+            yield f"{of} has other cells, or another share of unknown, than under another protocol"
+        yield from (f"{of} {words}" for words in _in_row(row, table.score_version))
+    if any(of != pairs[table.rows[0].protocol] for of in pairs.values()):
+        yield "its protocols are of different pairs"
+    protocols = table.settings.protocols
+    if pairs and protocols and sorted(pairs) != sorted(protocols):
+        yield f"its rows are under {_listed(sorted(pairs))}, its settings name {_listed(protocols)}"
+
+
+def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
+    """What is wrong with one row."""
+    figures = [getattr(row, name) for name in VOXEL_METRICS]
+    if row.threshold not in THRESHOLDS:
+        yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
+    if row.protocol == "paper" and (row.coverage_voxels or 1.0, row.coverage_shape or 1.0) != (1.0, 1.0):
+        yield "does not count every voxel"
+    if row.ce is not None and row.ce > MOST_CE + ROUNDING:
+        yield f"states a CE of {row.ce:g}; none is above {MOST_CE:.1f}, since predictions are clipped"
+    if row.iou is None:
+        if any(value is not None for value in (*figures, row.iou_by_threshold)):
+            yield "has figures, but no IoU"
+        elif version >= ACCOUNTED and row.coverage_voxels and row.coverage_shape:
+            yield "has no figures, though it counts a part of the shape"
+        return
+    yield from _ratios(row)
+    if row.iou_by_threshold is not None or version >= ACCOUNTED:
+        yield from _beside_its_curve(row, row.iou_by_threshold or ())
+
+
+def _ratios(row: ScoreRow) -> Iterator[str]:
+    """Precision, recall and F1 that cannot belong to the row's IoU: all four are of three counts."""
+    iou, precision, recall = row.iou or 0.0, row.precision, row.recall
+    if row.f1 is not None and not _near(row.f1, 2 * iou / (1 + iou)):
+        yield f"states an F1 of {row.f1:g}, which no IoU of {iou:g} has"
+    if precision is None or recall is None:
+        return
+    # 1 / IoU = 1 / precision + 1 / recall - 1, without a division
+    if not _near(precision * recall, iou * (precision + recall - precision * recall)):
+        yield f"states precision {precision:g} and recall {recall:g}, which no IoU of {iou:g} has"
+
+
+def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
+    """A row whose IoU is not that of its own curve at its threshold."""
+    if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
+        yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
+    elif not _near(of := curve[THRESHOLDS.index(row.threshold)], row.iou or 0.0):
+        yield f"states an IoU of {row.iou:g}, and {of:g} at its threshold"
+
+
+def _of_thresholds(table: ScoreTable) -> Iterator[str]:
+    """Rows of a category at different thresholds, or at another than the table states."""
+    used: dict[str, float] = dict(table.thresholds)
+    for row in table.rows:
+        if used.setdefault(row.category, row.threshold) != row.threshold:
+            yield (
+                f"the row of {row.pair} under {row.protocol} has the threshold {row.threshold:g}, "
+                f"its category {used[row.category]:g}"
+            )
+    shared = sorted({row.object for row in table.rows} & set(table.threshold_objects or ()))
+    if shared:
+        yield f"its thresholds were found on objects that it scores ({_listed(shared)})"
+
+
+def _of_sources(table: ScoreTable) -> Iterator[str]:
+    """Where the thresholds are from: the words, the categories and the counts must fit each other."""
+    source, sources, use = table.threshold_source, table.threshold_source_by_category, table.validation
+    categories = {row.category for row in table.rows} | table.thresholds.keys()
+    if not categories == table.thresholds.keys() == sources.keys():
+        yield "'thresholds', 'threshold_source_by_category' and the rows are of different categories"
+        return
+    allowed = {source, FIXED_SOURCE} if source == VALIDATION_SOURCE else {source}
+    if source not in sources.values() or not allowed.issuperset(sources.values()):
+        found = _listed(sorted({printable(of, 17) for of in sources.values()}))
+        yield f"its thresholds are from {printable(source, 17)}, those of its categories from {found}"
+    for name, of in sources.items():
+        if of == FIXED_SOURCE and table.thresholds[name] != FIXED:
+            yield f"the threshold of {name} is called fixed, but is {table.thresholds[name]:g}, not {FIXED}"
+    if (use is not None) != (source == VALIDATION_SOURCE):
+        yield f"its thresholds are from {printable(source, 17)}, but 'validation' says otherwise"
+    if use is not None and not 0 <= use.predicted <= use.pairs:
+        yield f"{use.predicted} of {use.pairs} validation pairs cannot have been predicted"
+    if table.threshold_objects is None and not source.startswith(FROM_FILE):
+        yield "'threshold_objects' names none, though its thresholds are from no file"
+
+
+def _of_missing(table: ScoreTable) -> Iterator[str]:
+    """Pairs that were scored as empty, and files that were scored: both are counted in several places."""
+    test = {row.pair: row.cells for row in table.rows}
+    empty = set(table.missing_as_empty)
+    if {name for name, cells in test.items() if not cells} != empty & test.keys():
+        yield "'missing_as_empty' names other pairs than the rows without a prediction"
+    if empty and table.settings.missing != "empty":
+        yield "'missing_as_empty' names pairs, though its settings call a missing prediction an error"
+    if not test.keys() <= table.hashes.keys():
+        yield "'hashes' lacks pairs of its rows"
+    elif table.threshold_source != FIXED_SOURCE:
+        validation = len(table.hashes) - len(test)
+        predicted = 0 if table.validation is None else table.validation.predicted
+        if validation != predicted + len(empty - test.keys()):
+            yield f"'hashes' has {validation} pairs beside its rows, where validation has {predicted}"
+
+
+def _near(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=ROUNDING)
+
+
+def _listed(names: Sequence[str], at_most: int = 3) -> str:
+    """Some names of a file, and how many more there are."""
+    more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
+    return ", ".join(printable(name, 60) for name in names[:at_most]) + more

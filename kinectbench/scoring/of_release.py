@@ -1,0 +1,66 @@
+"""Whether a score table is of a release: its pairs, objects, hashes of truth, and what it says of the splits.
+
+The hash of the release, which the table states, is compared by whoever asks. No pair is read: base rates and
+coverage are found by `recheck`.
+"""
+
+from collections.abc import Iterator
+
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.untrusted import printable
+from kinectbench.release.release import Release
+from kinectbench.scoring.thresholds import VALIDATION_SOURCE
+
+
+def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
+    """What a table says that the release does not, a sentence each.
+
+    Args:
+        table: as it was read (`read_table`), scored against this release.
+        release: the truth.
+    """
+    test = {target.name: target for target in release.split("test")}
+    yield from _rows(table, test)
+    scored = {row.pair for row in table.rows}
+    if table.complete and len(scored) < len(test):
+        first = next(name for name in test if name not in scored)
+        yield f"called complete, but has {len(scored)} of the {len(test)} test pairs; {first} is not there"
+    yield from _hashes(table, release)
+    yield from _validation(table, release)
+    for name, quality in table.truth_quality.items():
+        of = release.metadata.recordings.get(name)
+        if of is None or of.quality.json_value() != quality.json_value():
+            yield f"'truth_quality.{printable(name, 60)}' is not what the release says of its truth"
+
+
+def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
+    """Rows of pairs that are not in the test split, or of other things."""
+    for row in table.rows:
+        target = test.get(row.pair)
+        if target is None:
+            yield f"{printable(row.pair, 60)} is no pair of the test split"
+        elif (row.object, row.category) != (target.object, target.category):
+            yield f"{row.pair} is of {target.object}, a {target.category}; the table says otherwise"
+
+
+def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
+    """Hashes of pairs that were not to be scored, or of another truth."""
+    known = {target.name: target for target in release.targets if target.split != "train"}
+    for name, of in table.hashes.items():
+        target = known.get(name)
+        if target is None:
+            yield f"'hashes' has {printable(name, 60)}, no pair of the test or validation split"
+        elif of.truth != target.sha256:
+            yield f"{name}: scored against another truth than the release's"
+
+
+def _validation(table: ScoreTable, release: Release) -> Iterator[str]:
+    """What it says of a validation split that is another."""
+    validation = release.split("validation")
+    if table.validation is not None and table.validation.pairs != len(validation):
+        yield f"states {table.validation.pairs} validation pairs; the release has {len(validation)}"
+    there = {target.category for target in validation}
+    for name, source in table.threshold_source_by_category.items():
+        if source == VALIDATION_SOURCE and name not in there:
+            yield f"the threshold of {printable(name, 60)} is from validation, which has no pair of it"

@@ -1,0 +1,76 @@
+"""Hold what a score table states as facts against the bounds that its schema gives them.
+
+A share above 1 or a cell count below 0 is no score; the reader of a stranger's table refuses it.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from functools import cache
+from typing import Any, cast
+
+from pydantic.fields import FieldInfo
+
+from kinectbench.core.artefacts.score_figures import fields_of
+from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
+from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.untrusted import printable
+
+ROUNDING = 1e-9  # a share that was summed may be above 1 by 1e-15
+
+
+def out_of_bounds(table: ScoreTable) -> Iterator[str]:
+    """What lies outside the minimum, maximum, pattern or words that the schema states, a sentence each.
+
+    What follows from the rows is not looked at: it is computed anew.
+    """
+    for name in ScoreTable.model_fields:
+        if name not in DERIVED:
+            yield from _in_field(getattr(table, name), _extra(ScoreTable, name), name)
+
+
+def _in_field(value: Any, extra: Mapping[str, Any], key: str) -> Iterator[str]:
+    """What is wrong with the value of one field, and below it."""
+    if extra and value not in (None, "") and (why := _outside(value, extra)):
+        yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
+    elif isinstance(value, Part) or (is_dataclass(value) and not isinstance(value, type)):
+        for name, of in _bounded(type(value)):
+            yield from _in_field(getattr(value, name), of, f"{key}.{name}")
+    elif isinstance(value, Mapping):
+        for name, of_name in value.items():
+            yield from _in_field(of_name, {}, f"{key}.{printable(str(name), 60)}")
+    elif isinstance(value, tuple):
+        for index, one in enumerate(value):
+            yield from _in_field(one, {}, f"{key}.{index}")
+
+
+def _outside(value: Any, extra: Mapping[str, Any]) -> str:
+    """Why a value is outside the bounds of its field, in a few words; "" if it is inside."""
+    if isinstance(value, list | tuple):
+        items = cast(Mapping[str, Any], extra.get("items", {}))
+        return next((why for one in (min(value), max(value)) if (why := _outside(one, items))), "")
+    if isinstance(value, str):
+        if "enum" in extra and value not in extra["enum"]:
+            return f"must be one of {', '.join(extra['enum'])}"
+        if not re.fullmatch(extra.get("pattern", ".*"), value, re.DOTALL):
+            return f"must match {extra['pattern']}"
+        return ""
+    if isinstance(value, int | float):
+        if value < extra.get("minimum", value) - ROUNDING:
+            return f"must be at least {extra['minimum']}"
+        if value > extra.get("maximum", value) + ROUNDING:
+            return f"must be at most {extra['maximum']}"
+    return ""
+
+
+@cache
+def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, Any]], ...]:
+    """The fields of a class, with their bounds."""
+    names = kind.model_fields if issubclass(kind, Part) else fields_of(kind)
+    return tuple((name, _extra(kind, name)) for name in names)
+
+
+def _extra(kind: type, name: str) -> Mapping[str, Any]:
+    """What a field adds to the schema: its bounds are among it."""
+    info: FieldInfo = (kind.model_fields if issubclass(kind, Part) else fields_of(kind))[name]
+    return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
