@@ -90,7 +90,28 @@ def build_recordings(
     With `told`, the reason of a failure that is not tried again, as nothing has changed, is left to `build`.
     """
     chosen = chosen_jobs(common, ids)
+    if told:
+        _tell_changed_settings(chosen, upto)
     return build_jobs(chosen, upto, common.workers, force, wait=common.wait, told=told)
+
+
+def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
+    """A note if recordings will be made anew because they were built with other settings, such as `--set`."""
+    from kinectbench.cli import console
+    from kinectbench.core.untrusted import printable
+    from kinectbench.engine.pipeline import changed_settings
+    from kinectbench.settings.words import listed
+
+    found: dict[str, list[str]] = {}
+    for job in chosen:
+        if changed := changed_settings(job, upto):
+            told = [f"{key} was {then}, now {now}" for key, (then, now) in changed.items()]
+            found.setdefault(printable("; ".join(told), 200), []).append(job.recording.id)
+    lines = [
+        f"{listed(names)}: built with other settings ({told}); made anew by benchmark.yaml and --set"
+        for told, names in found.items()
+    ]
+    console.lines("note", lines, "cyan")
 
 
 def build_jobs(

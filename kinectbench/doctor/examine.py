@@ -25,7 +25,7 @@ from kinectbench.doctor.depth import (
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.floor import Ground, camera_heights_m, check_floor
 from kinectbench.doctor.look import Look, take_look
-from kinectbench.doctor.still import check_still
+from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
 from kinectbench.settings.models import CameraSettings, FusionSettings, Vector4
 from kinectbench.stages.ingest.readers import open_recording
@@ -118,22 +118,24 @@ def _examined(
     look: Look, ground: Ground, found: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
     """What depth that is depth tells: further facts, and all findings, less those that poses settle."""
-    edges, poses = fit_edges(look), fit_trajectory(look)
+    # Poses of a camera that stands still fit alike however they are read: they tell nothing.
+    still = [*check_still(look)]
+    stands = any(finding.name in NO_MOTION for finding in still)
+    edges, poses = fit_edges(look), None if stands else fit_trajectory(look)
     depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
     heights_m = camera_heights_m(look, ground, poses, depth_range.max_depth_m)
     late = [*_late(look, edges, poses), *check_range(look, depth_range)]
     if not own_pixels:
-        late += [*check_floor(look, heights_m, ground), *check_still(look)]
+        late += [*check_floor(look, heights_m, ground), *still]
     if poses is not None and poses.proven:
         found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
     # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
     explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
-    turns = any(finding.name == "turntable" for finding in late)
     found = found + [
         finding
         for finding in late
         if not (explained and finding.name == "trajectory_wrong")
-        and not (turns and (finding.name == "arc" or finding.name.startswith("trajectory")))
+        and not (stands and (finding.name == "arc" or finding.name.startswith("trajectory")))
     ]
     facts = _late_facts(edges, poses, heights_m)
     if poses is not None:

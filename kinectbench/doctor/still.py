@@ -11,6 +11,8 @@ TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if
 MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
 OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it brings masks of the object"
 WALK = "walk around the object, or let it turn"
+# Findings of a camera that stands still: whatever its poses are, they are one.
+NO_MOTION = frozenset({"one_view", "turntable"})
 PLAIN = "nothing but the object gives depth, so that it does not matter whether it turned or the camera moved"
 
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 from kinectbench.core.artefacts.manifest import Timing
 from kinectbench.core.artefacts.object import BoxPart, CandidatesFile
@@ -16,7 +17,7 @@ from kinectbench.core.errors import (
     TrackingError,
     internal_error,
 )
-from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.artefact import Artefact, whole_manifest
 from kinectbench.engine.failures import StillFailsError, forget_failure, keep_failure, refuse_again
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
@@ -128,6 +129,32 @@ def is_current(job: Job, upto: str) -> bool:
     for stage in stages_upto(upto):
         artefacts[stage.name] = _artefact(job, stage, artefacts)
     return all(artefact.is_current() for artefact in artefacts.values())
+
+
+def changed_settings(job: Job, upto: str) -> dict[str, tuple[Any, Any]]:
+    """The settings that what lies on disk was made with and that are others now: {key: (then, now)}.
+
+    Args:
+        job: the recording, with the settings of now.
+        upto: name of the last stage.
+    """
+    changed: dict[str, tuple[Any, Any]] = {}
+    for stage in stages_upto(upto):
+        manifest = whole_manifest(job.build / stage.folder)
+        if manifest is not None and manifest.stage_version == stage.version:
+            then, now = _by_key(manifest.settings), _by_key(stage.settings(job))
+            changed |= {
+                key: (then[key], value) for key, value in now.items() if then.get(key, value) != value
+            }
+    return changed
+
+
+def _by_key(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Nested settings by their keys as `--set` names them, such as fusion.voxel_size_m."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        found |= _by_key(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
+    return found
 
 
 def listed_box(job: Job, number: int) -> BoxPart:

@@ -26,8 +26,13 @@ def found(
         "given": {"trajectory": "none", **given},
     }
     simulate(SimulationSpec.model_validate(spec), tmp_path / "kettle")
-    diagnosis, _ = inspect(tmp_path / "kettle", own_pixels=own_pixels)
-    return {finding.name: finding.advice for finding in diagnosis.findings}
+    return advice_in(tmp_path / "kettle", own_pixels)[0]
+
+
+def advice_in(recording: Path, own_pixels: bool = False) -> tuple[dict[str, str], dict[str, object]]:
+    """The advice of each finding, and the facts."""
+    diagnosis, _ = inspect(recording, own_pixels=own_pixels)
+    return {finding.name: finding.advice for finding in diagnosis.findings}, dict(diagnosis.facts)
 
 
 NAMES = {"turntable", "one_view", "plain_background"}
@@ -58,3 +63,14 @@ def test_one_view_only(tmp_path: Path) -> None:
     advice = found(tmp_path, {}, moves="turntable", arc_rad=0.0)
     assert "one_view" in advice
     assert "turntable" not in advice
+
+
+@pytest.mark.parametrize("own_pixels", [False, True])
+@pytest.mark.parametrize("arc_rad", [0.0, 3.0])
+def test_poses_of_a_camera_that_stands_still_are_not_read(
+    tmp_path: Path, arc_rad: float, own_pixels: bool
+) -> None:
+    found(tmp_path, {"trajectory": "true"}, moves="turntable", arc_rad=arc_rad)
+    advice, facts = advice_in(tmp_path / "kettle", own_pixels)
+    assert facts["poses"] == 12 and "poses_read_as" not in facts and "arc_deg" not in facts
+    assert not {"mirrored_images", "trajectory_reading", "trajectory_scale"} & advice.keys()
