@@ -18,7 +18,8 @@ from kinectbench.core.untrusted import open_plain
 # Names that are safe as those of files, and as paths of a release.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 # Recordings and methods name folders that lie beside files and folders of ours: publish.json in build/,
-# scores.json, index.html and baselines/ in a folder of scores. No name is that folder's, or ends as they do.
+# scores.json, index.html and baselines/ in a folder of scores. No recording and no method may have
+# that folder's name, or one that ends as those files do.
 OUR_FOLDERS = ("baselines",)
 OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".html", ".lock", ".part", ".old")
 
@@ -72,15 +73,14 @@ def storage_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno == errno.EFBIG and error.filename:
+            raise  # a file was too large to be read; of a write the system names none
         advice = {
             errno.ENOSPC: "the disk is full: free some space and run the command again",
             errno.EDQUOT: "the disk quota is used up: free some space and run the command again",
             errno.EROFS: "the disk is read-only: choose a folder that can be written",
             errno.EACCES: "no permission to write there: choose another folder or change its rights",
-            # Said of a write, which names no file; of a read it is another's bound.
-            errno.EFBIG: ""
-            if error.filename
-            else "files may not grow so large here (`ulimit -f`): raise the limit and run the command again",
+            errno.EFBIG: "files may not grow so large here: raise the limit (`ulimit -f`) and try again",
             errno.EPERM: "no permission to write there: choose another folder or change its rights",
         }.get(error.errno or 0)
         if not advice:

@@ -37,8 +37,8 @@ def using_threads(count: int) -> Iterator[None]:
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """The function's result of each item, in order; threads make the next ones while one is used.
 
-    As many results as there are threads wait at a time, so that memory is bounded. An error, of the function
-    or of the items, is raised where its result would come.
+    One result more than there are threads waits at a time, so that memory is bounded. An error, of the
+    function or of the items, is raised where its result would come.
 
     Args:
         function: depends on nothing but the item.

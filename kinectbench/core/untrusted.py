@@ -13,6 +13,7 @@ import re
 import reprlib
 import stat
 import unicodedata
+from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
@@ -35,6 +36,8 @@ UNPACKED_BYTES = 256 << 20
 MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
 # Of a path that an index names, characters (own choice); and of a name in it, bytes: what Linux takes.
 MOST_NAME, MOST_PART_BYTES = 1024, 255
+# Files and folders in one: four for each frame of the longest recording (own choice).
+MOST_LISTED = 1_000_000
 # Read and written at a time: enough that a call costs nothing beside it (own choice).
 COPIED_BYTES = 1 << 20
 
@@ -58,6 +61,43 @@ def open_plain(path: Path) -> BufferedReader:
 def size_of(file: IO[bytes]) -> int:
     """The bytes that an open file has; its path may lead to another meanwhile."""
     return os.fstat(file.fileno()).st_size
+
+
+def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]"]:
+    """What lies in a folder, one after another, in no order; all names together could fill the memory.
+
+    Args:
+        folder: a folder.
+        most: files and folders in it.
+
+    Raises:
+        OSError: it cannot be read; EFBIG: it holds more.
+    """
+    with os.scandir(folder) as entries:
+        for count, entry in enumerate(entries):
+            if count == most:
+                raise OSError(errno.EFBIG, f"holds more than {most} files and folders", str(folder))
+            yield entry
+
+
+def listed(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
+    """The paths of `scanned`."""
+    return (folder / entry.name for entry in scanned(folder, most))
+
+
+def listed_below(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
+    """What lies in a folder and below, links not followed, in no order.
+
+    Raises:
+        OSError: a folder cannot be read; EFBIG: there is more than `most`.
+    """
+    waiting, left = [folder], most
+    while waiting:
+        for entry in scanned(waiting.pop(), left):
+            left -= 1
+            if entry.is_dir(follow_symlinks=False):
+                waiting.append(Path(entry.path))
+            yield Path(entry.path)
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:

@@ -8,10 +8,11 @@ from typing import IO
 # The end record, the locator of the one for large files (zip64), and that: see APPNOTE, 4.3.14 to 16.
 _END, _LOCATOR, _END_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 _END_BYTES, _LOCATOR_BYTES, _END_64_BYTES = 22, 20, 56
-# The format counts its bytes in 16 bits; and what may lie between the members (own choice).
+# The format counts its bytes in 16 bits.
 MOST_COMMENT_BYTES = 0xFFFF
 # A file's row in the directory: 46 bytes, its name and times (own choice; long names are no part of ours).
 ROW_BYTES = 1 << 10
+# By how much the directory of a few files may be larger (own choice).
 SLACK_BYTES = 64 << 10
 
 
@@ -50,7 +51,10 @@ def open_zip(
 
 
 def _listed(file: IO[bytes]) -> tuple[int, int]:
-    """The number of files and the bytes of the directory, as the end of a zip says; found as zipfile does."""
+    """The number of files and the bytes of the directory, as the end of a zip says.
+
+    It is found as zipfile does, where the record for large files lies right before its locator.
+    """
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - _END_BYTES - MOST_COMMENT_BYTES - 1))
     tail = file.read(_END_BYTES + MOST_COMMENT_BYTES + 1)

@@ -18,7 +18,7 @@ from kinectbench.core.storage import canonical_json, replaced_file, replaced_fol
 FORMAT_VERSION = 1
 # A larger file of which the disk holds so much less is mostly a hole; file systems that compress make a
 # recording less than ten times smaller (own choices).
-HOLES_FROM_BYTES, MOST_OF_HOLES = 1 << 28, 1000
+HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 
 # Versions of what is kept on disk and used again. What was written by another version is made again; what was
 # written by the same version is kept, whatever version the package has. A change of what an algorithm writes
@@ -148,7 +148,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 def _refuse_holes(path: Path, stat: os.stat_result) -> None:
     """Refuse a file that says it is large and holds next to nothing: reading its zeros may take hours."""
     there = 512 * stat.st_blocks
-    if stat.st_size > HOLES_FROM_BYTES and there * MOST_OF_HOLES < stat.st_size:
+    if stat.st_size > HOLES_FROM_BYTES and there * MOST_SPARSENESS < stat.st_size:
         raise RecordingError(
             f"{path}: of its {stat.st_size} bytes the disk holds {there}, the rest is a hole; copy it again"
         )

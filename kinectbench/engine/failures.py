@@ -7,7 +7,6 @@ from pathlib import Path
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.errors import (
-    KinectBenchError,
     RecordingError,
     SegmentationError,
     ShapeError,
@@ -23,31 +22,28 @@ OF_THE_RECORDING = (RecordingError, TrackingError, SegmentationError, ShapeError
 OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
-class StillFailsError(KinectBenchError):
-    """A stage failed before, and would fail again for the same reason: nothing it depends on has changed."""
-
-
-def refuse_again(build: Path, artefact: Artefact) -> None:
-    """Refuse to make what has failed with the same inputs, settings and code.
+def failed_before(build: Path, artefact: Artefact) -> str | None:
+    """Why a stage would fail again: it did, and nothing that it depends on has changed since.
 
     Args:
         build: `build/<recording>/`.
         artefact: that is about to be made.
 
-    Raises:
-        StillFailsError: it would fail again; the message is the reason that was kept.
+    Returns:
+        The reason that was kept, one line; None if it may be tried.
     """
     try:
         failed = Failed.read_if_there(build)
     except StorageError:
-        return  # damaged: nobody can read what failed
+        return None  # damaged: nobody can read what failed
     if (
         failed is not None
         and failed.stage == artefact.stage
         and failed.fingerprint == artefact.fingerprint
         and failed.package_version == __version__
     ):
-        raise StillFailsError(failed.error)
+        return failed.error
+    return None
 
 
 def keep_failure(

@@ -18,7 +18,7 @@ from kinectbench.core.errors import (
     internal_error,
 )
 from kinectbench.engine.artefact import Artefact, whole_manifest
-from kinectbench.engine.failures import StillFailsError, forget_failure, keep_failure, refuse_again
+from kinectbench.engine.failures import failed_before, forget_failure, keep_failure
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
@@ -68,7 +68,8 @@ def build_recording(
     started = time.monotonic()
     made: list[str] = []
     current: list[str] = []
-    error, repeated = None, False
+    error: str | None = None
+    repeated = False
     try:
         with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
             artefacts: dict[str, Artefact] = {}
@@ -84,14 +85,16 @@ def build_recording(
                     if artefact.is_current() and stage.name not in force:
                         current.append(stage.name)
                         continue
-                    if stage.name not in force:
-                        refuse_again(job.build, artefact)
+                    if stage.name not in force and (error := failed_before(job.build, artefact)) is not None:
+                        repeated = True
+                        break
                     report(stage.name, 0, 1)
                     _make(job, stage, artefact, report)
                     made.append(stage.name)
-            forget_failure(job.build, (*made, *current))
+            if not repeated:
+                forget_failure(job.build, (*made, *current))
     except Exception as failure:
-        error, repeated = _told(failure), isinstance(failure, StillFailsError)
+        error = _told(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     seconds = time.monotonic() - started
@@ -103,8 +106,6 @@ def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> 
     """Keep on disk why a stage failed, for the page; of `suggest` it shows nothing."""
     try:
         yield
-    except StillFailsError:
-        raise  # what is kept says why
     except Exception as failure:
         check_interrupt()
         if stage.name in STAGE_NAMES:

@@ -14,7 +14,7 @@ from typing import IO, Any
 from kinectbench.core import untrusted_text
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.untrusted import decoded, read_plain
+from kinectbench.core.untrusted import decoded, listed_below, read_plain
 
 CARD = "README.md"
 READING = "READING.md"
@@ -31,6 +31,8 @@ CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
 LINK = "a link; in an archive only plain files are read"
 MAX_READ_BYTES = 64 << 20
+# Files of a release: a hundred thousand pairs with two images each (own choice); listing them takes 300 MB.
+MOST_FILES = 300_000
 # A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to 1
 # GiB, and shrinks to a tenth or less (own choice).
 MOST_FILE_BYTES = 256 << 20
@@ -50,8 +52,18 @@ DAMAGED = (
 
 
 def release_files(folder: Path) -> Iterator[Path]:
-    """Every file and link below a release but SHA256SUMS, sorted; links are not followed."""
-    for path in sorted(folder.rglob("*")):
+    """Every file and link below a release but SHA256SUMS, sorted; links are not followed.
+
+    Raises:
+        ReleaseError: there are too many, or a folder cannot be read.
+    """
+    if not folder.is_dir():
+        return
+    try:
+        found = sorted(listed_below(folder, MOST_FILES))
+    except OSError as error:
+        raise ReleaseError(f"{error.filename or folder}: {error.strerror}; this is no release") from error
+    for path in found:
         if (path.is_symlink() or not path.is_dir()) and path != folder / SHA256SUMS:
             yield path
 

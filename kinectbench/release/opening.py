@@ -12,22 +12,25 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, cast
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import storage_errors
-from kinectbench.core.untrusted import open_plain, printable
+from kinectbench.core.untrusted import (
+    COPIED_BYTES,
+    MOST_RATIO,
+    copy_bounded,
+    open_plain,
+    printable,
+    size_of,
+    unpacked_bound,
+)
 from kinectbench.core.zip_files import open_zip
-from kinectbench.release.contents import DAMAGED, LINK, Contents, Entry, release_files
+from kinectbench.release.contents import DAMAGED, LINK, MOST_FILES, Contents, Entry, release_files
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
-# A release's own files are packed already: they shrink little.
-MAX_INFLATION, SLACK_BYTES = 100, 64 << 20
-CHUNK_BYTES = 1 << 20
-# Files of an archive: a hundred thousand pairs with two images each (own choice); listing them takes 300 MB.
-MOST_FILES = 300_000
 # Of what a tar says of one member before its data: its block, names of 4096 characters, times, attributes.
 MOST_HEADER_BYTES = 128 << 10
 # Of what a tar says of all members at once; git writes one (own choice).
@@ -140,12 +143,13 @@ def _opened(path: Path, stack: ExitStack) -> Contents:
 
 def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
     """Write what a gzip file holds, no more than a release can."""
-    limit = _limit(path)
     with gzip.GzipFile(fileobj=packed) as source:
-        while chunk := source.read(CHUNK_BYTES):
-            inflated.write(chunk)
-            if inflated.tell() > limit:
-                raise _bomb(path)
+        try:
+            copy_bounded(cast(IO[bytes], source), inflated, unpacked_bound(size_of(packed)))
+        except OSError as error:
+            if error.errno != errno.EFBIG or error.filename is not None:
+                raise
+            raise _bomb(path) from error
     inflated.seek(0)
 
 
@@ -222,7 +226,7 @@ class _Headers(io.RawIOBase):
 
 def _member(file: IO[bytes], start: int, size: int) -> io.BufferedReader:
     """A member of a tar, as a file of its own."""
-    return io.BufferedReader(_Slice(file, start, size), CHUNK_BYTES)
+    return io.BufferedReader(_Slice(file, start, size), COPIED_BYTES)
 
 
 class _Slice(io.RawIOBase):
@@ -275,14 +279,9 @@ def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
             )
         else:
             entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry
-    if sum(entry.size for entry in entries.values()) > _limit(path):
+    if sum(entry.size for entry in entries.values()) > unpacked_bound(path.stat().st_size):
         raise _bomb(path)
     return Contents(entries, tuple(problems))
-
-
-def _limit(path: Path) -> int:
-    """The bytes that an archive of this size may hold."""
-    return MAX_INFLATION * path.stat().st_size + SLACK_BYTES
 
 
 def _damaged(path: Path, error: Exception) -> ReleaseError:
@@ -293,5 +292,5 @@ def _damaged(path: Path, error: Exception) -> ReleaseError:
 
 def _bomb(path: Path) -> ReleaseError:
     return ReleaseError(
-        f"{path}: claims to hold more than {MAX_INFLATION} times its size, which no release does; refused"
+        f"{path}: claims to hold more than {MOST_RATIO} times its size, which no release does; refused"
     )

@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import listed, printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
@@ -160,7 +160,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
     with _readable(folder):
         if _answers(folder, recordings):
             return {folder.resolve().name: folder}
-        methods = [path for path in sorted(folder.iterdir()) if path.is_dir() and _answers(path, recordings)]
+        methods = [path for path in sorted(listed(folder)) if path.is_dir() and _answers(path, recordings)]
     if not methods:
         raise PredictionError(
             f"{folder}: no predictions there; expected <recording>/<view>.npy or .npz, or a folder of these "

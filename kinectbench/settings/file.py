@@ -20,6 +20,8 @@ MOST_BYTES = 16 << 20
 RECORDINGS_AT_ONCE = 5000
 # Lines about what is wrong: of more than that one reason is usually behind all.
 SHOWN = 20
+# What a line quotes of a value, characters; and what is looked at for it, as the rest may be megabytes.
+QUOTED, LOOKED_AT = 60, 1000
 
 
 def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettings:
@@ -226,7 +228,8 @@ def _found(node: yaml.Node | None) -> str:
     if isinstance(node, yaml.SequenceNode):
         if not node.value or not all(isinstance(child, yaml.ScalarNode) for child in node.value):
             return f"a list of {len(node.value)}"
-        return _shortened(f"[{', '.join(_scalar(child) for child in node.value)}]")
+        # As many as a line may quote, and one more.
+        return _shortened(f"[{', '.join(_scalar(child) for child in node.value[:QUOTED])}]")
     if isinstance(node, yaml.MappingNode):
         return "a mapping"
     if node is None:
@@ -243,5 +246,5 @@ def _scalar(node: yaml.Node) -> str:
 
 
 def _shortened(text: str) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= 60 else f"{line[:57]}..."
+    """A text in one line, without a long middle."""
+    return printable(" ".join(text[:LOOKED_AT].split()), QUOTED)

@@ -125,8 +125,8 @@ def _nodes(text: str, source: str) -> yaml.Node | None:
     if _Parser:
         try:
             return _FastLoader(text, source).get_single_node()
-        except (yaml.YAMLError, UnicodeEncodeError):
-            if len(text) > SPELT_OUT:
+        except (yaml.YAMLError, UnicodeEncodeError) as error:
+            if len(text) > SPELT_OUT or isinstance(error, _TooManyError):
                 raise
     return _PlainLoader(text, source).get_single_node()
 

@@ -14,12 +14,15 @@ from kinectbench.core.storage import name_problem, replaced_file, storage_errors
 from kinectbench.core.untrusted import (
     below,
     cell,
+    listed,
+    listed_below,
     open_plain,
     printable,
     quoted,
     read_head,
     read_plain,
     read_plain_text,
+    scanned,
 )
 
 
@@ -129,6 +132,20 @@ def test_what_is_quoted_only_prints(text, shown):
 )
 def test_values_are_quoted_in_short(value):
     assert quoted(value).isprintable() and len(quoted(value)) <= 80
+
+
+@pytest.mark.parametrize("walk", [scanned, listed, listed_below])
+def test_a_folder_is_listed_as_far_as_a_bound(tmp_path, walk):
+    for number in range(5):
+        (tmp_path / f"{number}").mkdir()
+    (tmp_path / "0/below").touch()
+    (tmp_path / "1/up").symlink_to(tmp_path)  # is listed, and not followed
+    count = 5 if walk is not listed_below else 7
+    assert len(list(walk(tmp_path, count))) == count
+    with pytest.raises(OSError, match=r"holds more than . files and folders") as told:
+        list(walk(tmp_path, count - 1))
+    assert told.value.errno == errno.EFBIG
+    assert next(iter(walk(tmp_path, 1))) is not None  # the first is given before the rest is counted
 
 
 def test_a_file_that_may_not_grow_so_large_is_told_as_a_full_disk_is(tmp_path):

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import ClassVar, Literal, Protocol, Self, TypeVar
 
@@ -14,7 +15,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
 from kinectbench.stages.ingest.rotated_depth import unrotated
@@ -251,7 +252,8 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 def visible(folder: Path, pattern: str) -> list[Path]:
     """The files of a folder whose names match; hidden ones are no part of a recording."""
-    return [file for file in folder.glob(pattern) if not file.name.startswith(".")]
+    there = listed(folder) if folder.is_dir() else ()
+    return [file for file in there if fnmatchcase(file.name, pattern) and not file.name.startswith(".")]
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:

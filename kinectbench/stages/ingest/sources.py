@@ -1,11 +1,10 @@
 """The files that a recording is made of: plain ones, not too many, and links only where they are wanted."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import printable, scanned
 
 # Two hours at 30 frames a second; depth, colour, mask and pose of each frame (own choices).
 MOST_FRAMES = 250_000
@@ -109,8 +108,7 @@ def _entries(
         raise RecordingError(
             f"{printable(str(folder), QUOTED)}: lies too deep; no recording has such folders"
         )
-    with os.scandir(folder) as listed:
-        entries = [entry for entry in listed if not entry.name.startswith(".")]
+    entries = [entry for entry in scanned(folder, MOST_FILES) if not entry.name.startswith(".")]
     for entry in entries:
         path = folder / entry.name
         if entry.is_symlink():

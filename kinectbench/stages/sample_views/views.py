@@ -21,7 +21,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
-from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.sample_views.alignment import Alignment, align_view
 from kinectbench.stages.sample_views.masks import (
@@ -261,7 +261,7 @@ def read_masks(folder: Path) -> GivenMasks:
             raise SegmentationError(f"{folder / name}: not a readable PNG; save the mask again")
         return mask
 
-    return GivenMasks(str(folder), tuple(sorted(path.name for path in folder.iterdir())), read)
+    return GivenMasks(str(folder), tuple(sorted(path.name for path in listed(folder))), read)
 
 
 def _read_mask(path: Path) -> Bools | None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core.untrusted import read_head
+from kinectbench.core.untrusted import listed, read_head
 from kinectbench.stages.ingest.images import is_depth_png
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
@@ -43,9 +43,9 @@ def without_depth(path: Path) -> str | None:
 
 def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
     """The folder itself and those in it, with their images; those without any are left out."""
-    children = sorted(child for child in islice(path.iterdir(), LOOKED_AT) if child.is_dir())
+    children = sorted(child for child in islice(listed(path), LOOKED_AT) if child.is_dir())
     for folder in [path, *children]:
-        files = (file for file in islice(folder.iterdir(), LOOKED_AT) if file.is_file())
+        files = (file for file in islice(listed(folder), LOOKED_AT) if file.is_file())
         images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
         if images:
             yield folder, images

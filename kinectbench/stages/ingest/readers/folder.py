@@ -13,7 +13,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S, no_times
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import listed, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
@@ -63,7 +63,7 @@ class FolderRecording(FileRecording):
     def recognises(cls, path: Path) -> bool:
         """Whether the folder has a subfolder depth/ with PNG images."""
         depth = path / "depth"
-        return depth.is_dir() and any(file.suffix.lower() == ".png" for file in depth.iterdir())
+        return depth.is_dir() and any(file.suffix.lower() == ".png" for file in listed(depth))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -99,7 +99,7 @@ class FolderRecording(FileRecording):
 
 def image_files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
     """The images of a folder in the order people count: 2 before 10."""
-    files = (f for f in folder.iterdir() if f.suffix.lower() in suffixes and not f.name.startswith("."))
+    files = (f for f in listed(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
     return sorted(files, key=lambda file: (counting_key(file.stem), file.name))
 
 

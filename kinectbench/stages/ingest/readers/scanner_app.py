@@ -11,6 +11,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import listed
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import numbers_of, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
@@ -48,13 +49,13 @@ class ScannerAppRecording(PhoneRecording):
         """Whether the folder has a depth image with its JSON."""
         return path.is_dir() and any(
             found and (path / f"frame_{found[1]}.json").is_file()
-            for found in (DEPTH_NAME.fullmatch(file.name) for file in path.iterdir())
+            for found in (DEPTH_NAME.fullmatch(file.name) for file in listed(path))
         )
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames by number and read every JSON."""
-        found = ((DEPTH_NAME.fullmatch(file.name), file) for file in path.iterdir())
+        found = ((DEPTH_NAME.fullmatch(file.name), file) for file in listed(path))
         stems = sorted((match[1] for match, _ in found if match), key=int)
         cameras = [_read_camera(path / f"frame_{stem}.json") for stem in stems]
         stamps_ns, warnings = _stamps_ns(path, cameras)

@@ -14,6 +14,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import read_matrix
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import listed
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_depth_png
 from kinectbench.stages.ingest.intrinsics import (
@@ -68,12 +69,12 @@ class SevenScenesRecording(FileRecording):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Whether the folder holds a frame-XXXXXX.depth.png."""
-        return path.is_dir() and any(DEPTH_NAME.fullmatch(file.name) for file in path.iterdir())
+        return path.is_dir() and any(DEPTH_NAME.fullmatch(file.name) for file in listed(path))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames and read their poses."""
-        numbered = {int(m[1]): f for f in path.iterdir() if (m := DEPTH_NAME.fullmatch(f.name))}
+        numbered = {int(m[1]): f for f in listed(path) if (m := DEPTH_NAME.fullmatch(f.name))}
         stamps_ns = [number * NS_PER_S for number in sorted(numbered)]
         depth = [numbered[number] for number in sorted(numbered)]
         files = tuple(

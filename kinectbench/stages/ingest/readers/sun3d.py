@@ -15,6 +15,7 @@ from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import read_numbers
 from kinectbench.core.trajectory.trajectory_file import read_given
+from kinectbench.core.untrusted import listed
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
 from kinectbench.stages.ingest.readers.folder import (
@@ -44,7 +45,7 @@ class Sun3dRecording(FileRecording):
         whole = (
             (path / "image").is_dir() and (path / "depth").is_dir() and (path / "intrinsics.txt").is_file()
         )
-        return whole and any(NUMBER_AND_STAMP.fullmatch(file.stem) for file in (path / "depth").iterdir())
+        return whole and any(NUMBER_AND_STAMP.fullmatch(file.stem) for file in listed(path / "depth"))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
