@@ -1,0 +1,42 @@
+"""Twice the input takes twice the time, and never the memory: of each reader's largest cheap input."""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from fuzz.amplify import ALWAYS_SECONDS, AMPLIFIERS, MOST_MB, MOST_SECONDS, MOST_TIMES, Cost, cost
+
+from kinectbench.core.errors import KinectBenchError
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are forked"),
+    pytest.mark.xdist_group("fuzz"),
+]
+
+
+def cost_of(name: str, folder: Path, times: int) -> Cost:
+    folder.mkdir()
+    return cost(AMPLIFIERS[name].make(folder, times * AMPLIFIERS[name].units))
+
+
+@pytest.mark.parametrize("name", AMPLIFIERS)
+def test_costs_grow_with_the_input_and_no_faster(name: str, tmp_path: Path) -> None:
+    (tmp_path / "first").mkdir()
+    with suppress(KinectBenchError):
+        AMPLIFIERS[name].make(tmp_path / "first", 2)()  # what is imported on the way costs once
+    once, twice = (cost_of(name, tmp_path / f"{times}", times) for times in (1, 2))
+    assert {once.end, twice.end} <= {"done", "refused"}, (once, twice)
+    assert twice.seconds < MOST_TIMES * once.seconds + ALWAYS_SECONDS, (once, twice)
+    assert twice.seconds < MOST_SECONDS, twice
+    assert twice.megabytes < MOST_MB, twice
+
+
+def test_what_multiplies_is_seen() -> None:
+    def pairs(count: int) -> int:
+        return sum(a == b for a in range(count) for b in range(count))
+
+    once, twice = (cost(lambda count=count: pairs(count)) for count in (2500, 5000))
+    assert twice.seconds > MOST_TIMES * once.seconds + ALWAYS_SECONDS
+    assert cost(lambda: bytearray(600 << 20)).megabytes > MOST_MB
+    assert cost(lambda: [][0]).end.startswith("IndexError")
