@@ -73,8 +73,8 @@ def storage_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno == errno.EFBIG and error.filename:
-            raise  # a file was too large to be read; of a write the system names none
+        if error.errno == errno.EFBIG and error.filename and not error.filename2:
+            raise  # a file was too large to be read; of a write the system names none, of a copy two
         advice = {
             errno.ENOSPC: "the disk is full: free some space and run the command again",
             errno.EDQUOT: "the disk quota is used up: free some space and run the command again",

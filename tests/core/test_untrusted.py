@@ -148,14 +148,18 @@ def test_a_folder_is_listed_as_far_as_a_bound(tmp_path, walk):
     assert next(iter(walk(tmp_path, 1))) is not None  # the first is given before the rest is counted
 
 
+GROWN = "files may not grow so large here"
+
+
 def test_a_file_that_may_not_grow_so_large_is_told_as_a_full_disk_is(tmp_path):
     """And what is too large to be read is not taken for it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
-        told = pytest.raises(StorageError, match="files may not grow so large here")
-        with told, replaced_file(tmp_path / "a") as temporary:
+        with pytest.raises(StorageError, match=GROWN), replaced_file(tmp_path / "a") as temporary:
             temporary.write_bytes(bytes(5000))
+        with pytest.raises(StorageError, match=GROWN), replaced_file(tmp_path / "a") as temporary:
+            raise OSError(errno.EFBIG, "File too large", "from", None, "to")  # as shutil says it of a copy
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert list(tmp_path.iterdir()) == []
