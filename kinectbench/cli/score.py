@@ -19,11 +19,17 @@ if TYPE_CHECKING:
 
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
+# Options that say what `--recheck` takes from the table, or write what it does not.
+FROM_THE_TABLE = (
+    *("method", "protocol", "save_thresholds", "missing", "upsampling", "surface"),
+    *("baselines", "gallery", "out"),
+)
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def score(
     common: Common,
+    context: typer.Context,
     predictions: Annotated[
         Path | None,
         typer.Argument(
@@ -59,7 +65,7 @@ def score(
     known: dict[str, Any] = {"protocols": protocol, "thresholds_file": thresholds, "upsampling": upsampling}
     of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing}
     if recheck is not None:
-        return _recheck(common, recheck, predictions, known | of_one | {"out": out})
+        return _recheck(common, context, recheck, predictions, thresholds)
     known["surface"] = surface
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
@@ -97,20 +103,20 @@ def _tell(common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[Scor
 
 def _recheck(
     common: Common,
+    context: typer.Context,
     scores: Path,
     predictions: Path | None,
-    options: Mapping[str, Any],
+    thresholds: Path | None,
 ) -> int:
     """Score again as a table says that it was scored; only its file of thresholds is an option."""
     from kinectbench.cli import console
     from kinectbench.scoring.compare import find_scores, read_named
     from kinectbench.scoring.recheck import recheck
 
-    thresholds = options["thresholds_file"]
     given = [
-        "--" + name.replace("_", "-").replace("protocols", "protocol")
-        for name, value in options.items()
-        if name != "thresholds_file" and value not in (None, "error", "half-pixel")
+        "--" + name.replace("_", "-")
+        for name in FROM_THE_TABLE
+        if (source := context.get_parameter_source(name)) and source.name == "COMMANDLINE"
     ]
     if given:
         raise SettingsError(f"{', '.join(given)}: not with --recheck, which takes it from the table")

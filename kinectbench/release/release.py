@@ -133,20 +133,37 @@ def open_release(path: Path) -> Release:
         raise ReleaseError(
             f"{path}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
         )
-    metadata = ReleaseInfo.read(path)
+    stated = read_text(path / BENCHMARK_JSON)
+    metadata = ReleaseInfo.parse(stated, str(path / BENCHMARK_JSON))
     sums_text = read_text(path / SHA256SUMS)
     if benchmark_sha256(sums_text) != metadata.benchmark_sha256:
         raise ReleaseError(f"{path / SHA256SUMS}: not the published list; download the release again")
     sums = parse_sums(sums_text, str(path / SHA256SUMS))
-    for name in (BENCHMARK_JSON, SPLITS_JSON, TARGETS_CSV):
+    # What is parsed is what was hashed: a file may change between two looks at it.
+    published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}
+    for name in published:
         if not (path / name).is_file():
             raise ReleaseError(f"{path / name}: missing; download the release again")
-        published_bytes(path / name, sums.get(name))
-    targets = parse_targets(read_text(path / TARGETS_CSV), str(path / TARGETS_CSV))
+        published[name] = published_bytes(path / name, sums.get(name))
+    if published[BENCHMARK_JSON] != stated.encode():
+        raise ReleaseError(f"{path / BENCHMARK_JSON}: changed while it was read; try again")
+    targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), str(path / TARGETS_CSV))
     check_splits(targets, str(path / TARGETS_CSV))
     for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):
         raise ReleaseError(f"{path}: {problem}; download the release again, `verify` says more")
     return Release(path, targets, metadata)
+
+
+def _text(path: Path, content: bytes) -> str:
+    """Published bytes as a text.
+
+    Raises:
+        ReleaseError: they are no UTF-8, or take too much memory as a text.
+    """
+    try:
+        return decoded(content, MAX_READ_BYTES, str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReleaseError(f"{path}: cannot be read ({error}); download the release again") from error
 
 
 def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iterator[str]:

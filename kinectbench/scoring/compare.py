@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
-from kinectbench.scoring.letters import letters
+from kinectbench.scoring.letters import MOST_GROUPS, letters
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.uncertainty import MAX_EXACT, holm, samples, sign_flip_ps, smallest_p
 
@@ -122,6 +122,11 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     groups = {
         scope: _groups(averages[scope], [d for d in found if d.scope == scope], metric) for scope in scopes
     }
+    notes += [
+        f"{scope}: more than {MOST_GROUPS} groups, so no letters are given; the differences say more"
+        for scope, of in groups.items()
+        if not any(of.values())
+    ]
     notes += filter(None, [tables[0].left_out_line(protocol)])
     of_truth = tables[0].averages(protocol)
     unknown = {scope: of_truth.get(OVERALL if scope == ALL else scope) for scope in scopes}

@@ -9,7 +9,12 @@ Stat. 13 (2004); here the groups are all maximal cliques, which makes the displa
 """
 
 from collections.abc import Collection, Iterator, Sequence
+from itertools import islice
 from string import ascii_lowercase
+
+# Of more groups the letters say less than the differences; n methods can have 3^(n / 3) groups (J. W. Moon,
+# L. Moser, On cliques in graphs, 1965).
+MOST_GROUPS = 2 * len(ascii_lowercase)
 
 
 def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
@@ -20,15 +25,19 @@ def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str
         apart: pairs of methods that a difference is shown of.
 
     Returns:
-        {name: its letters, such as "ab"}: a pair shares a letter if, and only if, it is not in `apart`.
+        {name: its letters, such as "ab"}: a pair shares a letter if, and only if, it is not in `apart`. Where
+        that takes more than `MOST_GROUPS` letters, none has any.
     """
     place = {name: index for index, name in enumerate(names)}
     alike = {
         name: {other for other in names if other != name and frozenset((name, other)) not in apart}
         for name in names
     }
-    groups = sorted(sorted(place[name] for name in group) for group in _maximal_cliques(alike))
+    cliques = list(islice(_maximal_cliques(alike), MOST_GROUPS + 1))
     found = dict.fromkeys(names, "")
+    if len(cliques) > MOST_GROUPS:
+        return found
+    groups = sorted(sorted(place[name] for name in group) for group in cliques)
     for index, group in enumerate(groups):
         for member in group:
             found[names[member]] += _letter(index)

@@ -27,6 +27,9 @@ MAX_NUMBERS = 12 << 20
 PIECE_BYTES = 1 << 20
 MAX_HEADER_BYTES = 64 << 10
 MAX_PROPERTIES = 100
+# Of a face: corners and texture coordinates, and some numbers. Rows of unlike lists are read one by one, and
+# a million of them take 2 s for each list (measured).
+MAX_LISTS, MAX_OF_FACE = 2, 16
 # Rows of a ply file that are looked at together: some 10 MB.
 ROWS = 1 << 16
 
@@ -171,6 +174,9 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
     if any(rows < 0 for _, rows in elements) or sum(least) > (len(content) - line_end) / (1 + (order == "")):
         raise ValueError("its header claims more than the file holds; write it again")
     for element in found:
+        lists = sum(one.count is not None for one in element.properties)
+        if lists > MAX_LISTS or (element.name == "face" and len(element.properties) > MAX_OF_FACE):
+            raise ValueError(f"more than {MAX_LISTS} lists or {MAX_OF_FACE} properties of a face; write less")
         limit = {"vertex": (MAX_VERTICES, "vertices"), "face": (MAX_TRIANGLES, "faces")}.get(element.name)
         if limit:
             _refuse_many(element.rows, limit[1], limit[0])

@@ -2,8 +2,6 @@
 
 import contextlib
 import stat
-import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
@@ -12,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.untrusted import open_plain
+from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
-from kinectbench.core.voxels.npz import open_npz
+from kinectbench.core.voxels.npz import UNREADABLE, open_npz
 from kinectbench.core.voxels.resample import MAX_CELLS
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES, MESHES, voxelised
@@ -55,7 +53,7 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
         raise PredictionError(f"{name or path}: {error}; write it with np.save or np.savez") from None
     except OSError as error:
         raise PredictionError(f"{name or path}: cannot be read ({error.strerror or error})") from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+    except UNREADABLE as error:
         raise PredictionError(f"{name or path}: a damaged npz ({error}); write it again") from error
 
 
@@ -108,7 +106,8 @@ def _check_claims(header: NpyHeader) -> None:
         return
     if len(shape) != 3 or len(set(shape)) != 1 or not 1 <= shape[0] <= MAX_CELLS:
         raise PredictionError(
-            f"shape {_short(shape)}: it must be (n, n, n) with n from 1 to {MAX_CELLS}, or bits (n, n, n / 8)"
+            f"shape {printable(str(shape), 60)}: it must be (n, n, n) with n from 1 to {MAX_CELLS}, "
+            "or bits (n, n, n / 8)"
         )
     if dtype.newbyteorder("=") not in (np.bool_, np.uint8, np.float16, np.float32):
         raise PredictionError(f"dtype {dtype.name} is not accepted: {ACCEPTED}")
@@ -118,11 +117,6 @@ def _is_packed(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> bool:
     """Whether an array is a cube of bits, packed along its last axis."""
     bits = dtype == np.uint8 and len(shape) == 3 and 8 <= shape[0] <= MAX_CELLS
     return bits and shape[0] == shape[1] == 8 * shape[2]
-
-
-def _short(shape: tuple[int, ...]) -> str:
-    text = str(shape)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _checked(array: NDArray[np.generic]) -> Prediction:

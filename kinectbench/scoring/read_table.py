@@ -12,6 +12,7 @@ from typing import Any
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import Part
 from kinectbench.core.errors import StorageError
+from kinectbench.core.untrusted import printable
 from kinectbench.scoring.contradictions import contradictions
 from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.from_rows import from_rows
@@ -51,7 +52,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
             problem = next(_off_the_curve(table, values["by_category"] or {}), None)
         problem = problem or next(_differences(table, values), None)
     if problem is not None:
-        raise StorageError(f"{where}: {problem}; {ScoreTable.ADVICE}")
+        raise StorageError(f"{where}: {printable(problem, 300)}; {ScoreTable.ADVICE}")
     holds = table.verified is not None and (
         table.verified.table_sha256 == table.facts_sha256()
         and table.verified.predictions_sha256 == table.predictions_sha256()
@@ -102,7 +103,7 @@ def differing(stated: Any, computed: Any, key: str, whole: bool = False) -> Iter
         for index, (one, other) in enumerate(zip(stated, computed, strict=True)):
             yield from differing(one, other, _below(key, index), whole)
     elif not _close(stated, computed) and not (stated in NOTHING and computed in NOTHING):
-        yield f"'{key}' states {_short(stated)}, but it is {_short(computed)}"
+        yield f"'{printable(key)}' states {_short(stated)}, but it is {_short(computed)}"
 
 
 def _bootstrapped(stated: Mapping[str, Any], computed: Mapping[str, Any], key: str) -> Iterator[str]:
@@ -111,7 +112,7 @@ def _bootstrapped(stated: Mapping[str, Any], computed: Mapping[str, Any], key: s
         of = computed.get(name)
         near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE
         if ends is not None and not (of and all(abs(a - b) <= near for a, b in zip(ends, of, strict=True))):
-            yield f"'{key}.{name}' states {_short(ends)}, but it is {_short(of)}"
+            yield f"'{printable(f'{key}.{name}')}' states {_short(ends)}, but it is {_short(of)}"
 
 
 def _below(key: str, name: object) -> str:
@@ -140,5 +141,4 @@ def _short(value: Any) -> str:
     """A value in a few characters, without what a stranger may have hidden in it."""
     if isinstance(value, float):
         return f"{value:.6g}"
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return "nothing" if value is None else printable(repr(value), 60)

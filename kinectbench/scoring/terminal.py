@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kinectbench.core.artefacts.score_figures import SHARES
-from kinectbench.core.artefacts.score_marks import BASELINE
+from kinectbench.core.artefacts.score_marks import BASELINE, REPORTED
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.scoring.compare import GROUPS_NOTE, Comparison
 from kinectbench.scoring.counts import PRIMARY
@@ -88,11 +88,16 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
             meant.setdefault(words, []).append(table.method)
     stands: dict[str, list[str]] = {}
     for table in tables:
-        stands.setdefault(table.standing, []).append(table.method)
+        stands.setdefault(_as_stated(table.standing), []).append(table.method)
     return [
         *(f"* {', '.join(names)}: {words}" for words, names in meant.items()),
         *(f"{standing}: {', '.join(names)}" for standing, names in stands.items()),
     ]
+
+
+def _as_stated(standing: str) -> str:
+    """A standing, with who says so: the mark is no signature, and anybody can write it."""
+    return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 
 def _add_published(
@@ -162,7 +167,7 @@ def comparison_tables(found: Comparison) -> "list[WideTable]":
         means.add_row(Text(name), *cells)
     shares = [found.truth_unknown_share[scope] for scope in found.means]
     _add_unknown(means, shares)
-    stands = [f"{name}: {standing}" for name, standing in found.standings.items()]
+    stands = [f"{name}: {_as_stated(standing)}" for name, standing in found.standings.items()]
     means.caption = "\n".join([GROUPS_NOTE, *stands, *([UNKNOWN_NOTE] if _told(shares) else [])])
     pairs = WideTable(title="differences, object by object", keep=2)
     for column in ("methods", "scope", "difference", "p", "p (Holm)", ""):

@@ -1,5 +1,6 @@
 """The threshold of each category: searched on validation, read from a file, or fixed at 0.5."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,8 +10,7 @@ import numpy as np
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.errors import ReleaseError, SettingsError
-from kinectbench.core.storage import sha256_file
-from kinectbench.core.untrusted import read_plain_text
+from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import ious
@@ -95,7 +95,8 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
             or it was found on an object of the test split.
     """
     try:
-        file = ThresholdsFile.parse(read_plain_text(path), str(path))
+        content = read_plain(path, ThresholdsFile.MAX_BYTES)
+        file = ThresholdsFile.parse(decoded(content, ThresholdsFile.MAX_BYTES, str(path)), str(path))
     except FileNotFoundError as error:
         raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError, ReleaseError) as error:
@@ -113,7 +114,7 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
             f"{path}: no threshold for {', '.join(missing)}; add {'it' if len(missing) == 1 else 'them'}"
         )
     of = {category: _step(given[category], f"{path}: threshold of {category}") for category in categories}
-    source = f"{FROM_FILE}{sha256_file(path)}"
+    source = f"{FROM_FILE}{hashlib.sha256(content).hexdigest()}"
     warning = (
         "the file of the thresholds does not say on which objects they were found: perhaps on those of the "
         "test split"

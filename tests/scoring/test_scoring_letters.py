@@ -1,5 +1,6 @@
 """Letters of groups that cannot be told apart: by hand, and by their definition on drawn tests."""
 
+import time
 from itertools import combinations
 
 import numpy as np
@@ -45,6 +46,20 @@ def test_many_letters_stay_apart() -> None:
     names = [f"m{index}" for index in range(30)]
     found = letters(names, {frozenset(pair) for pair in combinations(names, 2)})
     assert len({*found.values()}) == 30 and found["m25"] == "z" and found["m26"] == "(27)"
+
+
+def test_more_groups_than_letters_say_anything_of_are_none() -> None:
+    """Sixty methods of which the three of each group differ have 3^20 groups."""
+    names = [f"m{index}" for index in range(60)]
+    different = {frozenset(p) for g in range(0, 60, 3) for p in combinations(names[g : g + 3], 2)}
+    started = time.process_time()
+    assert letters(names, different) == dict.fromkeys(names, "")
+    assert time.process_time() - started < 1
+    of_27 = letters(names[:9], {pair for pair in different if pair <= {*names[:9]}})
+    assert of_27["m0"].endswith("i") and len({*of_27.values()}) == 9
+    far_apart = {frozenset(pair) for pair in combinations(names[:53], 2)}
+    assert set(letters(names[:53], far_apart).values()) == {""}
+    assert letters(names[:52], {p for p in far_apart if "m52" not in p})["m51"] == "(52)"
 
 
 def test_a_comparison_that_is_not_transitive() -> None:

@@ -103,6 +103,18 @@ COSTLY = {
     "nothing claimed": ("ply", ply(3, 1, bytes(99), "element a 1000000000000\n"), "claims more than"),
     "negative": ("ply", ply(-1, 1, bytes(99)), "claims more than"),
     "elements": ("ply", ply(3, 1, bytes(99), "element a 0\n" * 6000), "a malformed header"),
+    "lists of a face": (
+        "ply",
+        ply(4, 2**20, bytes(2**23)).replace(
+            b"end_header", b"property list uchar int a\n" * 2 + b"end_header"
+        ),
+        "more than 2 lists or 16 properties of a face",
+    ),
+    "numbers of a face": (
+        "ply",
+        ply(4, 2**20, bytes(2**25)).replace(b"end_header", b"property uchar a\n" * 16 + b"end_header"),
+        "more than 2 lists or 16 properties of a face",
+    ),
     "no first line": ("ply", b"end_header\n", "a malformed header"),
     "empty first line": ("ply", b"\nend_header\n", "a malformed header"),
     "no number for a corner": ("ply", ply(3, 1, b"0 0 0 1 0 0 0 1 0 3 0 1 nan", form="ascii"), "no vertex"),

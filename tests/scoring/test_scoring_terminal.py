@@ -90,4 +90,4 @@ def test_what_sets_a_method_apart_is_said() -> None:
     names, marks = "net, a-method-with-a-name-of-quite-some-length-indeed, hull", "thresholds fixed at 0.5"
     assert f"* {names}: score version 1, now 4; {marks}" in text
     assert "reported: net, a-method-with-a-name-of-quite-some-length-indeed" in text
-    assert "verified 2026-11-25, kinectbench 0.1.0: hull" in text
+    assert "verified 2026-11-25, kinectbench 0.1.0 (as its scores.json says): hull" in text

@@ -10,6 +10,7 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 from kinectbench.release.contents import Contents
@@ -72,7 +73,9 @@ def _volume_fault(file: IO[bytes]) -> str | None:
             with archive.open(entries[key]) as stream:
                 header = read_npy_header(stream)
                 if len(header.shape) != 3 or header.dtype != kind:
-                    return f"'{key}' is {header.dtype}{header.shape}, not a grid of {kind}"
+                    return (
+                        f"'{key}' is {header.dtype}{printable(str(header.shape), 60)}, not a grid of {kind}"
+                    )
                 shapes.add(header.shape)
                 if fault := _grid_fault(key, header, stream):
                     return f"'{key}' {fault}"
