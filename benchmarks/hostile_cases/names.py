@@ -265,7 +265,7 @@ def _renamed(folder: Path) -> None:
 def _republish(folder: Path) -> None:
     (folder / "build/publish.json").unlink()
     path = folder / "benchmark.yaml"
-    text = path.read_text(encoding="utf-8").replace("license: CC0-1.0", "license: Größe σ …\ntitle: 椅子 ö")
+    text = path.read_text(encoding="utf-8").replace("license: CC0-1.0", "license: Größe σ … 椅子")
     path.write_text(text, encoding="utf-8")
     (folder / "predictions").mkdir()
 
