@@ -177,9 +177,48 @@ def of_obj(draw: Random, content: bytes) -> tuple[bytes, str]:
     return content + more.encode(errors="replace"), f"obj {kind} {count}"
 
 
+def of_ply(draw: Random, content: bytes) -> tuple[bytes, str]:
+    """A header that claims other counts, types, elements or forms, or random corners and faces as text."""
+    kind = draw.choice(("count", "type", "form", "element", "list", "random", "random"))
+    head, end, data = content.partition(b"end_header\n")
+    lines = head.decode("latin1").split("\n")
+    if kind == "random" or not end:
+        return _random_ply(draw).encode(), "ply of random faces"
+    at = draw.randrange(1, len(lines))
+    words = lines[at].split(" ")
+    if kind == "count":
+        elements = [number for number, line in enumerate(lines) if line.startswith("element")]
+        at = draw.choice(elements)
+        words = [*lines[at].split(" ")[:2], str(draw.choice((-1, 0, 1, 3, 10**6, 2**31, 10**11)))]
+    elif kind == "type":
+        words[1:2] = [draw.choice(("char", "ushort", "int", "float", "double", "int64", "x"))]
+    elif kind == "form":
+        at = 1
+        words = ["format", draw.choice(("ascii", "binary_big_endian", "x")), "1.0"]
+    lines[at] = " ".join(words)
+    if kind == "element":
+        lines.insert(at, f"element {draw.choice(('a', 'vertex', 'face'))} {draw.choice((0, 2, 10**12))}")
+    elif kind == "list":
+        lines.insert(at, f"property list {draw.choice(('uchar', 'int', 'double'))} int vertex_indices")
+    return "\n".join(lines).encode("latin1") + end + data, f"ply {kind} in line {at + 1}"
+
+
+def _random_ply(draw: Random) -> str:
+    """A text of few vertices, anywhere, and polygons of any corners."""
+    numbers = ("0", "0.1", "0.5", "1", "-3", "1e9", "1e300", "nan", "inf", "x")
+    count, faces = draw.randint(0, 8), draw.randint(0, 12)
+    rows = [" ".join(draw.choices(numbers, k=3)) for _ in range(count)]
+    for _ in range(faces):
+        corners = [draw.randint(-2, count + 1) for _ in range(draw.randint(0, 5))]
+        rows.append(" ".join(map(str, [len(corners), *corners])))
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    of_faces = f"element face {faces}\nproperty list uchar int vertex_indices\n"
+    return f"ply\nformat ascii 1.0\nelement vertex {count}\n{axes}{of_faces}end_header\n" + "\n".join(rows)
+
+
 Way = Callable[[Random, bytes], tuple[bytes, str]]
 # By how a name ends; other texts are damaged as such.
-WAYS: dict[str, Way] = {"json": of_json, "csv": of_csv, "cff": of_text, "obj": of_obj}
+WAYS: dict[str, Way] = {"json": of_json, "csv": of_csv, "cff": of_text, "obj": of_obj, "ply": of_ply}
 
 
 def of_content(draw: Random, name: str, content: bytes, depth: int = 0) -> tuple[bytes, str]:

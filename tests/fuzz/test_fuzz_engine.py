@@ -135,7 +135,21 @@ def test_everything_may_lie_in_a_files_place(
 
 
 @pytest.mark.parametrize(
-    "name", ["a.json", "a.csv", "a.txt", "a.bin", "a.zip", "a.png", "a.npy", "a.db3", "a.gz", "a.tar"]
+    "name",
+    [
+        "a.json",
+        "a.csv",
+        "a.txt",
+        "a.bin",
+        "a.zip",
+        "a.png",
+        "a.npy",
+        "a.db3",
+        "a.gz",
+        "a.tar",
+        "a.obj",
+        "a.ply",
+    ],
 )
 def test_any_bytes_can_be_damaged_in_little_time(name: str) -> None:
     started = time.monotonic()

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
-from score_fuzz import FILES, good_files, read_one
+from prediction_bytes import FILES, good_files, read_one
 
 from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import PredictionError

@@ -1,34 +1,22 @@
-"""The readers of predictions on random bytes: each is read as a grid in [0, 1], or refused in one line.
+"""Random bytes for the readers of predictions, by Hypothesis, and what a reader owes whoever calls it.
 
-Hypothesis (seeded, so a run can be repeated) makes files of every kind that is read: good ones cut, joined
-and overwritten; npy headers that claim anything; archives of any number of entries, names and flags; meshes
-of random vertices and faces. Whatever a reader raises but `PredictionError` ends the run with its file.
-
-    python benchmarks/score_fuzz.py --minutes 10
+Good files cut, joined and overwritten; npy headers that claim anything; archives of any number of entries,
+names and flags; meshes of random vertices and faces. Each is read as a grid in [0, 1] or refused in one line.
 """
 
 import io
-import resource
-import sys
-import time
 import zipfile
-from collections import Counter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import trimesh
-from figures import Figure, arguments, at_least, at_most, equals, run, told
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.scoring.prediction_file import load_prediction
 
 VOXEL_M = 0.004
-ROUND = 500
 MAX_LINE = 300
-MAX_PEAK_MB = 1000
 KINDS = ("npy", "npz", "ply", "obj")
 DTYPES = ("<f2", ">f2", "<f4", ">f4", "|b1", "|u1", "<f8", "<i4", "<c8", "|O", "|S8", "<M8[s]", "f2,f2", "")
 FILE = tuple[str, bytes]
@@ -139,44 +127,3 @@ def read_one(path: Path, content: bytes) -> bool:
     assert loaded.ndim == 3 and len(set(loaded.shape)) == 1
     assert loaded.dtype in (np.bool_, np.float16, np.float32) and 0 <= loaded.min() <= loaded.max() <= 1
     return True
-
-
-def measure(minutes: float) -> list[Figure]:
-    counts: Counter[str] = Counter()
-    until, number = time.monotonic() + 60 * minutes, 0
-    with TemporaryDirectory() as folder:
-
-        @settings(
-            max_examples=ROUND, deadline=None, database=None, phases=[Phase.generate, Phase.shrink],
-            suppress_health_check=list(HealthCheck),
-        )  # fmt: skip
-        @given(FILES)
-        def read_them(file: FILE) -> None:
-            kind, content = file
-            if time.monotonic() < until:
-                counts[
-                    f"{kind} {'read' if read_one(Path(folder) / f'000.{kind}', content) else 'refused'}"
-                ] += 1
-
-        while time.monotonic() < until:
-            seed(number)(read_them)()
-            number += 1
-        left = sorted(path.name for path in Path(folder).iterdir())
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    return [
-        told("files", [f"{name}: {count}" for name, count in sorted(counts.items())]),
-        at_least("files in all", sum(counts.values()), 1),
-        equals("files written by the readers", [name for name in left if name[4:] not in KINDS], []),
-        at_most("peak memory, MB", round(peak_mb), MAX_PEAK_MB),
-    ]
-
-
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--minutes", type=float, default=1, help="how long (default: 1)")
-    options = parser.parse_args()
-    run(options, lambda: measure(options.minutes))
-
-
-if __name__ == "__main__":
-    main()
