@@ -155,5 +155,6 @@ def _show(diagnosis: "Diagnosis") -> None:
         head = Text(f"{found.severity}: {found.name}: ", style=STYLES[found.severity])
         advice = f"; {found.advice}" if found.advice else ""
         # What recordings say of themselves comes from strangers: never markup.
-        console.out.print(Text.assemble(head, found.what, advice), highlight=False, soft_wrap=True)
+        text = Text.assemble(head, console.one_line(f"{found.what}{advice}"))
+        console.out.print(text, highlight=False, soft_wrap=True)
     console.say(f"verdict: {diagnosis.verdict}")

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.untrusted import IMAGE_BYTES, MOST_SIDE_PX
+from kinectbench.core.untrusted import IMAGE_BYTES, MOST_PIXELS, MOST_SIDE_PX, is_too_large
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
@@ -22,9 +22,8 @@ JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 MOST_PARTS = 50_000
 # Markers that no length follows: TEM, RST0-RST7.
 JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
-# Each scan of a progressive JPEG goes over the whole image once more; encoders make ten (own choice). All of
-# its coefficients are kept meanwhile, which takes twice as much memory as its pixels.
-MOST_SCANS, MOST_PIXELS_OF_SCANS = 32, MOST_SIDE_PX**2 // 4
+# Each scan of a progressive JPEG goes over the whole image once more; encoders make ten (own choice).
+MOST_SCANS = 32
 
 
 class ImageHead(NamedTuple):
@@ -109,15 +108,16 @@ def _png_head(data: bytes) -> ImageHead:
 
 
 def _check_size(width: int, height: int) -> None:
-    if max(width, height) > MOST_SIDE_PX:
+    if is_too_large(width, height):
         raise ValueError(
-            f"says that it has {width}x{height} pixels; more than {MOST_SIDE_PX} a side are not read"
+            f"says that it has {width}x{height} pixels; more than {MOST_SIDE_PX} a side, or {MOST_PIXELS} in "
+            "all, are not read"
         )
 
 
 def _jpeg_head(data: bytes) -> ImageHead:
     """The head of a JPEG that has its end marker, and whose decoding is bounded."""
-    position, size, progressive = 2, None, False
+    position, size = 2, None
     for _ in range(MOST_PARTS):
         if position + 4 > len(data) or data[position] != 0xFF:
             break
@@ -128,7 +128,7 @@ def _jpeg_head(data: bytes) -> ImageHead:
         if marker in JPEG_FRAMES and position + 9 <= len(data):
             height, width = struct.unpack_from(">HH", data, position + 5)
             _check_size(width, height)
-            size, progressive = (width, height), marker not in (0xC0, 0xC1)
+            size = (width, height)
         if marker == JPEG_SCAN:
             break
         position += 2 + int(struct.unpack_from(">H", data, position + 2)[0])
@@ -136,7 +136,7 @@ def _jpeg_head(data: bytes) -> ImageHead:
     if size is None or data.find(b"\xff\xd9", position) < 0:
         raise ValueError(f"the JPEG is cut off after {len(data)} bytes or damaged")
     scans = data.count(bytes((0xFF, JPEG_SCAN)), position)
-    if scans > MOST_SCANS or ((progressive or scans > 1) and size[0] * size[1] > MOST_PIXELS_OF_SCANS):
+    if scans > MOST_SCANS:
         raise ValueError(
             f"{size[0]}x{size[1]} pixels in {scans} scans cost too much to read; save it as a baseline JPEG"
         )

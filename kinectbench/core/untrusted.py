@@ -25,12 +25,14 @@ HEAD_BYTES = 64 << 10
 TEXT_BYTES = 100 << 20
 # What a line for people quotes of a text that came from a file (own choice).
 QUOTED = 80
-# Of an image, pixels a side: what `camera:` in benchmark.yaml may say, twice a 4K camera's (own choice).
-MOST_SIDE_PX = 8192
-# An image as it is encoded: two bytes for each pixel of the largest.
-IMAGE_BYTES = 2 * MOST_SIDE_PX**2
-# What one message, chunk or frame may unpack to: colour of the largest image has 201 MB (own choice).
-UNPACKED_BYTES = 256 << 20
+# Of an image, pixels: what `camera:` in benchmark.yaml may say of a side, and twice a 4K camera's in all (own
+# choice). To look at depth or colour takes 14 bytes a pixel: 360 MB for the largest, with Python's libraries.
+MOST_SIDE_PX, MOST_PIXELS = 8192, 1 << 24
+# An image as it is encoded: four bytes for each pixel of the largest.
+IMAGE_BYTES = 4 * MOST_PIXELS
+# What one message, chunk or frame may unpack to: the largest image has 64 MB at four bytes a pixel; a reader
+# holds up to four copies of it (own choice).
+UNPACKED_BYTES = 80 << 20
 # What a whole file may unpack to, as a multiple of itself: bags and releases shrink to a third or a tenth,
 # rendered depth to a thirtieth (own choice); and by how much a small file may exceed it.
 MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
@@ -129,6 +131,11 @@ def read_head(path: Path, count: int = HEAD_BYTES) -> bytes:
     """
     with open_plain(path) as file:
         return file.read(count) or b""  # nothing yet: some of the kernel's own files are waited for
+
+
+def is_too_large(width: float, height: float) -> bool:
+    """Whether an image has more pixels than are read; memory is asked for by its size."""
+    return max(width, height) > MOST_SIDE_PX or width * height > MOST_PIXELS
 
 
 def copy_bounded(source: IO[bytes], target: IO[bytes], most_bytes: int) -> None:

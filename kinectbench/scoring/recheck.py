@@ -11,6 +11,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.types import Progress
+from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
@@ -92,7 +93,9 @@ def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path)
         return next(iter(methods.values()))
     if stated.method in methods:
         return methods[stated.method]
-    raise SettingsError(f"{predictions}: holds {len(methods)} methods; name the folder of {stated.method!r}")
+    raise SettingsError(
+        f"{predictions}: holds {len(methods)} methods; name the folder of {printable(stated.method)!r}"
+    )
 
 
 def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) -> None:

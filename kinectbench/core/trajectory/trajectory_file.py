@@ -17,6 +17,8 @@ from kinectbench.core.types import Float64
 HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world)\n"
 # Recorded rotation matrices are a little off; farther than this from SO(3) they are something else.
 RIGID_TOLERANCE = 0.05
+# Of a position or a matrix; coordinates from the centre of the Earth stay below.
+FARTHEST_M = 1e7
 
 
 class TimedPose(NamedTuple):
@@ -88,13 +90,16 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
         The trajectory, and warnings.
 
     Raises:
-        RecordingError: a value is not finite, a quaternion has no length, or no row is there.
+        RecordingError: a value is not finite or beyond all measure, a quaternion has no length, or no row
+            is there.
     """
     if not rows:
         raise RecordingError(f"{name}: the trajectory is empty; remove it or export it again")
     for row in rows:
         if not np.isfinite([*row.translation_m, *row.quaternion_xyzw]).all():
             raise RecordingError(f"{row.where}: the pose holds NaN or infinity; remove this row")
+        if np.abs([*row.translation_m, *row.quaternion_xyzw]).max() > FARTHEST_M:
+            raise RecordingError(f"{row.where}: the pose is beyond {FARTHEST_M:g} m; give metres")
         if np.linalg.norm(row.quaternion_xyzw) < 1e-6:
             raise RecordingError(f"{row.where}: the quaternion has length zero; remove this row")
     order, repeated = first_by_stamp([row.stamp_ns for row in rows])
@@ -120,7 +125,8 @@ def trajectory_text(trajectory: GivenTrajectory) -> str:
 
 def rigid_or_none(matrix: Float64) -> Float64 | None:
     """Project a recorded (4, 4) matrix onto the rigid transforms; None if it is nowhere near one."""
-    if not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) <= 0:
+    # False for NaN, too.
+    if not np.abs(matrix).max() <= FARTHEST_M or np.linalg.det(matrix[:3, :3]) <= 0:
         return None
     rotation = closest_rotation(matrix[:3, :3])
     apart = max(np.abs(rotation - matrix[:3, :3]).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())

@@ -61,6 +61,7 @@ def test_unsorted_and_repeated_poses(tmp_path: Path) -> None:
     [
         ("1 nan 0 0 0 0 0 1", "line 2: the pose holds NaN or infinity"),
         ("1 inf 0 0 0 0 0 1", "line 2: the pose holds NaN or infinity"),
+        ("1 0 0 -1e308 0 0 0 1", r"line 2: the pose is beyond 1e\+07 m; give metres"),
         ("1 0 0 0 0 0 0 0", "line 2: the quaternion has length zero"),
         ("1 0 0 0 0 0 1", "line 2: holds 7 values, not the 8"),
         ("1 0 0 zero 0 0 0 1", "line 2: 'zero' is not a number"),

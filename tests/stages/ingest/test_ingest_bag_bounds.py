@@ -2,6 +2,7 @@
 
 import sqlite3
 import tempfile
+import tracemalloc
 from contextlib import closing
 from pathlib import Path
 
@@ -83,3 +84,19 @@ def test_chunks_are_not_unpacked_for_each_message(tmp_path: Path, monkeypatch: p
             for place in (in_order[index // 2 + 50 * (index % 2)] for index in range(100)):
                 reader(place)
     assert len(unpacked) < 30
+
+
+def test_a_large_chunk_makes_room_before_the_next_is_unpacked(tmp_path: Path) -> None:
+    """Messages of two large chunks in turns: never both of them in memory."""
+    (tmp_path / "a.bag").write_bytes(b"")
+    size = bag_reader.CACHED_BYTES + (1 << 20)
+    read = bag_reader.BagReader(tmp_path / "a.bag", lambda file, position: bytes(size))
+    for chunk in (0, 1):
+        read.keep(chunk, bytes(size))
+    read.start_reading(4)
+    tracemalloc.start()
+    for chunk in (0, 1, 0, 1):
+        assert read(MessagePlace(0, chunk, 5, 10)) == bytes(10)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < size + (1 << 20)

@@ -10,6 +10,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.engine.artefact import content_hash
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics import number_of, object_of
 from kinectbench.stages.ingest.readers import open_recording, source_files
 
 SMALL = Camera(64, 48, FX, FY, CX, CY)
@@ -161,3 +162,21 @@ def test_another_info_is_none(tmp_path: Path) -> None:
     (folder / "info.txt").write_text("recorded in the kitchen")
     with pytest.raises(RecordingError, match="does not say its intrinsics"):
         open_recording(folder)
+
+
+NO_NUMBERS = [
+    "1e999",
+    "-Infinity",
+    "NaN",
+    "9" * 400,
+    "[" + "0," * 10_000 + "0]",
+    '"' + "x" * 5000 + '"',
+    "true",
+]
+
+
+@pytest.mark.parametrize("text", NO_NUMBERS, ids=range(len(NO_NUMBERS)))
+def test_what_is_no_finite_number_is_told_in_one_short_line(text: str) -> None:
+    with pytest.raises(RecordingError) as caught:
+        number_of(object_of(f'{{"a": {text}}}', "here", "a")["a"], "here: 'a'")
+    assert len(str(caught.value)) < 200 and str(caught.value).isprintable()

@@ -24,7 +24,10 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.bags import ros_messages, rosbag1, rosbag2_mcap
 from kinectbench.stages.ingest.bags.ros_definitions import known_types
-from kinectbench.stages.ingest.bags.ros_messages import DamagedRecordError, unpacked_chunk
+from kinectbench.stages.ingest.bags.ros_messages import (
+    DamagedRecordError,
+    unpacked_chunk,
+)
 from kinectbench.stages.ingest.readers import open_recording
 
 ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c)"

@@ -13,7 +13,7 @@ LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
 # Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file (own choices).
 ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
 # Chunks that were read last are kept up to this many bytes, and always one.
-CACHED_BYTES = 96 << 20
+CACHED_BYTES = 64 << 20
 # How often all chunks may be unpacked before as many messages were read (own choice).
 PASSES = 2
 
@@ -109,6 +109,8 @@ class BagReader:
                 if place.chunk < 0:
                     file.seek(place.offset)
                     return file.read(place.size)
+                if self._kept_bytes > CACHED_BYTES:  # one, which makes room before the next is there
+                    self._chunks.clear()
                 data = self._unpack(file, place.chunk)
             self._bytes_left -= len(data)
             while self._chunks and self._kept_bytes + len(data) > CACHED_BYTES:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
-from kinectbench.core.untrusted import MOST_SIDE_PX
+from kinectbench.core.untrusted import MOST_PIXELS, MOST_SIDE_PX, is_too_large
 from kinectbench.stages.ingest.bags.rvl import decode_rvl
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
@@ -144,8 +144,10 @@ def color_of(message: Any, name: str) -> tuple[str, bytes]:
 def _pixels(message: Any, name: str, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
     """The pixels (height, width, channels) of a raw image, without row padding, in any byte order."""
     height, width, step = int(message.height), int(message.width), int(message.step)
-    if max(width, height) > MOST_SIDE_PX:
-        raise DamagedImageError(f"{name}: more than {MOST_SIDE_PX} pixels a side ({width}x{height})")
+    if is_too_large(width, height):
+        raise DamagedImageError(
+            f"{name}: more than {MOST_SIDE_PX} pixels a side, or {MOST_PIXELS} in all ({width}x{height})"
+        )
     row_bytes = width * channels * dtype.itemsize
     if not height or not width or step < row_bytes or len(message.data) < height * step:
         raise DamagedImageError(

@@ -9,7 +9,12 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
+from kinectbench.core.trajectory.trajectory_file import (
+    FARTHEST_M,
+    TimedPose,
+    read_given,
+    trajectory_from_poses,
+)
 from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
 from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageTopic
@@ -104,10 +109,10 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def matrix_of(transform: Any) -> Float64 | None:
-    """The (4, 4) matrix of a geometry_msgs/Transform; None if it is not finite or has no rotation."""
+    """The (4, 4) matrix of a geometry_msgs/Transform; None if it is not finite, far, or has no rotation."""
     t, q = transform.translation, transform.rotation
     quaternion_xyzw, translation_m = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
-    if not np.isfinite([*quaternion_xyzw, *translation_m]).all():
+    if not np.abs([*quaternion_xyzw, *translation_m]).max() <= FARTHEST_M:  # false for NaN, too
         return None
     if np.linalg.norm(quaternion_xyzw) < SHORTEST_QUATERNION:
         return None

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
-from kinectbench.core.untrusted import HEAD_BYTES, MOST_SIDE_PX, UNPACKED_BYTES, open_plain, read_head
+from kinectbench.core.untrusted import HEAD_BYTES, UNPACKED_BYTES, is_too_large, open_plain, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
 from kinectbench.stages.ingest.intrinsics import object_of
@@ -221,7 +221,7 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
     Raises:
         RecordingError: no camera takes such images; memory is asked for by their size.
     """
-    if not 0 < min(track.width, track.height) <= max(track.width, track.height) <= MOST_SIDE_PX:
+    if min(track.width, track.height) <= 0 or is_too_large(track.width, track.height):
         raise RecordingError(
             f"{path}: a track of {track.width}x{track.height} pixels is of no camera; the file is damaged, "
             "copy it again"

@@ -20,7 +20,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import MOST_SIDE_PX, open_plain, read_head
+from kinectbench.core.untrusted import is_too_large, open_plain, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration, scale_warnings
@@ -156,7 +156,7 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
     matrices = np.array(MATRICES.unpack_from(rest), np.float64).reshape(4, 4, 4)
     color, depth, *sides, shift, frames = FACTS.unpack_from(rest, MATRICES.size)
     color_px, depth_px = (sides[0], sides[1]), (sides[2], sides[3])
-    if not all(0 < side <= MOST_SIDE_PX for side in depth_px):
+    if min(depth_px) <= 0 or is_too_large(*depth_px):
         raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
     if depth not in (RAW, ZLIB):
         raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")

@@ -12,7 +12,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import first_by_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
-from kinectbench.core.untrusted import MOST_SIDE_PX, printable, read_head
+from kinectbench.core.untrusted import is_too_large, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
@@ -47,7 +47,7 @@ class _Video:
             sides_px = [
                 self.capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
             ]
-            if max(sides_px) > MOST_SIDE_PX:
+            if is_too_large(*sides_px):
                 return None
             if number != self.next:
                 self.capture.set(cv2.CAP_PROP_POS_FRAMES, number)
