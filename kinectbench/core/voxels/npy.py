@@ -20,6 +20,8 @@ MAGIC = b"\x93NUMPY"
 MAX_HEADER_BYTES = 10_000
 PLAIN_TYPE = re.compile(r"[<>|=]?(?:[?bBiufcO][0-9]{0,2}|U[1-9][0-9]{0,5})")
 CHUNK_BYTES = 1 << 20
+# Unicode's last code point, and the first of the 2048 that stand for halves of UTF-16 only.
+LAST_CHARACTER, SURROGATES = 0x10FFFF, 0xD800
 
 
 class NpyError(ValueError):
@@ -60,7 +62,8 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | No
         A new array, in the shape, byte order and dtype that the header says.
 
     Raises:
-        NpyError: not an npy stream, pickled objects, cut short, or longer than it claims.
+        NpyError: not an npy stream, pickled objects, cut short, longer than it claims, or texts of what are
+            no characters.
         OSError, EOFError, zlib.error, zipfile.BadZipFile: as the stream's own reader says.
     """
     header = read_npy_header(file)
@@ -81,7 +84,16 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | No
             done += len(part)
     if file.read(1):  # reaching the end also checks an archive's checksum
         raise NpyError("longer than it claims")
+    _check_texts(data)
     return data.reshape(header.shape, order="F" if header.fortran_order else "C")
+
+
+def _check_texts(data: NDArray[Any]) -> None:
+    """Refuse texts of code points that are none of Unicode's characters: Python's str cannot hold them."""
+    if data.dtype.kind == "U" and data.size:
+        points = data.view(np.dtype(np.uint32).newbyteorder(data.dtype.byteorder))
+        if (points > LAST_CHARACTER).any() or (points >> 11 == SURROGATES >> 11).any():
+            raise NpyError("a text of what are no characters")
 
 
 def read_npy_header(file: IO[bytes]) -> NpyHeader:

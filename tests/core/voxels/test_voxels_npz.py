@@ -155,3 +155,17 @@ def test_a_comment_at_the_end_is_no_harm():
         archive.writestr("a.npy", npy(GRID))
         archive.comment = b"made by hand"
     np.testing.assert_array_equal(arrays_of(buffer, 1 << 20)["a"], GRID)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize(
+    ("point", "is_text"), [(0x10FFFF, True), (0x110000, False), (0xD7FF, True), (0xDFFF, False)]
+)
+def test_texts_are_of_characters(order, point, is_text):
+    content = npy(np.asarray("ab").astype(f"{order}U2"))[:-4] + struct.pack(f"{order}I", point)
+    file = io.BytesIO(zipped([("text.npy", content)]))
+    if is_text:
+        assert arrays_of(file, 1 << 20)["text"].item() == "a" + chr(point)
+    else:
+        with pytest.raises(NpyError, match="no characters"):
+            arrays_of(file, 1 << 20)
