@@ -42,6 +42,9 @@ from kinectbench.core.untrusted_text import strict_json
 JSON_BYTES = 64 << 20
 # Of one file that are written out as Python's values, a kilobyte each (own choice).
 MOST_ERRORS = 1000
+# pydantic copies an object for each key that it lacks: in a longer text the first is looked for beforehand
+# (own choice; forty copies of it are 40 MB of text).
+LONG_TEXT = 1 << 20
 
 
 # What can be left at its first wrong entry; mappings since pydantic 2.13.
@@ -162,7 +165,8 @@ class Stored(Part):
             KinectBenchError: `cls.ERROR`, in one line that names the first key that is wrong.
         """
         try:
-            if missing := cls._missing(strict_json(text)):
+            content = strict_json(text)
+            if len(text) > LONG_TEXT and (missing := cls._missing(content)):
                 raise cls.ERROR(f"{where}: '{missing}': Field required; {cls.ADVICE}")
             return cls.validated(text)
         except ValidationError as error:
@@ -179,7 +183,7 @@ class Stored(Part):
 
     @classmethod
     def _missing(cls, content: Any) -> str:
-        """The first key that an object lacks, or ""; pydantic would copy the object for each of them."""
+        """The first key that an object lacks, or ""."""
         keys = (field.alias or name for name, field in cls.model_fields.items() if field.is_required())
         return next((key for key in keys if isinstance(content, dict) and key not in content), "")
 
