@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fuzz.worker import forget_peak, memory_kb
 from kinectbench.core.errors import KinectBenchError
 
 # Of one run at 2N units, seconds of the processor: half of what a command may take.
@@ -42,7 +43,7 @@ class Amplifier(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What a run took: seconds of the processor; the most memory of its process, MB; what it ended with."""
+    """What a run took: seconds of the processor; the most memory that it added, MB; what it ended with."""
 
     seconds: float
     megabytes: int
@@ -55,21 +56,21 @@ def cost(run: Run) -> Cost:
     child = os.fork()
     if not child:
         signal.alarm(int(20 * MOST_SECONDS))
-        end, started = "done", time.process_time()
+        end, before_kb, started = "done", forget_peak(), time.process_time()
         try:
             run()
         except KinectBenchError as error:
             end = "refused" if "\n" not in error.lines[0] and len(error.lines[0]) < 1000 else "a long line"
         except BaseException as error:
             end = f"{type(error).__name__}: {error}"[:500]
-        os.write(write, json.dumps([time.process_time() - started, end]).encode())
+        seconds, used_kb = time.process_time() - started, memory_kb("VmHWM") - before_kb
+        os.write(write, json.dumps([seconds, used_kb >> 10, end]).encode())
         os._exit(0)
     os.close(write)
     with os.fdopen(read, "rb") as told:
         said = told.read()
-    _, status, used = os.wait4(child, 0)
-    seconds, end = json.loads(said) if said else (float("inf"), f"ended by {status}")
-    return Cost(seconds, used.ru_maxrss >> 10, end)
+    _, status = os.waitpid(child, 0)
+    return Cost(*json.loads(said)) if said else Cost(float("inf"), 0, f"ended by {status}")
 
 
 def _png() -> bytes:

@@ -72,7 +72,7 @@ def serve(connection: Connection, told: Path, call: Call) -> None:
 
 
 def _limit() -> None:
-    size = 1024 * _memory_kb("VmSize") + (MOST_RESERVED_MB << 20)
+    size = 1024 * memory_kb("VmSize") + (MOST_RESERVED_MB << 20)
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_FILE_MB << 20, MOST_FILE_MB << 20))
 
@@ -81,10 +81,9 @@ def _run(folder: Path, arguments: tuple[str, ...], told: Path, call: Call) -> Ra
     for descriptor in (1, 2):
         os.ftruncate(descriptor, 0)
     os.chdir(folder)
-    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # the peak starts anew
-    before_kb = _memory_kb("VmRSS")
+    before_kb = forget_peak()
     status, fault, detail = _called(call, arguments)
-    used_mb = (_memory_kb("VmHWM") - before_kb) / 1024
+    used_mb = (memory_kb("VmHWM") - before_kb) / 1024
     sys.stdout.flush()
     sys.stderr.flush()
     os.chdir(told)
@@ -158,6 +157,13 @@ def judged(out: bytes, err: bytes, status: int) -> tuple[str, str]:
     return "", ""
 
 
-def _memory_kb(name: str) -> int:
+def forget_peak() -> int:
+    """Let VmHWM, this process's peak of memory, start anew; returns what it has in memory now, kB."""
+    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
+    return memory_kb("VmRSS")
+
+
+def memory_kb(name: str) -> int:
+    """A figure of /proc/self/status, such as VmRSS."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
