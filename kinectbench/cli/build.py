@@ -73,13 +73,14 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
     from kinectbench.settings.words import listed
 
     settings = common.settings
-    known = [recording.id for recording in settings.recordings]
+    known = {recording.id: recording for recording in settings.recordings}
     for name in ids or []:
         if name not in known:
             near = get_close_matches(name, known, 1)
             hint = f"did you mean '{near[0]}'?" if near else f"there are {listed(known)}"
             raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}")
-    return [Job(settings, r, common.root) for r in settings.recordings if not ids or r.id in ids]
+    wanted = set(ids) if ids else known.keys()
+    return [Job(settings, r, common.root) for r in settings.recordings if r.id in wanted]
 
 
 def build_recordings(

@@ -13,7 +13,7 @@ import re
 import reprlib
 import stat
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
@@ -82,9 +82,18 @@ def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]
             yield entry
 
 
-def listed(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
-    """The paths of `scanned`."""
-    return (folder / entry.name for entry in scanned(folder, most))
+def listed(
+    folder: Path, most: int = MOST_LISTED, wanted: Callable[[str], object] | None = None
+) -> Iterator[Path]:
+    """The paths of `scanned`.
+
+    Args:
+        folder: a folder.
+        most: files and folders in it.
+        wanted: whether a name is asked for; to make a path of each other one takes three times as long.
+    """
+    names = (entry.name for entry in scanned(folder, most))
+    return (folder / name for name in names if wanted is None or wanted(name))
 
 
 def listed_below(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
@@ -235,6 +244,8 @@ def printable(text: str, most: int = QUOTED) -> str:
     """
     half = most // 2
     short = text if len(text) <= most else f"{text[: half - 1]}…{text[-half:]}"
+    if short.isprintable():  # which none of them is
+        return short
     return "".join("?" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in short)
 
 

@@ -104,6 +104,8 @@ class Artefact:
 
 def whole_manifest(folder: Path) -> Manifest | None:
     """The manifest of a folder that holds every file at its size; None if it does not."""
+    if not folder.is_dir():  # as of most stages of thousands of recordings before they are built
+        return None
     try:
         manifest = Manifest.read(folder)
         sizes = {name: (folder / name).stat().st_size for name in manifest.files}
@@ -128,7 +130,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
     known = {} if cache is None else _known(cache)
     entries: dict[str, SourceFile] = {}
     for path in files:
-        name = Path(os.path.relpath(path, root)).as_posix() if path != root else ""
+        name = _relative(path, root)
         try:
             stat = path.stat()
             _refuse_holes(path, stat)
@@ -143,6 +145,16 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
         with replaced_file(cache / Sources.FILE) as temporary:
             temporary.write_text(sources.text(), encoding="utf-8")
     return sha256_text(canonical_json(sources.sha256))
+
+
+def _relative(path: Path, root: Path) -> str:
+    """The name of a file, relative to its recording's path; "" if it is that."""
+    if path == root:
+        return ""
+    whole, above = str(path), f"{root}{os.sep}"
+    if whole.startswith(above):
+        return whole.removeprefix(above)
+    return Path(os.path.relpath(path, root)).as_posix()  # it lies beside, or the root is "."
 
 
 def _refuse_holes(path: Path, stat: os.stat_result) -> None:

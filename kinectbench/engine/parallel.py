@@ -1,11 +1,12 @@
 """Building many recordings, several at a time: none stops the others, even if its process is killed."""
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
-from queue import Empty
+from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
 from kinectbench.core.errors import StorageError
@@ -131,21 +132,36 @@ def _in_pool(jobs: Sequence[Job], workers: int, build_one: BuildOne, outcomes: _
     messages = CONTEXT.Queue()
     try:
         with worker_pool(workers, _keep_queue, (messages,)) as pool:
-            pending = set(submit_all(pool, partial(_build_in_worker, build_one), jobs))
-            while pending:
-                done, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
-                for message in _drained(messages):
-                    outcomes.tell(*message)
-                for future in sorted(done, key=lambda future: future.exception() is not None):
-                    outcomes.add(future.result())
+            # To wait for all that are pending would look at each of them each time.
+            done = SimpleQueue[Future[Outcome]]()
+            alone = [job.alone for job in jobs]
+            for future in submit_all(pool, partial(_build_in_worker, build_one), alone):
+                future.add_done_callback(done.put)
+            for _ in jobs:
+                future = _next_done(done, messages, outcomes)
+                outcomes.add(future.result())
     except BrokenProcessPool:
         pass
     return [job for job in jobs if job.recording.id not in outcomes.by_id]
 
 
+def _next_done(done: "SimpleQueue[Future[Outcome]]", messages: Any, outcomes: _Outcomes) -> Future[Outcome]:
+    """The next recording that is done; until then what the workers say is told."""
+    while True:
+        ended = None
+        with contextlib.suppress(Empty):
+            ended = done.get(timeout=0.2)
+        for message in _drained(messages):
+            outcomes.tell(*message)
+        if ended is not None:
+            return ended
+
+
 def _clear_away(jobs: Sequence[Job]) -> None:
-    """Remove what the workers left behind; not where another run is at work."""
+    """Remove what the workers left behind; not where another run is at work, or none has begun."""
     for job in jobs:
+        if not job.build.is_dir():
+            continue
         try:
             with locked(job.build, wait=False):
                 pass

@@ -1,7 +1,7 @@
 """The stages in their order: what each stands on, and which settings it depends on. `steps` runs them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,11 @@ class Job:
     def masks(self) -> Path | None:
         """The folder of a person's masks, if there is one."""
         return None if self.recording.masks is None else self.root / self.recording.masks
+
+    @property
+    def alone(self) -> "Job":
+        """The same without the other recordings: thousands would be sent to a process with each of them."""
+        return replace(self, settings=self.settings.model_copy(update={"recordings": [self.recording]}))
 
     @property
     def unused_masks(self) -> Path | None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path
 from typing import ClassVar, Literal, Protocol, Self, TypeVar
 
@@ -20,6 +21,9 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
 from kinectbench.stages.ingest.rotated_depth import unrotated
 
+# Damaged images or messages that are tried in search of one that is whole: five minutes at 30 frames a
+# second; an index may begin long before the images that were kept of it (own choice).
+MOST_TRIED = 10_000
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 # On what a reader was tried: a real recording, one whose licence lets it be copied, or files that a writer
@@ -252,8 +256,11 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 def visible(folder: Path, pattern: str) -> list[Path]:
     """The files of a folder whose names match; hidden ones are no part of a recording."""
-    there = listed(folder) if folder.is_dir() else ()
-    return [file for file in there if fnmatchcase(file.name, pattern) and not file.name.startswith(".")]
+
+    def matches(name: str) -> bool:
+        return fnmatchcase(name, pattern) and not name.startswith(".")
+
+    return list(listed(folder, wanted=matches)) if folder.is_dir() else []
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:
@@ -262,18 +269,23 @@ def first_file(candidates: Iterable[Path]) -> Path | None:
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:
-    """What `read` makes of the first image or message that is not damaged.
+    """What `read` makes of the first image or message that is not damaged; of very many the first are tried.
 
     Raises:
         DamagedImageError: all are damaged; the message is about the first.
     """
     complaint: DamagedImageError | None = None
-    for item in items:
+    for item in islice(items, MOST_TRIED):
         try:
             return read(item)
         except DamagedImageError as error:
             complaint = complaint or error
     raise complaint or DamagedImageError("there is no image")
+
+
+def tried(count: int) -> str:
+    """How many images `first_whole` tried of so many, in words."""
+    return str(count) if count <= MOST_TRIED else f"first {MOST_TRIED}"
 
 
 def _size_px(file: Path) -> tuple[int, int]:
@@ -296,4 +308,4 @@ def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
     try:
         return first_whole(_size_px, (frame.depth for frame in files))
     except DamagedImageError as error:
-        raise RecordingError(f"{error}; none of the {len(files)} depth images is usable") from error
+        raise RecordingError(f"{error}; none of the {tried(len(files))} depth images is usable") from error

@@ -72,7 +72,7 @@ def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
             )
         if plain:
             found.append(path)
-    return sorted(found)
+    return found
 
 
 def check_link(path: Path, *, follow_links: bool) -> None:
@@ -92,7 +92,7 @@ def check_link(path: Path, *, follow_links: bool) -> None:
 def _entries(
     folder: Path, above: frozenset[tuple[int, int]], follow_links: bool, links: Iterator[int]
 ) -> Iterator[tuple[Path, bool]]:
-    """Everything in a folder and below, and whether it is a plain file.
+    """Everything in a folder and below, sorted, and whether it is a plain file.
 
     Args:
         folder: listed with all below.
@@ -109,7 +109,8 @@ def _entries(
             f"{printable(str(folder), QUOTED)}: lies too deep; no recording has such folders"
         )
     entries = [entry for entry in scanned(folder, MOST_FILES) if not entry.name.startswith(".")]
-    for entry in entries:
+    # By their names: to sort paths takes ten times as long.
+    for entry in sorted(entries, key=lambda entry: entry.name):
         path = folder / entry.name
         if entry.is_symlink():
             check_link(path, follow_links=follow_links)

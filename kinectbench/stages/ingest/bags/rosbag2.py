@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import copy_bounded, open_plain, read_head
+from kinectbench.core.untrusted import copy_bounded, listed, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.bag_reader import WalkBudget
 from kinectbench.stages.ingest.bags.ros_messages import (
@@ -21,7 +21,6 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     unpacked_message,
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
-from kinectbench.stages.ingest.recording import visible
 
 # One a minute, for sixteen hours (own choice).
 MOST_FILES = 1000
@@ -62,7 +61,11 @@ class Rosbag2Recording(RosRecording):
 
 def _bag_files(folder: Path) -> list[Path]:
     """Files that may be a bag's, in the order of recording: NAME_2 before NAME_10."""
-    found = (file for file in visible(folder, "*") if file.name.endswith(Rosbag2Recording.suffixes))
+
+    def matches(name: str) -> bool:
+        return name.endswith(Rosbag2Recording.suffixes) and not name.startswith(".")
+
+    found = listed(folder, wanted=matches)
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 

@@ -3,6 +3,7 @@
 import importlib
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from kinectbench.core.errors import RecordingError
@@ -45,6 +46,7 @@ LEAST_DEPTH_SCALE, MOST_DEPTH_SCALE = 1e-3, 1e6
 LOOKED_AT, LOOKED_AT_FOR_HINT = 1_000_000, 1000
 
 
+@cache
 def reader_of(name: str) -> type[Recording]:
     """The class that reads the format of that name in FORMATS."""
     module, _, class_name = FORMATS[name].partition(":")
@@ -76,10 +78,10 @@ def open_recording(
         RecordingError: it is not there, its format is unknown, or it cannot be used.
     """
     try:
-        name = known_format(path)
-        source_files(path, follow_links=follow_links)
+        reader = reader_of(known_format(path))
+        _files_of(reader, path, follow_links)
         settings = camera or CameraSettings()
-        recording = reader_of(name).open(path, settings)
+        recording = reader.open(path, settings)
         for scale in (recording.depth_scale, settings.depth_scale or recording.depth_scale):
             _check_scale(path, scale)
         check_count(path, len(recording))
@@ -118,15 +120,19 @@ def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
             file, or too many files.
     """
     try:
-        reader = reader_of(known_format(path))
-        if not path.is_dir():
-            return [path]
-        beside = reader.files_beside(path)
-        for file in beside:
-            check_link(file, follow_links=follow_links)
-        return [*files_below(path, follow_links=follow_links), *beside]
+        return _files_of(reader_of(known_format(path)), path, follow_links)
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
+
+
+def _files_of(reader: type[Recording], path: Path, follow_links: bool) -> list[Path]:
+    """`source_files` of a recording whose reader is known: to find it, folders are listed."""
+    if not path.is_dir():
+        return [path]
+    beside = reader.files_beside(path)
+    for file in beside:
+        check_link(file, follow_links=follow_links)
+    return [*files_below(path, follow_links=follow_links), *beside]
 
 
 def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str]]:

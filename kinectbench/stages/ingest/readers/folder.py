@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
@@ -34,6 +34,7 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
+PNG = re.compile(r".+\.png", re.IGNORECASE | re.DOTALL)
 COLOR_FOLDERS = ("color", "rgb", "image")
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
@@ -63,7 +64,7 @@ class FolderRecording(FileRecording):
     def recognises(cls, path: Path) -> bool:
         """Whether the folder has a subfolder depth/ with PNG images."""
         depth = path / "depth"
-        return depth.is_dir() and any(file.suffix.lower() == ".png" for file in listed(depth))
+        return depth.is_dir() and any(listed(depth, wanted=PNG.fullmatch))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -72,7 +73,7 @@ class FolderRecording(FileRecording):
         color = next(
             (image_files(path / name, COLOR_SUFFIXES) for name in COLOR_FOLDERS if (path / name).is_dir()), []
         )
-        stamps_ns = stamps_of_names(depth)
+        stamps_ns = stamps_of_names([file.stem for file in depth])
         partners = _partners(depth, color, path)
         order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
         files = tuple(
@@ -109,30 +110,30 @@ def counting_key(stem: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
 
 
-def frame_key(file: PurePath) -> str:
-    """What must agree for depth and colour to be one frame: the stem, without leading zeros of a number."""
-    redwood = NUMBER_AND_STAMP.fullmatch(file.stem)
+def frame_key(stem: str) -> str:
+    """What must agree for depth and colour to be one frame: the name, without leading zeros of a number."""
+    redwood = NUMBER_AND_STAMP.fullmatch(stem)
     if redwood:
         return str(int(redwood[1]))
-    return str(int(file.stem)) if FRAME_NUMBER.fullmatch(file.stem) else file.stem
+    return str(int(stem)) if FRAME_NUMBER.fullmatch(stem) else stem
 
 
-def stamps_of_names(depth: Sequence[PurePath]) -> list[int]:
+def stamps_of_names(stems: Sequence[str]) -> list[int]:
     """Stamps in nanoseconds by Redwood's names; else a number counts seconds, or else the order does."""
-    stamps = [NUMBER_AND_STAMP.fullmatch(file.stem) for file in depth]
+    stamps = [NUMBER_AND_STAMP.fullmatch(stem) for stem in stems]
     if all(stamps):
         stamps_ns = [int(match[2]) * 1000 for match in stamps if match]
         if len(set(stamps_ns)) == len(stamps_ns) and not no_times(stamps_ns):
             return stamps_ns
-    keys = [frame_key(file) for file in depth]
+    keys = [frame_key(stem) for stem in stems]
     numbered = all(FRAME_NUMBER.fullmatch(key) for key in keys) and len(set(keys)) == len(keys)
     return [(int(key) if numbered else index) * NS_PER_S for index, key in enumerate(keys)]
 
 
 def _partners(depth: list[Path], color: list[Path], path: Path) -> list[Path | None]:
     """The colour image of each depth image: the same name, or the same place if no name agrees."""
-    by_key = {frame_key(file): file for file in color}
-    partners = [by_key.get(frame_key(file)) for file in depth]
+    by_key = {frame_key(file.stem): file for file in color}
+    partners = [by_key.get(frame_key(file.stem)) for file in depth]
     if not color or any(partners):
         return partners
     if len(color) != len(depth):

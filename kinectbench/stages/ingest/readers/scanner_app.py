@@ -48,15 +48,15 @@ class ScannerAppRecording(PhoneRecording):
     def recognises(cls, path: Path) -> bool:
         """Whether the folder has a depth image with its JSON."""
         return path.is_dir() and any(
-            found and (path / f"frame_{found[1]}.json").is_file()
-            for found in (DEPTH_NAME.fullmatch(file.name) for file in listed(path))
+            (path / f"frame_{file.stem.removeprefix('depth_')}.json").is_file()
+            for file in listed(path, wanted=DEPTH_NAME.fullmatch)
         )
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames by number and read every JSON."""
-        found = ((DEPTH_NAME.fullmatch(file.name), file) for file in listed(path))
-        stems = sorted((match[1] for match, _ in found if match), key=int)
+        found = listed(path, wanted=DEPTH_NAME.fullmatch)
+        stems = sorted((file.stem.removeprefix("depth_") for file in found), key=int)
         cameras = [_read_camera(path / f"frame_{stem}.json") for stem in stems]
         stamps_ns, warnings = _stamps_ns(path, cameras)
         files = tuple(

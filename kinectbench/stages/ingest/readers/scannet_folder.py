@@ -57,7 +57,7 @@ class ScannetFolderRecording(FileRecording):
         depth = image_files(path / "depth", frozenset({".png"}))
         if not depth:
             raise RecordingError(f"{path / 'depth'}: holds no PNG image; export the scene again with depth")
-        stamps_ns = stamps_of_names(depth)
+        stamps_ns = stamps_of_names([file.stem for file in depth])
         order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
         files = tuple(
             FrameFiles(stamps_ns[i], depth[i], first_file(_color_files(path, depth[i].stem))) for i in order

@@ -69,12 +69,13 @@ class SevenScenesRecording(FileRecording):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Whether the folder holds a frame-XXXXXX.depth.png."""
-        return path.is_dir() and any(DEPTH_NAME.fullmatch(file.name) for file in listed(path))
+        return path.is_dir() and any(listed(path, wanted=DEPTH_NAME.fullmatch))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames and read their poses."""
-        numbered = {int(m[1]): f for f in listed(path) if (m := DEPTH_NAME.fullmatch(f.name))}
+        found = listed(path, wanted=DEPTH_NAME.fullmatch)
+        numbered = {int(m[1]): f for f in found if (m := DEPTH_NAME.fullmatch(f.name))}
         stamps_ns = [number * NS_PER_S for number in sorted(numbered)]
         depth = [numbered[number] for number in sorted(numbered)]
         files = tuple(

@@ -88,7 +88,8 @@ class Sun3dRecording(FileRecording):
 def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[int]]:
     """The images of a folder in the order of their stamps, and these, nanoseconds."""
     files = image_files(folder, suffixes)
-    rows = sorted(zip(stamps_of_names(files), files, strict=True), key=lambda row: row[0])
+    stamps_ns = stamps_of_names([file.stem for file in files])
+    rows = sorted(zip(stamps_ns, files, strict=True), key=lambda row: row[0])
     return [file for _, file in rows], [stamp_ns for stamp_ns, _ in rows]
 
 
