@@ -15,11 +15,13 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import storage_errors
+from kinectbench.core.untrusted import listed
 
 LOCK = ".lock"
 # Seconds in which whoever has just taken a lock will have written who it is.
@@ -68,7 +70,11 @@ def sweep(path: Path) -> None:
 
     What was moved aside to be replaced is moved back if nothing has taken its place.
     """
-    for leftover in (f for end in ("part", "old") for f in path.parent.glob(f".{path.name}.*.{end}")):
+
+    def is_left(name: str) -> bool:
+        return any(fnmatchcase(name, f".{path.name}.*.{end}") for end in ("part", "old"))
+
+    for leftover in list(listed(path.parent, wanted=is_left)) if path.parent.is_dir() else []:
         original = leftover.with_name(leftover.name[1:].rsplit(".", 2)[0])
         if leftover.suffix == ".old" and not original.exists():
             leftover.rename(original)

@@ -5,8 +5,10 @@ import dataclasses
 import errno
 import json
 import os
+import pickle
 import signal
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path, PosixPath
 
 import pytest
@@ -19,7 +21,7 @@ from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.parallel import build
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
-from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.file import load_benchmark, parse_benchmark
 
 STAGES = ("ingest", "track", "fuse", "segment", "sample-views", "pairs")
 pytestmark = pytest.mark.xdist_group("resume")
@@ -80,6 +82,58 @@ def test_a_recording_that_is_alone_takes_no_more_threads_than_memory_is_measured
     for workers in (1, 3, 64):
         parallel.build([Job(settings, settings.recordings[0], small)], workers=workers)
     assert asked == [1, 3, parallel.MOST_THREADS]
+
+
+# --- thousands of recordings --------------------------------------------------------------------------
+
+
+def sent_bytes(count: int, monkeypatch: pytest.MonkeyPatch) -> int:
+    """What worker processes are sent to build so many recordings, bytes."""
+    rows = "".join(f"  - {{id: r{n:05d}, path: r{n:05d}, category: chair}}\n" for n in range(count))
+    settings = parse_benchmark(f"name: many\nrecordings:\n{rows}", "x.yaml")
+    sent: list[Job] = []
+
+    def done_at_once(pool: object, function: object, jobs: list[Job]) -> list[Future[Outcome]]:
+        sent.extend(jobs)
+        futures = [Future[Outcome]() for _ in jobs]
+        for future, job in zip(futures, jobs, strict=True):
+            future.set_result(Outcome(job.recording.id, (), (), "no such recording", 0.0))
+        return futures
+
+    monkeypatch.setattr(parallel, "worker_pool", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(parallel, "submit_all", done_at_once)
+    jobs = [Job(settings, recording, Path("root")) for recording in settings.recordings]
+    listener = Listener()
+    outcomes = build(jobs, workers=2, watcher=listener)
+    assert [outcome.recording for outcome in outcomes] == [job.recording.id for job in jobs]
+    assert len(listener.ends) == count
+    for job, alone in zip(jobs, sent, strict=True):
+        assert alone.recording == job.recording and alone.root == job.root
+        assert alone.settings.fusion == job.settings.fusion and alone.settings.recordings == [job.recording]
+    return sum(len(pickle.dumps(job)) for job in sent)
+
+
+def test_what_processes_are_sent_grows_with_the_recordings_and_no_faster(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    once, twice = sent_bytes(100, monkeypatch), sent_bytes(200, monkeypatch)
+    assert twice == 2 * once  # four times, if all are sent with each
+
+
+def test_an_interrupt_leaves_no_folders_of_recordings_that_had_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = parse_benchmark(
+        "name: two\nrecordings:\n- {id: a, path: a, category: c}\n- {id: b, path: b, category: c}\n", "x.yaml"
+    )
+
+    def interrupted(*_: object) -> list[Job]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(parallel, "_in_pool", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        build([Job(settings, recording, tmp_path) for recording in settings.recordings], workers=2)
+    assert list(tmp_path.iterdir()) == []
 
 
 # --- killed workers -----------------------------------------------------------------------------------

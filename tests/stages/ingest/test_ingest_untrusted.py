@@ -10,8 +10,9 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from pathlib import Path, PosixPath
+from typing import Any
 
 import pytest
 from ingest_writers import color_image, every_frame, png, write_folder, write_seven_scenes, write_tum
@@ -311,6 +312,37 @@ def test_a_file_that_is_mostly_a_hole_is_not_read(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"0\.jpg: of its 1099511627776 bytes .* is a hole"):
         content_hash(source_files(folder), folder)
     assert time.monotonic() - started < 5
+
+
+@pytest.mark.parametrize("maker", ["folder", "tum", "7scenes"])
+def test_what_lies_beside_the_frames_is_listed_a_few_times_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: str
+) -> None:
+    """Each reader that looks for its files lists the folder, and the format is looked for once."""
+    folder = MAKERS[maker](tmp_path / "r")
+    strays = [folder / f"x{number:04d}" for number in range(1000)]
+    for stray in strays:
+        stray.touch()
+    entries: list[str] = []
+    paths: list[Path] = []
+    scanned, joined = untrusted.scanned, PosixPath.__truediv__
+
+    def counted(*arguments: Any) -> Iterator["os.DirEntry[str]"]:
+        for entry in scanned(*arguments):
+            entries.append(entry.name)
+            yield entry
+
+    def made(self: PosixPath, key: str) -> PosixPath:
+        path = joined(self, key)
+        paths.append(path)
+        return path
+
+    for module in (untrusted, sources):
+        monkeypatch.setattr(module, "scanned", counted)
+    monkeypatch.setattr(PosixPath, "__truediv__", made)
+    open_recording(folder)
+    assert sum(name.startswith("x") for name in entries) <= 6 * len(strays)  # 8 with the format twice
+    assert sum(path.name.startswith("x") for path in paths) == len(strays)
 
 
 READ = """

@@ -14,6 +14,7 @@ from ingest_writers import CAMERA, color_image, depth_image, every_frame, jpeg, 
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest import recording as recordings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import format_of, name_suffixes, open_recording
 from kinectbench.stages.ingest.recording import RawFrame
@@ -64,6 +65,17 @@ def test_the_size_of_a_primesense_tells_its_intrinsics(tmp_path: Path) -> None:
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.0, 525.0, 319.5, 239.5)
     with pytest.raises(RecordingError, match="does not say its intrinsics"):
         open_recording(redwood(tmp_path / "s.zip"))
+
+
+def test_of_very_many_damaged_images_the_first_are_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recordings, "MOST_TRIED", 3)
+    with zipfile.ZipFile(tmp_path / "r.zip", "w") as archive:
+        for i in range(5):
+            archive.writestr(f"depth/{i + 1:07d}-{i * STEP_US:012d}.png", b"")
+    with pytest.raises(RecordingError, match="none of the first 3 depth images is usable"):
+        open_recording(tmp_path / "r.zip", SMALL)
 
 
 def test_members_that_are_missing_or_wrong(tmp_path: Path) -> None:
