@@ -25,11 +25,12 @@ def report(
 ) -> int:
     """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.compare import find_scores, read_named
+    from kinectbench.scoring.compare import find_scores
+    from kinectbench.scoring.read_table import read_table
 
     if common.benchmark is None:  # before the benchmark is built
         for path in find_scores(scores or ()):
-            read_named(path)
+            read_table(path)
     release = None if common.benchmark is None else open_release(common.benchmark)
     rows = [] if release else build_recordings(common, ids, "pairs", told=True)
     page = write_page(common, release, scores or common.beside("scores"), out, baselines)

@@ -110,7 +110,8 @@ def _recheck(
 ) -> int:
     """Score again as a table says that it was scored; only its file of thresholds is an option."""
     from kinectbench.cli import console
-    from kinectbench.scoring.compare import find_scores, read_named
+    from kinectbench.scoring.compare import find_scores
+    from kinectbench.scoring.read_table import read_table
     from kinectbench.scoring.recheck import recheck
 
     given = [
@@ -125,7 +126,7 @@ def _recheck(
     paths = find_scores([scores])
     if len(paths) != 1:
         raise SettingsError(f"--recheck {scores}: holds {len(paths)} tables; name one")
-    read_named(paths[0])  # before the benchmark is built
+    read_table(paths[0])  # before the benchmark is built
     release, rows = find_release(common)
     with console.bar("recheck") as progress:
         differences = recheck(
@@ -136,7 +137,7 @@ def _recheck(
             jobs=common.workers,
             progress=progress,
         )
-    table = read_named(paths[0])
+    table = read_table(paths[0])
     shown = differences[:SHOWN_FAILURES]
     more = [f"and {len(differences) - len(shown)} more differences"] * (len(differences) > len(shown))
     told = f"{paths[0]}: {'not verified' if differences else table.standing}"
@@ -218,10 +219,11 @@ def compare(
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console
     from kinectbench.scoring.compare import compare as compare_tables
-    from kinectbench.scoring.compare import find_scores, read_named
+    from kinectbench.scoring.compare import find_scores
+    from kinectbench.scoring.read_table import read_table
     from kinectbench.scoring.terminal import comparison_tables
 
-    tables = [read_named(path) for path in find_scores(scores)]
+    tables = [read_table(path) for path in find_scores(scores)]
     found = compare_tables(tables, metric, protocol)
     if common.as_json:
         console.say_json(asdict(found))

@@ -3,6 +3,7 @@
 import os
 import struct
 import zipfile
+import zlib
 from typing import IO
 
 # The end record, the locator of the one for large files (zip64), and that: see APPNOTE, 4.3.14 to 16.
@@ -14,6 +15,18 @@ MOST_COMMENT_BYTES = 0xFFFF
 ROW_BYTES = 1 << 10
 # By how much the directory of a few files may be larger (own choice).
 SLACK_BYTES = 64 << 10
+# What zipfile raises of a damaged zip. NotImplementedError: an unknown compression; RuntimeError: encrypted;
+# ValueError and OverflowError: sizes and places that no file has. Of a file there are OSErrors besides.
+DAMAGED_ZIP = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OverflowError,
+)
 
 
 def open_zip(

@@ -1,10 +1,7 @@
 """The files of a release: their names, and how they are read in a folder or an archive, in place."""
 
 import hashlib
-import struct
 import tarfile
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -14,7 +11,10 @@ from typing import IO, Any
 from kinectbench.core import untrusted_text
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.untrusted import decoded, listed_below, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, decoded, listed_below, open_plain, read_plain
+from kinectbench.core.voxels.npz import UNREADABLE, open_npz
+from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
+from kinectbench.core.zip_files import DAMAGED_ZIP
 
 CARD = "README.md"
 READING = "READING.md"
@@ -30,25 +30,45 @@ LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
 LINK = "a link; in an archive only plain files are read"
+# A text of a release, or another file that is read whole.
 MAX_READ_BYTES = 64 << 20
 # Files of a release: a hundred thousand pairs with two images each (own choice); listing them takes 300 MB.
 MOST_FILES = 300_000
 # A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to 1
 # GiB, and shrinks to a tenth or less (own choice).
 MOST_FILE_BYTES = 256 << 20
-# What zipfile, tarfile and gzip raise for damaged files; RuntimeError: the entry is encrypted; ValueError and
-# OverflowError: sizes and places that no file has.
-DAMAGED = (
-    zipfile.BadZipFile,
-    tarfile.TarError,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    OverflowError,
-)
+# What an object's volume may unpack to: 4 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm (own choice).
+VOLUME_BYTES = 1 << 30
+# By how a name ends, what is written, checked and made again. A mesh of 128 MB has 3 million vertices, 6
+# million triangles, and takes 320 MB to be checked (own choice; measured).
+MOST_BYTES = {"/mesh.ply": 128 << 20, "/volume.npz": MOST_FILE_BYTES, ".npz": PAIR_BYTES, ".png": IMAGE_BYTES}
+# What zipfile, tarfile and gzip raise of damaged files.
+DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
+
+
+def most_bytes(name: str) -> int:
+    """Bytes that a file of a release may have, by its name."""
+    return next((most for end, most in MOST_BYTES.items() if name.endswith(end)), MAX_READ_BYTES)
+
+
+def refuse_large(folder: Path) -> None:
+    """Refuse a release that its own check would refuse for the size of a file.
+
+    Raises:
+        ReleaseError: it names the file, and says what to do.
+    """
+    for path in release_files(folder):
+        name = path.relative_to(folder).as_posix()
+        advice = "build it with a larger fusion.voxel_size_m" if name.startswith("objects/") else "split it"
+        size, most = path.stat().st_size, most_bytes(name)
+        if size > most:
+            raise ReleaseError(f"{name}: {size} bytes, of {most} that it may have in a release; {advice}")
+        if name.endswith("/volume.npz"):
+            try:
+                with open_plain(path) as file, open_npz(file, VOLUME_BYTES):
+                    pass
+            except UNREADABLE as error:
+                raise ReleaseError(f"{name}: {error}; {advice}") from error
 
 
 def release_files(folder: Path) -> Iterator[Path]:
@@ -95,18 +115,19 @@ class Contents:
     entries: Mapping[str, Entry]
     problems: tuple[str, ...] = ()
 
-    def read(self, name: str, limit: int = MAX_READ_BYTES) -> bytes:
+    def read(self, name: str, limit: int | None = None) -> bytes:
         """The bytes of a file.
 
         Raises:
-            ReleaseError: missing, not a plain file, larger than `limit` bytes, or damaged.
+            ReleaseError: missing, not a plain file, larger than `limit` bytes (default: what its kind may
+                have), or damaged.
         """
         entry = self.entries.get(name)
         if entry is None:
             raise ReleaseError(f"{name}: missing; make or download it again")
         if entry.problem:
             raise ReleaseError(f"{name}: {entry.problem}; make or download it again")
-        if entry.size > limit:
+        if entry.size > (most_bytes(name) if limit is None else limit):
             raise ReleaseError(f"{name}: {entry.size} bytes are more than such a file can have")
         with self.stream(name) as file:
             # No more than is said: an entry of an archive may unpack to any size.

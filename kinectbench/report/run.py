@@ -12,7 +12,7 @@ from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
 from kinectbench.report.page import Beside, Groups, write_report
-from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, read_named, too_small
+from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, too_small
 from kinectbench.scoring.of_release import not_of_release
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import read_table
@@ -68,12 +68,12 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
         benchmark_sha256: of the truth; None if only the files know it, who must then agree.
 
     Raises:
-        SettingsError: one is missing, damaged, or was scored against another truth or by another version.
-        StorageError: the gallery beside one is damaged.
+        SettingsError: one is missing, or was scored against another truth or by another version.
+        StorageError: one, or the gallery beside it, is damaged.
     """
     files: list[ScoreFile] = []
     for path in {path.resolve(): path for path in find_scores(paths)}.values():
-        file = ScoreFile(path, read_named(path), read_gallery(path))
+        file = ScoreFile(path, read_table(path), read_gallery(path))
         found = file.table.benchmark_sha256
         benchmark_sha256 = benchmark_sha256 or found
         if found != benchmark_sha256:
@@ -181,7 +181,7 @@ def page_of_benchmark(
         Its path, and a warning for each score file that was left out.
 
     Raises:
-        SettingsError: a score file that was named is missing, damaged or of another truth or version.
+        SettingsError: a score file that was named is missing, or of another truth or version.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)

@@ -9,11 +9,10 @@ import numpy as np
 
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES, ScoreRow
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
-from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.letters import MOST_GROUPS, letters
-from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.uncertainty import MAX_EXACT, holm, samples, sign_flip_ps, smallest_p
 
 ALPHA = 0.05
@@ -165,18 +164,6 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
         else:
             raise SettingsError(f"{path}: no such file or folder")
     return found
-
-
-def read_named(path: Path) -> ScoreTable:
-    """A score table that a person named.
-
-    Raises:
-        SettingsError: it is missing or damaged, or states what does not follow from its rows.
-    """
-    try:
-        return read_table(path)
-    except StorageError as error:
-        raise SettingsError(str(error)) from error
 
 
 def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """A submitted mesh as occupied voxels. The file is untrusted: what it costs is known before it is spent."""
 
-from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Float64, Int32
-from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.scoring.mesh_files import read_obj, read_ply
 
@@ -23,25 +22,26 @@ MAX_CROSSINGS = 1 << 23
 MAX_IN_A_COLUMN = 4096
 
 
-def voxelised(path: Path, voxel_size_m: float) -> NDArray[np.bool_]:
+def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> NDArray[np.bool_]:
     """The cells whose centre is inside a closed mesh.
 
     Args:
-        path: .ply or .obj, in grid coordinates and metres: the grid's corner is the origin.
+        file: of at most `MAX_MESH_BYTES`, in grid coordinates and metres: the grid's corner is the origin.
+        suffix: .ply or .obj.
         voxel_size_m: of the pair's 256-grid.
 
     Returns:
         (256, 256, 256) bool. What lies beyond the grid is cut off.
 
     Raises:
-        OSError: it cannot be read, or is no plain file.
+        OSError: it cannot be read.
         PredictionError: not a readable, closed, evenly oriented mesh, or one that would cost too much;
             without the file's name.
     """
     from kinectbench.core.voxels.solid import voxelize_solid
 
     grid = Grid((FULL_CELLS,) * 3, voxel_size_m, np.eye(4))
-    vertices, faces = _parsed(path)
+    vertices, faces = _parsed(file, suffix[1:])
     _refuse_far(vertices, grid)
     vertices, faces = _joined(vertices, faces)
     _refuse_costly(vertices[:, :2] / voxel_size_m, faces)
@@ -50,11 +50,10 @@ def voxelised(path: Path, voxel_size_m: float) -> NDArray[np.bool_]:
     return unpack(voxelize_solid(vertices, faces, grid))
 
 
-def _parsed(path: Path) -> tuple[Float64, Int32]:
+def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
     """The vertices that faces use (n, 3), and triangles (m, 3)."""
-    kind = path.suffix[1:]
     try:
-        vertices, triangles = READERS[kind](read_plain(path, MAX_MESH_BYTES))
+        vertices, triangles = READERS[kind](file.read(MAX_MESH_BYTES))
     except ValueError as error:
         raise PredictionError(f"not a readable {kind} mesh: {error}") from None
     used = np.zeros(len(vertices), bool)

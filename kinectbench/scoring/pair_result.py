@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.counted import JOURNAL, CountedPair, PairResult
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
-from kinectbench.core.untrusted import open_plain, read_plain_text
+from kinectbench.core.untrusted import read_plain_text
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
@@ -20,7 +20,7 @@ from kinectbench.release.release import Target
 from kinectbench.scoring.counts import Prediction, ceiling, occupied, protocol_counts, tally
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
-from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
 
@@ -79,8 +79,7 @@ def count_job(job: Job) -> PairResult | str:
         else:
             mesh = job.file.suffix in MESHES
             size_m = read_voxel_size(job.truth, job.target.sha256) if mesh else None
-            prediction = load_prediction(job.file, job.target.name + job.file.suffix, size_m)
-            digest = _blake3(job.file)
+            prediction, digest = load_hashed(job.file, job.target.name + job.file.suffix, size_m)
     except PredictionError as error:
         return str(error)
     if job.earlier is not None and job.earlier.key == job.key(digest):
@@ -114,20 +113,6 @@ def ceilings(truth: Truth, side: int, counting: Counting) -> Mapping[str, float]
         return dict.fromkeys(counting.protocols, 1.0)
     best = ceiling(truth, side, counting.upsampling)
     return {name: float(ious(protocol_counts(best, name)).max()) for name in counting.protocols}
-
-
-def _blake3(path: Path) -> str:
-    # SHA-256 of a 33 MB prediction takes longer than all the rest of its scoring.
-    from blake3 import blake3
-
-    digest = blake3()
-    try:
-        with open_plain(path) as file:
-            while chunk := file.read(1 << 20):
-                digest.update(chunk)
-        return f"blake3:{digest.hexdigest()}"
-    except OSError as error:
-        raise PredictionError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 class Journal:

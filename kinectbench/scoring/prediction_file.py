@@ -1,7 +1,7 @@
 """Load one submitted prediction. The file is untrusted: its claims are checked before they are believed."""
 
 import contextlib
-import stat
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.untrusted import open_plain, printable
+from kinectbench.core.untrusted import COPIED_BYTES, open_plain, printable, size_of
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, open_npz
 from kinectbench.core.voxels.resample import MAX_CELLS
@@ -38,23 +38,68 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
     Raises:
         PredictionError: the file is unacceptable; one line.
     """
+    with _told(str(name or path)), open_plain(path) as file:
+        return _loaded(file, path.suffix, voxel_size_m)
+
+
+def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> tuple[Prediction, str]:
+    """The same prediction, and `blake3:` with the hash of the file that it was read from.
+
+    Both are of one open file, which must not change meanwhile: a zip is not read from its begin to its end.
+
+    Raises:
+        PredictionError: as `load_prediction`, or the file changed.
+    """
+    with _told(name), open_plain(path) as file:
+        before = _state(file)
+        prediction = _loaded(file, path.suffix, voxel_size_m)
+        digest = _blake3(file)
+        if _state(file) != before:
+            raise PredictionError("changed while it was read; score it when it is written")
+        return prediction, digest
+
+
+@contextlib.contextmanager
+def _told(name: str) -> Iterator[None]:
+    """Everything that a file of a prediction can raise, as one line that begins with its name."""
     try:
-        if path.suffix in MESHES:
-            _checked_size(path, MAX_MESH_BYTES)
-            if voxel_size_m is None:
-                raise PredictionError("a mesh; it needs the voxel size of its pair")
-            return voxelised(path, voxel_size_m)
-        with _open(path) as (file, size):
-            array = read_npy(file, size, _check_claims)
-        return _checked(array)
+        yield
     except PredictionError as error:
-        raise PredictionError(f"{name or path}: {error}") from None
+        raise PredictionError(f"{name}: {error}") from None
     except NpyError as error:
-        raise PredictionError(f"{name or path}: {error}; write it with np.save or np.savez") from None
+        raise PredictionError(f"{name}: {error}; write it with np.save or np.savez") from None
     except OSError as error:
-        raise PredictionError(f"{name or path}: cannot be read ({error.strerror or error})") from error
+        raise PredictionError(f"{name}: cannot be read ({error.strerror or error})") from error
     except UNREADABLE as error:
-        raise PredictionError(f"{name or path}: a damaged npz ({error}); write it again") from error
+        raise PredictionError(f"{name}: a damaged npz ({error}); write it again") from error
+
+
+def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> Prediction:
+    if suffix in MESHES:
+        _checked_size(file, MAX_MESH_BYTES)
+        if voxel_size_m is None:
+            raise PredictionError("a mesh; it needs the voxel size of its pair")
+        return voxelised(file, suffix, voxel_size_m)
+    with _npy(file, suffix) as (stream, size):
+        array = read_npy(stream, size, _check_claims)
+    return _checked(array)
+
+
+def _state(file: IO[bytes]) -> tuple[int, int, int]:
+    """What differs once a file was written to: its size, and when it and what is known of it changed."""
+    state = os.fstat(file.fileno())
+    return state.st_size, state.st_mtime_ns, state.st_ctime_ns
+
+
+def _blake3(file: IO[bytes]) -> str:
+    # SHA-256 of a 33 MB prediction takes longer than all the rest of its scoring.
+    from blake3 import blake3
+
+    digest = blake3()
+    file.seek(0)
+    while chunk := file.read(COPIED_BYTES):
+        digest.update(chunk)
+    return f"blake3:{digest.hexdigest()}"
 
 
 def checked(array: NDArray[np.generic], name: str) -> Prediction:
@@ -72,14 +117,13 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
 
 
 @contextlib.contextmanager
-def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
+def _npy(file: IO[bytes], suffix: str) -> Iterator[tuple[IO[bytes], int]]:
     """Yield the npy stream of a file and the number of bytes in it."""
-    size = _checked_size(path, MAX_BYTES)
-    if path.suffix == ".npy":
-        with open_plain(path) as file:
-            yield file, size
+    size = _checked_size(file, MAX_BYTES)
+    if suffix == ".npy":
+        yield file, size
         return
-    with open_plain(path) as file, open_npz(file, MAX_BYTES) as archive:
+    with open_npz(file, MAX_BYTES) as archive:
         entries = archive.infolist()
         if len(entries) != 1:
             raise PredictionError(f"{len(entries)} arrays in the npz: it must hold exactly one")
@@ -87,16 +131,14 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], int]]:
             yield stream, entries[0].file_size
 
 
-def _checked_size(path: Path, most: int) -> int:
-    """The size of a regular file that is neither empty nor too large."""
-    state = path.stat()
-    if not stat.S_ISREG(state.st_mode):
-        raise PredictionError(f"a {'folder' if stat.S_ISDIR(state.st_mode) else 'special file'}, not a file")
-    if state.st_size > most:
-        raise PredictionError(f"{state.st_size} bytes; {most} is the most accepted")
-    if state.st_size == 0:
+def _checked_size(file: IO[bytes], most: int) -> int:
+    """The size of a file that is neither empty nor too large."""
+    size = size_of(file)
+    if size > most:
+        raise PredictionError(f"{size} bytes; {most} is the most accepted")
+    if size == 0:
         raise PredictionError("the file is empty")
-    return state.st_size
+    return size
 
 
 def _check_claims(header: NpyHeader) -> None:

@@ -15,9 +15,8 @@ from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
-from kinectbench.scoring.compare import read_named
 from kinectbench.scoring.predictions import split_methods
-from kinectbench.scoring.read_table import differing
+from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.score import check_missing, score
 from kinectbench.scoring.thresholds import FROM_FILE
 
@@ -51,11 +50,12 @@ def recheck(
         One line for each difference; none if the table is verified.
 
     Raises:
-        SettingsError: the table is damaged or contradicts itself, is of another truth or version, or its
-            thresholds are from a file that is not given.
-        PredictionError, ReleaseError, StorageError: as those of `score`, and of writing the table.
+        SettingsError: the table is of another truth or version, or its thresholds are from a file that is
+            not given.
+        StorageError: the table is damaged or contradicts itself, or cannot be written.
+        PredictionError, ReleaseError: as those of `score`.
     """
-    stated = read_named(path)
+    stated = read_table(path)
     folder = _folder(release, stated, path, predictions)
     _same_thresholds_file(stated, path, thresholds_file)
     found = score(

@@ -2,8 +2,10 @@
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +25,10 @@ from kinectbench.core.artefacts.targets import (
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import pack, pair_bytes, read_pair, unpack
+from kinectbench.release import contents
+from kinectbench.release.check import object_check
+from kinectbench.release.check.verify import verify
+from kinectbench.release.contents import most_bytes
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release, open_release
 
@@ -194,6 +200,36 @@ def test_a_failed_publish_leaves_the_old_release(build: Path, tmp_path: Path) ->
         publish(synthetic_settings(), tmp_path / "build", out, NAMES)
     assert (out / "SHA256SUMS").read_text() == before
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize("file", ["mesh.ply", "volume.npz"])
+def test_what_verify_would_refuse_for_its_size_is_not_published(
+    build: Path, tmp_path: Path, file: str
+) -> None:
+    name = f"objects/chair_02/{file}"
+    shutil.copytree(build, tmp_path / "build")
+    os.truncate(tmp_path / "build" / "chair_02" / "object" / file, most_bytes(name) + 1)
+    said = f"^{name}: {most_bytes(name) + 1} bytes, of {most_bytes(name)} that it may have.*fusion"
+    with pytest.raises(ReleaseError, match=said):
+        publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", ["chair_02"])
+    assert [path.name for path in tmp_path.iterdir()] == ["build"]
+
+
+def test_as_large_as_verify_accepts_is_published(
+    build: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with zipfile.ZipFile(build / "chair_02" / "object" / "volume.npz") as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    for module in (contents, object_check):
+        monkeypatch.setattr(module, "VOLUME_BYTES", size)
+    publish(synthetic_settings(), build, tmp_path / "benchmark", ["chair_02"])
+    assert verify(tmp_path / "benchmark") == []
+    for module in (contents, object_check):
+        monkeypatch.setattr(module, "VOLUME_BYTES", size - 1)
+    (line,) = verify(tmp_path / "benchmark")
+    assert "claims to unpack to" in line
+    with pytest.raises(ReleaseError, match=r"volume\.npz: claims to unpack to .* larger fusion"):
+        publish(synthetic_settings(), build, tmp_path / "other", ["chair_02"])
 
 
 def test_recordings_without_pairs(build: Path, tmp_path: Path) -> None:

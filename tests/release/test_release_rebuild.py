@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +25,7 @@ from kinectbench.release.check.rebuild import (
     rebuild_plan,
     version_notes,
 )
-from kinectbench.release.contents import Entry
+from kinectbench.release.contents import Entry, most_bytes
 from kinectbench.release.opening import open_contents
 
 
@@ -76,6 +77,22 @@ def test_what_differs_and_where(analytic: Path, sources: dict[str, Source], agai
         "objects/table_01/mesh.ply: differs when made again",
         "table_02/001: made again, but there is no such pair in the release",
     ]
+
+
+def test_what_was_made_again_may_have_any_size(
+    analytic: Path, sources: dict[str, Source], again: Path
+) -> None:
+    large = {
+        "objects/table_01/mesh.ply": "object/mesh.ply",
+        "views/table_01/000.mask.png": "views/000.mask.png",
+    }
+    for name, built in large.items():
+        os.truncate(again / "table_01" / built, most_bytes(name) + 1)
+    os.truncate(again / "table_01" / "pairs" / "000.npz", most_bytes("pairs/a/000.npz") + 1)
+    *others, pair = compare(analytic, sources, again)
+    assert others == [f"{name}: differs when made again" for name in large]
+    assert pair.startswith("pairs/table_01/000.npz: what was made again cannot be read (")
+    assert "larger than the 16777216 bytes" in pair
 
 
 def test_a_recording_that_failed_and_other_packing(

@@ -175,8 +175,8 @@ def test_not_files(tmp_path: Path) -> None:
     (tmp_path / "000.npy").mkdir()
     os.mkfifo(tmp_path / "001.npy")  # reading it would wait for ever
     for name, message in (
-        ("000.npy", "a folder, not a file"),
-        ("001.npy", "special file"),
+        ("000.npy", "not a plain file but a folder"),
+        ("001.npy", "not a plain file"),
         ("002.npy", "No such"),
     ):
         with pytest.raises(PredictionError, match=message):

@@ -19,20 +19,10 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import StorageError
 from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy
-from kinectbench.core.zip_files import open_zip
+from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 
-# What is raised of damaged files; NotImplementedError: an unknown compression; RuntimeError: encrypted.
-UNREADABLE = (
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    NotImplementedError,
-    RuntimeError,
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+# What is raised of files that are damaged, lack an array, or cannot be read.
+UNREADABLE = (*DAMAGED_ZIP, OSError, KeyError, MemoryError)
 # No npz of ours holds more than twenty arrays (own choice).
 MOST_ARRAYS = 64
 # Of an npz of a build: the largest is the TSDF of a scene, 12 bytes a voxel (own choice).

@@ -13,10 +13,8 @@ from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
-from kinectbench.release.contents import Contents
+from kinectbench.release.contents import VOLUME_BYTES, Contents
 
-# What an object's volume may unpack to: 4 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm (own choice).
-VOLUME_BYTES = 1 << 30
 SLAB_BYTES = 1 << 20
 MOST_SMALL_BYTES = 4096
 KINDS: dict[str, np.dtype[Any]] = {

@@ -1,10 +1,11 @@
 """Re-make a release's pairs from its recordings: the settings to do it with, and what differs."""
 
+import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,12 @@ from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, parse_targets
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
+from kinectbench.core.storage import sha256_file
 from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.morphology import packed_count
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, pair_values
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.release.contents import MAX_READ_BYTES, OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
 from kinectbench.release.publish.small_files import package_versions
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
@@ -214,8 +216,14 @@ def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]
         return  # releases from elsewhere have no such files
     if not made.is_file():
         yield f"{name}: was not made again"
-    elif contents.read(name) != read_plain(made, MAX_READ_BYTES):
-        yield f"{name}: {AGAIN}"
+        return
+    try:
+        with contents.stream(name) as published:
+            digest = hashlib.file_digest(cast(Any, published), "sha256").hexdigest()
+        if digest != sha256_file(made):
+            yield f"{name}: {AGAIN}"
+    except OSError as error:
+        yield f"{name}: {_unreadable(made, error)}"
 
 
 def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator[str]:
@@ -223,11 +231,15 @@ def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator
     if not made.is_file():
         yield f"{target.file}: was not made again: its view was refused, or another was drawn"
         return
-    published, again = contents.read(target.file), read_plain(made, MAX_READ_BYTES)
-    if published == again:
-        return
+    published = contents.read(target.file)
     try:
+        again = read_plain(made, most_bytes(target.file))
+        if published == again:
+            return
         old, new = pair_values(published, target.file), pair_values(again, str(made))
+    except OSError as error:
+        yield f"{target.file}: {_unreadable(made, error)}"
+        return
     except PairError as error:
         yield str(error)
         return
@@ -237,6 +249,10 @@ def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator
         if (word := _key_difference(key, old.get(key), new.get(key)))
     ]
     yield f"{target.file}: {AGAIN}: {', '.join(words) or 'the same values, but packed otherwise'}"
+
+
+def _unreadable(made: Path, error: OSError) -> str:
+    return f"what was made again cannot be read ({made}: {error.strerror or error})"
 
 
 def _key_difference(key: str, old: NDArray[Any] | None, new: NDArray[Any] | None) -> str | None:

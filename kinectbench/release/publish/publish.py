@@ -18,7 +18,7 @@ from kinectbench.core.artefacts.provenance import (
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_folder
-from kinectbench.release.contents import CHANGELOG, DATASHEET
+from kinectbench.release.contents import CHANGELOG, DATASHEET, refuse_large
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.preview import write_preview
@@ -84,7 +84,8 @@ def publish(
 
     Raises:
         ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule,
-            there is no pair at all or none to be held back, or a folder holds something else.
+            there is no pair at all or none to be held back, a file is larger than `verify` accepts, or a
+            folder holds something else.
         StorageError: the disk is full or read-only.
     """
     private = out.with_name(out.name + PRIVATE)
@@ -167,6 +168,7 @@ def _write(
     )
     write_preview(folder, settings, targets, infos, warnings, options.hold_back)
     identity = write_small_files(head, folder, targets, infos, warnings)
+    refuse_large(folder)
     return PublishSummary(
         folder,
         identity,

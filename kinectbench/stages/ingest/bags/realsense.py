@@ -13,7 +13,7 @@ import numpy as np
 
 from kinectbench.core.geometry import closest_rotation, rigid
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import HEAD_BYTES, open_plain
+from kinectbench.core.untrusted import HEAD_BYTES, open_plain, size_of
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic
@@ -50,7 +50,7 @@ class RealsenseRecording(Rosbag1Recording):
             # The index repeats every connection.
             index = re.search(rb"index_pos=(.{8})", start[: len(MAGIC) + 4096], re.DOTALL)
             (position,) = struct.unpack("<Q", index[1]) if index else (0,)
-            file.seek(min(position, path.stat().st_size))
+            file.seek(min(position, size_of(file)))
             end = file.read(HEAD_BYTES)
         return any(word in part for word in TELL_TALES for part in (start, end))
 

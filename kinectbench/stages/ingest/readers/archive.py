@@ -3,13 +3,12 @@
 import re
 import weakref
 import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import HEAD_BYTES, open_plain, printable, unpacked_bound
-from kinectbench.core.zip_files import open_zip
+from kinectbench.core.untrusted import HEAD_BYTES, open_plain, printable, size_of, unpacked_bound
+from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.stages.ingest.images import DamagedImageError
 
 # Of a zip archive's first local header (APPNOTE.TXT 4.3.7).
@@ -19,9 +18,8 @@ MOST_MEMBERS, ROW_BYTES = 350_000, 128
 # An image or JSON of a recording is smaller: 16-bit depth of 4096x4096 pixels has 32 MB (own choice).
 LARGEST_MEMBER_BYTES = 64 << 20
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# What zipfile raises for an archive that is damaged, encrypted, or packed in a way it does not know; OSError
-# where a member lies before the archive's begin.
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, NotImplementedError, OSError)
+# OSError where a member lies before the archive's begin.
+DAMAGE = (*DAMAGED_ZIP, OSError)
 
 
 @dataclass
@@ -60,8 +58,6 @@ class Archive:
                 raise DamagedImageError(
                     f"{where}: says that it unpacks to {info.file_size} bytes; it is no image"
                 )
-            if info.compress_size > self.path.stat().st_size:
-                raise DamagedImageError(f"{where}: says that it is larger than the archive; it is damaged")
             with self._opened().open(info) as member:
                 return member.read(LARGEST_MEMBER_BYTES)
         except KeyError as error:
@@ -73,7 +69,7 @@ class Archive:
         if self._zip is None:
             file = open_plain(self.path)
             try:
-                size = self.path.stat().st_size
+                size = size_of(file)
                 archive = open_zip(file, MOST_MEMBERS, unpacked_bound(size), ROW_BYTES)
                 _check_members(archive, size)
             except DAMAGE as error:
@@ -108,5 +104,5 @@ def holds(path: Path, member: re.Pattern[bytes]) -> bool:
         start = file.read(HEAD_BYTES)
         if not start.startswith(MAGIC):
             return False
-        file.seek(max(0, path.stat().st_size - HEAD_BYTES))
+        file.seek(max(0, size_of(file) - HEAD_BYTES))
         return any(member.search(part) for part in (start, file.read(HEAD_BYTES)))

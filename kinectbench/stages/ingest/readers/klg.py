@@ -17,7 +17,7 @@ import numpy as np
 from kinectbench.core.encoded_images import JPEG_MAGIC
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import counted_ns, first_by_stamp, no_times
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain
+from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics
@@ -168,9 +168,9 @@ def inflated(data: bytes, size: int, name: str) -> bytes:
 
 def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame], list[str]]:
     """Every whole frame in the order of the file; and what is wrong with the file."""
-    size = path.stat().st_size
     frames: list[PackedFrame] = []
     with open_plain(path) as file:
+        size = size_of(file)
         if size < COUNT.size:
             raise RecordingError(f"{path}: the file is empty or cut off; copy it again")
         (declared,) = COUNT.unpack(file.read(COUNT.size))

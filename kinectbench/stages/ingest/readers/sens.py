@@ -20,7 +20,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import is_too_large, open_plain, read_head
+from kinectbench.core.untrusted import is_too_large, open_plain, read_head, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration, scale_warnings
@@ -86,9 +86,8 @@ class SensRecording(PackedRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the head and find the frames; nothing is decoded."""
-        size = path.stat().st_size
         with open_plain(path) as file:
-            head = _read_head(file, path, size)
+            head = _read_head(file, path, size_of(file))
             frames, matrices, cut = _find_frames(file, head, path)
         if not frames:
             raise RecordingError(f"{path}: {'is cut off, and no' if cut else 'no'} frame in it is whole")
@@ -181,7 +180,7 @@ def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[Packe
     """Every whole frame in the order of the file, and its pose; and what is wrong with the file, or ""."""
     frames: list[PackedFrame] = []
     matrices: list[Float64] = []
-    position, size = file.tell(), path.stat().st_size
+    position, size = file.tell(), size_of(file)
     while len(frames) < head.frames:
         check_count(path, len(frames) + 1)
         if position + FRAME.size > size:
