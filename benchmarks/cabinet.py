@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.engine.stages import Job
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.stages.sample_views.views import read_views
@@ -97,7 +97,7 @@ def face_figures(job: Job) -> list[Figure]:
     model = read_object(job.build / "object")
     found = []
     for name, path in (("object", "object/mesh.ply"), ("scene", "reconstruction/mesh.ply")):
-        vertices = read_ply(job.build / path).vertices
+        vertices = read_own_ply(job.build / path).vertices
         faces = measure_faces(vertices, model.box, model.floor.T_floor_world)
         flat = sum(face.rms_m <= MAX_FACE_RMS_M for face in faces)
         words = f"{name}'s mesh: faces of five flat to 3 mm rms"

@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Bools
 from kinectbench.engine.steps import read_tracked
 from kinectbench.lab.evaluate.build import Build, Registration, read_build, register
@@ -111,7 +111,7 @@ def _recipes(build: Path, model: ObjectModel, truth: Truth, registration: Regist
     above = FLOOR_LAYERS + max(1, round(SegmentationSettings().floor_cut_m / grid.voxel_size_m))
     true = _true(model, truth, registration)[:, :, above:]
     solids = {name: recipe(seen) for name, recipe in RECIPES.items()}
-    solids["Poisson"] = poisson(read_ply(build / "reconstruction" / "mesh.ply"), seen, above)
+    solids["Poisson"] = poisson(read_own_ply(build / "reconstruction" / "mesh.ply"), seen, above)
     solids[OURS] = model.shape.solid
     return {name: iou(solid[:, :, above:], true) for name, solid in solids.items()}
 

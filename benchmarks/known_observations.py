@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.engine.steps import read_tracked
@@ -72,7 +72,7 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
     sequence, trajectory = read_tracked(build)[:2]
     # Rules are chosen for these voxels (`stages.segment.resolution`).
     fusion, segmentation = FusionSettings(voxel_size_m=USUAL_VOXEL_M), SegmentationSettings()
-    scene = read_ply(build / "reconstruction" / "mesh.ply")
+    scene = read_own_ply(build / "reconstruction" / "mesh.ply")
     chosen = segment(scene, trajectory, None, segmentation)
     grid = object_grid(chosen.box, chosen.floor, USUAL_VOXEL_M)
     frames = trajectory.good_frames

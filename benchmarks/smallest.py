@@ -19,7 +19,7 @@ from tabletop import PATH, Recording, Row, measured
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.mesh import read_ply, write_ply
+from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.engine.steps import read_tracked
 from kinectbench.lab.simulate.objects.shapes import surface
 from kinectbench.lab.simulate.spec import SimulationSpec
@@ -66,7 +66,7 @@ def recordings(root: Path) -> list[Recording]:
 def is_chosen(build: Path, truth: Path) -> bool:
     """Whether the thing is what is chosen without a box and without a plane by hand."""
     sequence, trajectory = read_tracked(build)[:2]
-    scene = read_ply(build / "reconstruction" / "mesh.ply")
+    scene = read_own_ply(build / "reconstruction" / "mesh.ply")
     try:
         chosen = segment(scene, trajectory, None, SegmentationSettings(), floor_hint(sequence, trajectory))
     except SegmentationError:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import images, pictures
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Rgb
 from kinectbench.core.voxels.pair_file import read_pair
 
@@ -137,7 +137,7 @@ def solid(build: Path) -> Rgb:
 
 def floor_mesh(path: Path, T_floor_world: NDArray[np.float64]) -> TriangleMesh:
     """A mesh of the world, in the frame `floor`: z up."""
-    return read_ply(path).transformed(T_floor_world)
+    return read_own_ply(path).transformed(T_floor_world)
 
 
 def around(

@@ -160,9 +160,9 @@ def _put(path: Path, content: object) -> None:
     import os
 
     if isinstance(content, float):
-        from kinectbench.core.geometry.mesh import read_ply, write_ply
+        from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 
-        mesh = read_ply(path)
+        mesh = read_own_ply(path)
         mesh.vertices[0, 0] = content
         write_ply(mesh, path)
     elif isinstance(content, int):

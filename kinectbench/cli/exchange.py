@@ -38,7 +38,9 @@ def import_(
     out: Annotated[Path, typer.Argument(help="the release: a new folder")],
     views: Annotated[
         int | None,
-        typer.Option(help="of test_<views>: 125, the viewing angles of training, or 216, others"),
+        typer.Option(
+            help="the test set: 125 (the paper's SV, viewing angles of training) or 216 (CV, others)"
+        ),
     ] = None,
 ) -> None:
     """Make a release of files in the layout of the paper's authors."""

@@ -92,7 +92,7 @@ def score(
 def _tell(common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path) -> None:
     """The scores: a table for people, or the means over all categories for machines."""
     from kinectbench.cli import console
-    from kinectbench.scoring.terminal import score_table
+    from kinectbench.cli.score_tables import score_table
 
     if common.as_json:
         console.say_json([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables])
@@ -218,10 +218,10 @@ def compare(
 ) -> None:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console
+    from kinectbench.cli.score_tables import comparison_tables
     from kinectbench.scoring.compare import compare as compare_tables
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
-    from kinectbench.scoring.terminal import comparison_tables
 
     tables = [read_table(path) for path in find_scores(scores)]
     found = compare_tables(tables, metric, protocol)

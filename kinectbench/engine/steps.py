@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
@@ -58,7 +58,7 @@ def read_own(job: Job) -> tuple[Sequence, Trajectory]:
 
 
 def _scene(build: Path) -> TriangleMesh:
-    return read_ply(build / "reconstruction" / "mesh.ply")
+    return read_own_ply(build / "reconstruction" / "mesh.ply")
 
 
 def _ingest(job: Job, folder: Path, progress: Progress) -> None:

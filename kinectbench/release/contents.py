@@ -165,7 +165,7 @@ class Contents:
             raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
 
 
-def read_text(path: Path) -> str:
+def release_text(path: Path) -> str:
     """A UTF-8 text file of a release or a build.
 
     Raises:
@@ -200,7 +200,7 @@ def published_bytes(path: Path, sha256: str | None, limit: int = MAX_READ_BYTES)
     return content
 
 
-def strict_json(text: str, where: str) -> Any:
+def release_json(text: str, where: str) -> Any:
     """Parse JSON without NaN and infinities.
 
     Raises:

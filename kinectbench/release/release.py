@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.untrusted import decoded, printable
 from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
-from kinectbench.release.contents import MAX_READ_BYTES, published_bytes, read_text
+from kinectbench.release.contents import MAX_READ_BYTES, published_bytes, release_text
 
 FIRST_LINE = 2  # of targets.csv that holds a target
 
@@ -79,7 +79,7 @@ class Release:
     def sums(self) -> dict[str, str]:
         """SHA256SUMS: the hash of every file by its path."""
         path = self.folder / SHA256SUMS
-        return parse_sums(read_text(path), str(path))
+        return parse_sums(release_text(path), str(path))
 
     def content(self, name: str) -> bytes:
         """The bytes of a file of the release.
@@ -133,9 +133,9 @@ def open_release(path: Path) -> Release:
         raise ReleaseError(
             f"{path}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
         )
-    stated = read_text(path / BENCHMARK_JSON)
+    stated = release_text(path / BENCHMARK_JSON)
     metadata = ReleaseInfo.parse(stated, str(path / BENCHMARK_JSON))
-    sums_text = read_text(path / SHA256SUMS)
+    sums_text = release_text(path / SHA256SUMS)
     if benchmark_sha256(sums_text) != metadata.benchmark_sha256:
         raise ReleaseError(f"{path / SHA256SUMS}: not the published list; download the release again")
     sums = parse_sums(sums_text, str(path / SHA256SUMS))

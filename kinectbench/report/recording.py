@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.trajectory.trajectory import read_poses
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import read_pair
@@ -139,7 +139,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
     """The object's closed surface, floor frame, and which of its faces (m,) nobody measured."""
-    mesh_world = read_ply(folder / "mesh.ply")
+    mesh_world = read_own_ply(folder / "mesh.ply")
     unseen = unseen_faces(mesh_world, ObjectVolume.read(folder))
     return mesh_world.transformed(T_floor_world), unseen
 

@@ -12,6 +12,7 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted import MOST_SIDE_PX
+from kinectbench.settings.texts import Line, Text
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
 SegmentBy = Literal["masks", "turntable"]
@@ -134,8 +135,8 @@ class RecordingSettings(Settings):
         description="folder of PNG masks, relative to benchmark.yaml: of views; with `segment_by: masks` of "
         "frames",
     )
-    license: str | None = Field(None, description="of this recording's data; default: the benchmark's")
-    source: str | None = Field(
+    license: Line | None = Field(None, description="of this recording's data; default: the benchmark's")
+    source: Line | None = Field(
         None, description="who recorded it, or where it is from; default: the benchmark's"
     )
 
@@ -240,8 +241,8 @@ class PairSettings(Settings):
 class CitationSettings(Settings):
     """How the benchmark wants to be cited."""
 
-    title: str | None = Field(None, description="default: the benchmark's name")
-    authors: list[str] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
+    title: Line | None = Field(None, description="default: the benchmark's name")
+    authors: list[Line] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
     version: str | None = Field(None, description="such as 1.0.0")
     doi: str | None = Field(None, description="such as 10.5281/zenodo.1234")
     url: str | None = Field(None, description="where it can be had")
@@ -261,19 +262,19 @@ class CitationSettings(Settings):
 class DatasheetSettings(Settings):
     """What only a person can tell of the data; each a sentence or more."""
 
-    motivation: str | None = Field(None, description="why was it made, and for which task?")
-    creators: str | None = Field(None, description="who made it, for whom, and who paid for it?")
-    collection: str | None = Field(None, description="who recorded what, where and when, with which camera?")
-    consent: str | None = Field(None, description="can people be seen or told from it, and did they agree?")
-    uses_to_avoid: str | None = Field(None, description="what should it not be used for?")
-    maintenance: str | None = Field(None, description="who keeps it, and where are faults reported?")
+    motivation: Text | None = Field(None, description="why was it made, and for which task?")
+    creators: Text | None = Field(None, description="who made it, for whom, and who paid for it?")
+    collection: Text | None = Field(None, description="who recorded what, where and when, with which camera?")
+    consent: Text | None = Field(None, description="can people be seen or told from it, and did they agree?")
+    uses_to_avoid: Text | None = Field(None, description="what should it not be used for?")
+    maintenance: Text | None = Field(None, description="who keeps it, and where are faults reported?")
 
 
 class ChangeSettings(Settings):
     """What is new in one version of the data."""
 
     version: str = Field(description="such as 1.0.0")
-    changes: list[str] = Field(min_length=1, description="a line each")
+    changes: list[Line] = Field(min_length=1, description="a line each")
 
 
 class PublishSettings(Settings):
@@ -296,8 +297,8 @@ class BenchmarkSettings(Settings):
     """All of benchmark.yaml."""
 
     name: str = Field(description="name of the benchmark")
-    license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
-    source: str = Field("unspecified", description="who recorded the data, or where it is from")
+    license: Line = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
+    source: Line = Field("unspecified", description="who recorded the data, or where it is from")
     recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
     tracking: TrackingSettings = TrackingSettings()
     fusion: FusionSettings = FusionSettings()

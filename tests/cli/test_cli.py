@@ -14,9 +14,9 @@ from small_benchmark import Run, copied, hashes, leftovers, make_benchmark, run
 
 from kinectbench.cli.console import SafeConsole
 from kinectbench.cli.main import PANELS
+from kinectbench.cli.score_tables import score_table
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.release.release import Release
-from kinectbench.scoring.terminal import score_table
 
 pytestmark = pytest.mark.xdist_group("commands")
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.pipeline import Outcome, build_recording
 from kinectbench.engine.stages import Job
@@ -57,7 +57,7 @@ def model(job: Job, outcome: Outcome) -> ObjectModel:
 def scene_floor(job: Job, model: ObjectModel) -> NDArray[np.float64]:
     """Vertices of the fused scene, floor frame."""
     return transform_points(
-        model.floor.T_floor_world, read_ply(job.build / "reconstruction" / "mesh.ply").vertices
+        model.floor.T_floor_world, read_own_ply(job.build / "reconstruction" / "mesh.ply").vertices
     )
 
 
@@ -99,7 +99,7 @@ def test_the_object_lies_in_its_box(job: Job, model: ObjectModel) -> None:
 def test_the_chair_is_among_the_suggested_boxes(job: Job, outcome: Outcome) -> None:
     """It touches the table at 30 mm; without a box the recording is refused, or doubted."""
     _, trajectory = read_tracked(job.build)
-    scene = read_ply(job.build / "reconstruction" / "mesh.ply")
+    scene = read_own_ply(job.build / "reconstruction" / "mesh.ply")
     found = find_candidates(scene, trajectory, job.settings.segmentation)
     near = [
         candidate.box

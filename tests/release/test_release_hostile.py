@@ -18,7 +18,7 @@ from bounds import within
 
 import kinectbench
 from kinectbench.core.errors import KinectBenchError, ReleaseError
-from kinectbench.core.geometry.mesh import read_ply, write_ply
+from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.core.voxels.npz import load_arrays, npz_bytes
 from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.bop import export_bop
@@ -247,7 +247,7 @@ def test_tables_that_are_none(copy: Path, name: str) -> None:
 
 
 def set_vertices(path: Path, value: float) -> None:
-    mesh = read_ply(path)
+    mesh = read_own_ply(path)
     mesh.vertices[0, 0] = value
     write_ply(mesh, path)
 

@@ -1,6 +1,7 @@
 """What a release says of itself, read by the tools of others: Croissant, JSON Schema, Hugging Face's YAML."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,12 @@ import numpy as np
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
+from pydantic import ValidationError
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import COLUMNS
+from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.attribution import citation_text
 from kinectbench.release.publish.card import origins_table
 from kinectbench.release.publish.publish import publish
@@ -242,3 +245,38 @@ def test_a_recording_of_one_file_has_its_name(build: Path, tmp_path: Path) -> No
     publish(synthetic_settings(), copy, tmp_path / "b", ["chair_02"])
     lineage = json.loads((tmp_path / "b/lineage.json").read_text())
     assert lineage["recordings"]["chair_02"]["files"] == {"chair_02": "cd" * 32}
+
+
+STEERS = "x<script>alert(1)</script> | a\n# Big\n---\nlicense: mit\n[a](javascript:b) ![c](d) $n \\[e](f)"
+
+
+def test_texts_of_people_are_shown_and_do_nothing(build: Path, tmp_path: Path) -> None:
+    settings = synthetic_settings(
+        license=STEERS, source=STEERS, publish={"citation": {"title": STEERS, "authors": [STEERS]}}
+    )
+    folder = publish(settings, build, tmp_path / "b", NAMES).folder
+    assert verify(folder) == []
+    assert card_head(folder)["license"] == "other"
+    for name in ("README.md", "datasheet.md", "LICENSE", "index.html"):
+        text = (folder / name).read_text()
+        lines = text.splitlines()
+        assert "# Big" not in lines and "license: mit" not in lines, name
+        if name != "LICENSE":  # a plain text
+            assert "<script>alert" not in text and "alert(1)" in text, name
+        if name.endswith(".md"):
+            assert not re.search(r"(?<!\\)(\\\\)*\[[acef]\]\(", text), name
+    assert yaml.safe_load((folder / "CITATION.cff").read_text())["title"] == " ".join(STEERS.split())
+
+
+@pytest.mark.parametrize("sign", ["\x1b", "\x07", "\x9b", "\u202e", "\u2028", "\x00", "\r"])
+@pytest.mark.parametrize("key", ["license", "source", "title", "authors", "motivation"])
+def test_texts_that_steer_are_refused(key: str, sign: str) -> None:
+    said: dict[str, Any] = {
+        "license": {"license": sign},
+        "source": {"source": sign},
+        "title": {"publish": {"citation": {"title": sign}}},
+        "authors": {"publish": {"citation": {"authors": [sign]}}},
+        "motivation": {"publish": {"datasheet": {"motivation": sign}}},
+    }
+    with pytest.raises(ValidationError, match="it holds control characters; leave them out"):
+        synthetic_settings(**said[key])

@@ -10,7 +10,7 @@ from synthetic_release import publish_synthetic
 from typer.testing import CliRunner
 
 from kinectbench.cli.main import app
-from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import Pair, read_pair, unpack
 from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
@@ -180,3 +180,42 @@ def test_the_papers_synthetic_tables():
         assert [row.method for row in table.rows] == [row.method for row in REAL.rows]
         assert all(table.rows[0].iou[n] == max(row.iou[n] for row in table.rows) for n in range(4))
         assert all(table.rows[0].ce[n] == min(row.ce[n] for row in table.rows) for n in range(4))
+
+
+LEAD_OUT = {
+    "recording": "../../up",
+    "object": "/etc/passwd",
+    "view": "../000",
+    "category": "..",
+    "file_25d": "../../secret.npz",
+    "file_3d": "/etc/hostname",
+}
+
+
+@pytest.mark.parametrize("key", LEAD_OUT)
+def test_the_command_follows_no_name_out_of_its_folders(exported: Path, tmp_path: Path, key: str):
+    inside = tmp_path / "deep" / "in"
+    inside.mkdir(parents=True)
+    (tmp_path / "secret.npz").write_bytes(recgan_file_bytes(corner()))
+    content = json.loads((exported / "export.json").read_text())
+    content["pairs"][0][key] = LEAD_OUT[key]
+    (inside / "export.json").write_text(json.dumps(content))
+    for path in exported.glob("P1_*"):
+        (inside / path.name).symlink_to(path)
+    before = sorted(tmp_path.rglob("*"))
+    done = CliRunner().invoke(app, ["import", str(inside), str(tmp_path / "deep" / "out")])
+    assert isinstance(done.exception, KinectBenchError), done.exception
+    assert done.exception.exit_status == 1 and "\n" not in str(done.exception)
+    assert key in str(done.exception) or "leads out of the folder" in str(done.exception)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_the_command_takes_no_archive_and_no_folder_that_is_a_link_out(tmp_path: Path):
+    (tmp_path / "a.zip").write_bytes(npz_bytes({"../../up": np.zeros(1)}))
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "P1_.._up").mkdir()
+    for folder in ("a.zip", "in"):
+        done = CliRunner().invoke(app, ["import", str(tmp_path / folder), str(tmp_path / "out")])
+        assert isinstance(done.exception, KinectBenchError), done.exception
+        assert "no P1_<synset>_<category>" in str(done.exception)
+    assert not (tmp_path / "out").exists()

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
+from kinectbench.cli.score_tables import score_table
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
@@ -18,7 +19,6 @@ from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import score
-from kinectbench.scoring.terminal import score_table
 
 Predict = Callable[[Target, NDArray[np.bool_]], NDArray[Any]]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from synthetic_release import Recordings, shell_of, synthetic_pair, synthetic_settings, write_build
 
+from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import LATER, ScoreTable, scores_schema
 from kinectbench.core.errors import SettingsError
@@ -22,7 +23,6 @@ from kinectbench.report.page import write_report
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.counts import is_all_unknown, unknown_share
 from kinectbench.scoring.score import score
-from kinectbench.scoring.terminal import comparison_tables, score_table
 
 Bools = NDArray[np.bool_]
 RECORDINGS: Recordings = (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from synthetic_release import RECORDINGS, Recordings, synthetic_settings, write_build
 
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, rotation_from_quaternion_xyzw
-from kinectbench.core.geometry.mesh import read_ply, write_ply
+from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
@@ -107,7 +107,7 @@ def write_analytic_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
     for index, (name, category, _, _, count) in enumerate(wanted):
         folder = build / name
         write_ply(true_mesh(category, index), folder / "object" / "mesh.ply")
-        mesh = read_ply(folder / "object" / "mesh.ply")  # of float32, as the stages have it
+        mesh = read_own_ply(folder / "object" / "mesh.ply")  # of float32, as the stages have it
         T_floor_world = invert_rigid(T_world_floor(index))
         _update(
             folder / "object" / "floor.json",

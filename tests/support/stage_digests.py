@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.storage import sha256_text
 from kinectbench.core.voxels.npz import load_arrays
 from kinectbench.release.publish.small_files import package_versions
@@ -134,7 +134,7 @@ def _weights(index: NDArray[np.uint64], seed: int) -> NDArray[np.float64]:
 
 def mesh_digest(path: Path) -> Digest:
     """What the order of vertices and faces does not change: counts, area, centre, spread and box."""
-    mesh = read_ply(path)
+    mesh = read_own_ply(path)
     vertices = np.asarray(mesh.vertices, np.float64)
     corners = vertices[np.asarray(mesh.faces)]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2

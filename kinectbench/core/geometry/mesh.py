@@ -141,7 +141,7 @@ def write_ply(mesh: TriangleMesh, path: Path) -> None:
     path.write_bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=False))
 
 
-def read_ply(path: Path) -> TriangleMesh:
+def read_own_ply(path: Path) -> TriangleMesh:
     """Read a mesh that `write_ply` wrote; colours are left out.
 
     Raises:

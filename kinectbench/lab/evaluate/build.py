@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid
-from kinectbench.core.geometry.mesh import read_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.images import read_gray
 from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
@@ -86,7 +86,7 @@ def read_build(folder: Path) -> Build:
         camera=sequence.camera,
         depth_m=sequence.depth_m,
         trajectory=read_trajectory(folder / "trajectory", sequence.stamps_ns) if "track" in current else None,
-        scene=(lambda: read_ply(folder / "reconstruction" / "mesh.ply")) if "fuse" in current else None,
+        scene=(lambda: read_own_ply(folder / "reconstruction" / "mesh.ply")) if "fuse" in current else None,
         model=read_object(folder / "object") if "segment" in current else None,
         views=tuple(read_views(folder / "views")) if "sample-views" in current else None,
         valid_depth=valid_depth,

@@ -153,7 +153,7 @@ def read_truth(folder: Path) -> Truth:
     Raises:
         RecordingError: there is none, it is damaged, or it has another format version.
     """
-    from kinectbench.core.geometry.mesh import read_ply
+    from kinectbench.core.geometry.mesh import read_own_ply
     from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
 
     path = folder / "truth.json"
@@ -169,7 +169,7 @@ def read_truth(folder: Path) -> Truth:
             folder=folder,
             subject=str(record["subject"]),
             origin=str(record["origin"]),
-            mesh_world=read_ply(folder / "object.ply"),
+            mesh_world=read_own_ply(folder / "object.ply"),
             T_world_object=np.array(record["T_world_object"], dtype=np.float64).reshape(4, 4),
             camera=Camera(**record["camera"]),
             stamps_ns=frames["stamps_ns"].astype(np.int64),

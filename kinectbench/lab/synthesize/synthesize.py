@@ -30,7 +30,7 @@ from kinectbench.lab.synthesize.models import (
     family_models,
     folder_models,
 )
-from kinectbench.release.contents import read_text, release_files
+from kinectbench.release.contents import release_files, release_text
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.release.release import Target
@@ -226,7 +226,7 @@ def _is_ours(out: Path) -> bool:
         return all(path.name == SYNTHESIS_JSON or path.name.startswith("P1_") for path in out.iterdir())
     if not (out / BENCHMARK_JSON).is_file() or not (out / SHA256SUMS).is_file():
         return False
-    sums = parse_sums(read_text(out / SHA256SUMS), str(out / SHA256SUMS))
+    sums = parse_sums(release_text(out / SHA256SUMS), str(out / SHA256SUMS))
     return all(path.relative_to(out).as_posix() in sums for path in release_files(out))
 
 

@@ -25,9 +25,9 @@ from kinectbench.release.contents import (
     MAX_READ_BYTES,
     SPLIT_TARGETS,
     Contents,
-    strict_json,
+    release_json,
 )
-from kinectbench.release.publish.attribution import common_license, license_text
+from kinectbench.release.publish.attribution import common_license, license_text, markdown
 from kinectbench.release.publish.card import counts_table
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
@@ -115,7 +115,7 @@ def _json_problems(contents: Contents, name: str) -> Iterator[str]:
     """Whether a file is JSON, and as its schema says."""
     try:
         text = contents.text(name)
-        strict_json(text, name)
+        release_json(text, name)
     except ReleaseError as error:
         yield str(error)
         return
@@ -152,7 +152,7 @@ def _license(metadata: ReleaseInfo) -> str:
 
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     for what, said in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
-        if said not in text:
+        if said not in text and markdown(said) not in text:
             yield f"does not state the {what} '{printable(said)}' of {BENCHMARK_JSON}"
     rows = dict.fromkeys(counts_table(stated.targets).splitlines())
     found = {line for _, line in _lines(text) if line in rows}
@@ -184,7 +184,7 @@ def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
-    said = strict_json(text, CROISSANT)
+    said = release_json(text, CROISSANT)
     name = said["name"]
     if name != stated.metadata.name:
         told = f"name '{printable(name)}'" if isinstance(name, str) else "no name"

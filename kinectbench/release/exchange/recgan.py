@@ -46,6 +46,7 @@ from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.release.release import Release
 from kinectbench.settings.models import PairSettings
+from kinectbench.settings.texts import Line
 
 SPLITS = {theirs: split for split, theirs in SPLIT_NAMES.items()}
 PATH = re.compile(
@@ -98,7 +99,7 @@ class Exported(Stored):
     ADVICE: ClassVar[str] = "export again"
 
     name: str | None = None
-    license: str = "unspecified"
+    license: Line = "unspecified"
     pairs: tuple[ExportedPair, ...] = ()
 
 

@@ -1,5 +1,6 @@
 """Licence and source of every recording, how to cite them, and what changed from version to version."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -55,6 +56,12 @@ def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> s
 def license_url(license: str) -> str | None:
     """Where the text of a licence with an SPDX identifier is; None for other words."""
     return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
+
+
+def markdown(text: str) -> str:
+    """A text of others as a line of Markdown that only shows it: no tag, link or cell begins in it."""
+    line = " ".join(text.split()).replace("<", "&lt;")
+    return re.sub(r"[\\[|]", r"\\\g<0>", line)
 
 
 def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:

@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, SPLIT_TARGETS
-from kinectbench.release.publish.attribution import HUGGING_FACE
+from kinectbench.release.publish.attribution import HUGGING_FACE, markdown
 
 # Key of quality.json -> what it is called, how it is written, factor.
 QUALITY = {
@@ -102,7 +102,7 @@ def card(
         name=info.name,
         source=texts.source,
         beside=texts.beside,
-        license=license,
+        license=markdown(license),
         framing=info.framing,
         partial_rule=info.partial_rule,
         package_version=info.package_version,
@@ -184,8 +184,7 @@ def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
     """Licence and source, as stated, of the recordings that share them: whom to name, and for what."""
     sharing: dict[tuple[str, str], list[str]] = {}
     for name, info in sorted(recordings.items()):
-        source = " ".join(info.source.split()).replace("|", "\\|")
-        sharing.setdefault((source, info.license.replace("|", "\\|")), []).append(name)
+        sharing.setdefault((markdown(info.source), markdown(info.license)), []).append(name)
     rows = [[", ".join(names), license, source] for (source, license), names in sharing.items()]
     return _markdown(["recordings", "licence", "source"], rows)
 

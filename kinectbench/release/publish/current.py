@@ -10,7 +10,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.locks import locked, sweep
-from kinectbench.release.contents import read_text
+from kinectbench.release.contents import release_text
 from kinectbench.release.publish.publish import NO_OPTIONS, PRIVATE, PublishSummary, publish
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -79,7 +79,7 @@ def scoring_folder(root: Path) -> Path:
 def _fingerprint(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str], options: PublishOptions
 ) -> str:
-    manifests = [read_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
+    manifests = [release_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
     content = [VERSIONS["publish"], settings.model_dump(mode="json"), manifests, options.json_value()]
     return sha256_text(canonical_json(content))
 

@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.release.publish.attribution import (
     citation_line,
     common_license,
+    markdown,
     reasons_against_distribution,
 )
 from kinectbench.release.publish.card import counts_table
@@ -80,11 +81,11 @@ def datasheet(
             [f"{name}: {line}" for name, info in sorted(infos.items()) for line in info.quality.warnings]
         ),
         warnings=_listed(warnings),
-        license=common_license(infos, settings.license),
+        license=markdown(common_license(infos, settings.license)),
         distribution=" ".join(
             f"**Not for distribution**: {reason}." for reason in reasons_against_distribution(infos)
         ),
-        citation=citation_line(settings.publish.citation, settings.name),
+        citation=markdown(citation_line(settings.publish.citation, settings.name)),
     )
 
 
@@ -92,7 +93,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
     """Where the recordings are from."""
     by_source: dict[str, list[str]] = {}
     for name, info in sorted(infos.items()):
-        by_source.setdefault(" ".join(info.source.split()), []).append(name)
+        by_source.setdefault(markdown(info.source), []).append(name)
     return _listed([f"{', '.join(names)}: {source}" for source, names in by_source.items()])
 
 

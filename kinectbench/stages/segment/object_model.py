@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.object_grids import ObjectVolume, Surround
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, OrientedBox
-from kinectbench.core.geometry.mesh import read_ply, write_ply
+from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M, Trajectory
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
@@ -131,7 +131,7 @@ def read_object(folder: Path) -> ObjectModel:
         volume.solid,
         volume.labels,
         volume.probability.astype(np.float32),
-        read_ply(folder / MESH),
+        read_own_ply(folder / MESH),
         number(quality.doubtful_share),
     )
     sigma_m = quality.surface_sigma_m

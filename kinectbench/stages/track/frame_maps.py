@@ -209,7 +209,7 @@ def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
     """Read the colour of one frame as gray, at working resolution; None if it is missing or does not fit."""
     import cv2
 
-    gray, camera = read_gray(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera
+    gray, camera = gray_frame(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera
     if gray is None or gray.shape != (camera.height, camera.width):
         return None
     reduction = _reduction(sequence.camera)
@@ -246,7 +246,7 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
     )
 
 
-def read_gray(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
+def gray_frame(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
     """Read the colour of one frame as gray, in a mode of `cv2.imdecode`; None if it is missing or damaged."""
     import cv2
 

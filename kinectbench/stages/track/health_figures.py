@@ -17,7 +17,7 @@ from kinectbench.core.images import image_sharpness
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Bools, Float64
-from kinectbench.stages.track.frame_maps import read_gray, reduced_gray
+from kinectbench.stages.track.frame_maps import gray_frame, reduced_gray
 from kinectbench.stages.track.tracked import Tie, Tracked
 
 # A loop is believed if the robust kernel left it at least this weight.
@@ -183,5 +183,5 @@ def _frame_sharpness(sequence: Sequence, index: int) -> float:
     if sequence.color_registered:
         gray = reduced_gray(sequence, index)
     else:
-        gray = read_gray(sequence, index, cv2.IMREAD_REDUCED_GRAYSCALE_2)
+        gray = gray_frame(sequence, index, cv2.IMREAD_REDUCED_GRAYSCALE_2)
     return np.nan if gray is None else image_sharpness(gray)

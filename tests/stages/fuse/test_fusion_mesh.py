@@ -14,7 +14,7 @@ from kinectbench.core.geometry import (
     rotation_from_quaternion_xyzw,
     transform_points,
 )
-from kinectbench.core.geometry.mesh import isosurface, read_ply, write_ply
+from kinectbench.core.geometry.mesh import isosurface, read_own_ply, write_ply
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, blocks_of_grid, empty_volume
 from kinectbench.stages.fuse.mesh import BRICK_BLOCKS, extract_mesh
 
@@ -108,7 +108,7 @@ def test_ply_round_trip(tmp_path: Path):
     path = tmp_path / "mesh.ply"
     write_ply(mesh, path)
     first = path.read_bytes()
-    again = read_ply(path)
+    again = read_own_ply(path)
     np.testing.assert_array_equal(again.faces, mesh.faces)
     np.testing.assert_array_equal(again.vertices, mesh.vertices.astype(np.float32))
     write_ply(mesh, path)
@@ -125,4 +125,4 @@ def test_damaged_ply(tmp_path: Path, damage: str):
     else:
         path.write_bytes({"empty": b"", "text": b"hello", "cut": whole[: len(whole) // 2]}[damage])
     with pytest.raises(StorageError, match=r"mesh\.ply.*--force"):
-        read_ply(path)
+        read_own_ply(path)

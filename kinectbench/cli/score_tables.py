@@ -1,4 +1,4 @@
-"""The table that people see in the terminal: methods by categories."""
+"""The tables of scores that people see in the terminal: methods by categories, and pairs of methods."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.published import CATEGORIES, LABEL, PublishedTable, published_beside
 
 if TYPE_CHECKING:
-    from kinectbench.scoring.wide_table import WideTable
+    from kinectbench.cli.wide_table import WideTable
 
 SHOWN_PROTOCOLS = (PRIMARY, "paper")
 TITLE = "IoU (higher is better) / cross-entropy, nats a voxel (lower is better), under the protocol named"
@@ -35,7 +35,7 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
     """
     from rich.text import Text
 
-    from kinectbench.scoring.wide_table import WideTable
+    from kinectbench.cli.wide_table import WideTable
 
     protocols = [p for p in SHOWN_PROTOCOLS if any(p in table.settings.protocols for table in tables)]
     categories = sorted({category for table in tables for category in table.thresholds})
@@ -155,7 +155,7 @@ def comparison_tables(found: Comparison) -> "list[WideTable]":
     """Groups and means of every method, and every pair of methods."""
     from rich.text import Text
 
-    from kinectbench.scoring.wide_table import WideTable
+    from kinectbench.cli.wide_table import WideTable
 
     better = "higher" if found.metric in SHARES else "lower"
     means = WideTable(title=f"group and {found.metric} under {found.protocol}, {better} is better")

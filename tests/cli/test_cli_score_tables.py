@@ -8,11 +8,11 @@ import pytest
 from rich.console import Console
 from test_scoring_compare import row, table
 
+from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.read_table import recomputed
-from kinectbench.scoring.terminal import comparison_tables, score_table
 
 PAPERS = ("bench", "chair", "couch", "table")
 MANY = tuple(f"category_{letter * 5}" for letter in "abcdefghijklmnopqrstu")

@@ -43,8 +43,8 @@ class WideTable(Table):
     def _pieces(self, width: int) -> Iterator[Table]:
         """The pieces, each no wider than `width`."""
         most = max(NAME_CELLS, width // NAME_SHARE)
-        widths = [min(self._width(index), most) if index == 0 else self._width(index) for index in
-                  range(len(self.columns))]  # fmt: skip
+        widths = [self._width(index) for index in range(len(self.columns))]
+        widths[0] = min(widths[0], most)
         room = width - 1 - sum(widths[: self.keep]) - BESIDE_CELL * self.keep
         chosen: list[int] = []
         used = 0
