@@ -235,6 +235,55 @@ def folders_without_recordings(folder: Path, units: int) -> Run:
     return lambda: _without_recording(folder, found)
 
 
+def null_rows_of_a_table(folder: Path, units: int) -> Run:
+    """A table of scores whose rows have no IoU."""
+    from kinectbench.core.artefacts.scores import ScoreTable
+    from kinectbench.scoring.read_table import read_table
+
+    row = {"object": "a", "category": "c", "protocol": "known", "threshold": 0.5, "iou": None}
+    rows = [{**row, "recording": f"r{number}", "view": "000"} for number in range(units)]
+    table = {"method": "a", "benchmark_sha256": "0" * 64, "settings": {"protocols": ["known"]}, "rows": rows}
+    (folder / ScoreTable.FILE).write_text(json.dumps({"format_version": 1, "complete": True, **table}))
+    return lambda: read_table(folder / ScoreTable.FILE)
+
+
+def letters_of_methods(_: Path, units: int) -> Run:
+    """Methods in groups of three that differ within the group alone: 3 ^ (n / 3) groups."""
+    from kinectbench.scoring.letters import letters
+
+    names = [f"method_{number}" for number in range(units)]
+    trios = [names[first : first + 3] for first in range(0, units, 3)]
+    apart = {frozenset((a, b)) for trio in trios for a in trio for b in trio if a != b}
+    return lambda: letters(names, apart)
+
+
+def lists_of_a_ply(_: Path, units: int) -> Run:
+    """A .ply of faces with as many lists as are read, none as long as the one before it."""
+    from kinectbench.scoring.mesh_files import MAX_LISTS, read_ply
+
+    more = "".join(f"property list uchar int l{number}\n" for number in range(MAX_LISTS - 1))
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {units}\nproperty list uchar int vertex_indices\n{more}end_header\n"
+    )
+    face = struct.pack("<B3i", 3, 0, 1, 2)
+    faces = [face + struct.pack("<B", n % 3) + bytes(4 * (n % 3)) for n in range(units)]
+    content = head.encode() + np.eye(3, dtype="<f4").tobytes() + b"".join(faces)
+    return lambda: read_ply(content)
+
+
+def recordings_of_a_licence(_: Path, units: int) -> Run:
+    """A LICENSE that says of each recording almost what benchmark.json says."""
+    from types import SimpleNamespace
+
+    from kinectbench.release.check.agreement_check import Stated, _license_problems
+
+    info = SimpleNamespace(license="CC-BY-4.0", source="me")
+    metadata: Any = SimpleNamespace(recordings={f"r{number}": info for number in range(units)})
+    text = "".join(f"r{number}\n  licence: CC-BY-4.0\n  source: m\n" for number in range(units))
+    return lambda: list(_license_problems(text, Stated((), metadata, {})))
+
+
 AMPLIFIERS = {
     "transforms.json: keys by frames": Amplifier(keys_by_frames, 4000),
     "a folder of files": Amplifier(files_of_a_folder, 1500),
@@ -248,5 +297,9 @@ AMPLIFIERS = {
     ),
     "yaml: unknown keys": Amplifier(settings_of(lambda n: "".join(f"k{i}: 1\n" for i in range(n))), 4000),
     "yaml: lines": Amplifier(settings_of(lambda n: "x:\n" + "- 1\n" * n + "\t- 1\n"), 8000),
+    "scores: rows without an IoU": Amplifier(null_rows_of_a_table, 4000),
+    "scores: letters of methods": Amplifier(letters_of_methods, 60),
+    "ply: lists": Amplifier(lists_of_a_ply, 50_000),
+    "release: recordings of a licence": Amplifier(recordings_of_a_licence, 20_000),
     "init: folders": Amplifier(folders_without_recordings, 1000),
 }
