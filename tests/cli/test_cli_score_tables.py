@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from test_scoring_compare import row, table
+from score_rows import row, table
 
 from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.score_marks import Verified

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from test_scoring_compare import row
+from score_rows import row
 
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.types import Float64

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from test_scoring_compare import row, table
+from score_rows import row, table
 
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.letters import letters
