@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from itertools import cycle, islice
 from pathlib import Path
 
+MOST_MB = 500.0
 # Locales without UTF-8, also where Python would take UTF-8 all the same.
 POSIX = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 # Root reads everything but for these words before a command.
@@ -29,6 +30,7 @@ class Case:
         statuses: those with which it may end.
         says: a part of what it must print.
         errors: the most lines of errors; `verify` and `check` name everything that is wrong.
+        most_mb: the memory that it may take, MB.
         before: words in front of the command, such as other limits.
         variables: of the environment.
     """
@@ -41,6 +43,7 @@ class Case:
     statuses: tuple[int, ...] = (1,)
     says: str = ""
     errors: int = 1
+    most_mb: float = MOST_MB
     before: str = ""
     variables: Mapping[str, str] = field(default_factory=dict)
 

@@ -5,6 +5,7 @@ import os
 import struct
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,8 @@ def cases() -> Iterator[Case]:
     yield from on(BOTH, _of("M1", "an npz that is encrypted", _encrypted_npz))
     yield from on(BOTH, _of("H4", "a mesh whose materials are a pipe", _mtl_pipe, (0, 1, 3)))
     for name, grid in GRIDS.items():
-        yield from on(BOTH, _of("H0", f"a grid that costs most: {name}", _grid(grid), (0, 3)))
+        case = _of("H0", f"a grid that costs most: {name}", _grid(grid), (0, 3))
+        yield from on(BOTH, replace(case, most_mb=LARGEST_MB if name.startswith("512") else case.most_mb))
     yield from on(CHECK, _of("M6", "2,000 strays, 2,000 targets missing", _strays_of_many, errors=2100))
     yield from on(BOTH, _of("M6", "100,000 strays", _many_strays, (0, 1, 3), errors=30))
     yield from on(BOTH, _of("L", "a folder without permission", _forbidden, before=NOT_ROOT, errors=3))
@@ -158,12 +160,14 @@ ARRAYS = (
 )
 
 
-# Grids that are accepted: the largest, and those with the most surface.
+# Grids that are accepted: the largest, and those with the most surface. A grid of 512 float32 a side is no
+# attack: its values alone are half a gigabyte, as docs/scoring.md says.
+LARGEST_MB = 900.0
 GRIDS: dict[str, Callable[[], np.ndarray]] = {
-    "zeros, 512 a side, float32": lambda: np.zeros((512,) * 3, np.float32),
-    "ones, 512 a side, float32": lambda: np.ones((512,) * 3, np.float32),
-    "noise, 512 a side, float32": lambda: np.random.default_rng(0).random((512,) * 3, np.float32),
-    "Fortran order, 512 a side": lambda: np.zeros((512,) * 3, ">f4", "F"),
+    "512 a side, float32, zeros": lambda: np.zeros((512,) * 3, np.float32),
+    "512 a side, float32, ones": lambda: np.ones((512,) * 3, np.float32),
+    "512 a side, float32, noise": lambda: np.random.default_rng(0).random((512,) * 3, np.float32),
+    "512 a side, float32, Fortran order": lambda: np.zeros((512,) * 3, ">f4", "F"),
     "a chequerboard, 256 a side": lambda: np.indices((256,) * 3, np.uint8).sum(axis=0, dtype=np.uint8) % 2,
     "a chequerboard of bits, 512 a side": lambda: np.full((512, 512, 64), 0x55, np.uint8),
     "a side of 511": lambda: np.full((511,) * 3, 0.5, np.float16),

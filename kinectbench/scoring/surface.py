@@ -8,6 +8,7 @@ between cell centres: from the cells that the protocol counts to the nearest kno
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed
 from kinectbench.scoring.truth import Truth
+
+if TYPE_CHECKING:  # numba is slow to load
+    from kinectbench.scoring.surface_kernels import Matched
 
 F_SCORE_MM = (10.0, 20.0)
 SIGMAS = 2.0
@@ -63,47 +67,29 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
         By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
         is the grid's diagonal.
     """
-    from kinectbench.core.voxels.morphology import packed_shell
+    from kinectbench.scoring.surface_kernels import matched, surface_of
 
-    ours, theirs = packed_shell(predicted), packed_shell(truth.full)
-    everywhere = np.full_like(truth.known, 255)
-    masks = {
-        "paper": (everywhere, everywhere),
-        "known": (truth.known, truth.known),
-        "occluded": (truth.known & ~truth.seen, truth.known),
-    }
-    return {name: _between((predicted, ours), (truth.full, theirs), masks[name], truth) for name in protocols}
+    ours, theirs = surface_of(predicted), surface_of(truth.full)
+    found: dict[str, SurfaceMetrics] = {}
+    if "paper" in protocols:
+        found["paper"] = _metrics(matched(ours, theirs), matched(theirs, ours), truth)
+    if set(protocols) - {"paper"}:  # both measure to the known cells
+        ours, theirs = ours.within(truth.known), theirs.within(truth.known)
+        there, back = matched(ours, theirs), matched(theirs, ours)
+        found["known"] = _metrics(there, back, truth)
+        hidden = ~truth.seen
+        found["occluded"] = _metrics(there.within(hidden), back.within(hidden), truth)
+    return {name: found[name] for name in protocols}
 
 
-def _between(
-    ours: tuple[Packed, Packed], theirs: tuple[Packed, Packed], masks: tuple[Packed, Packed], truth: Truth
-) -> SurfaceMetrics:
-    """The metrics between prediction and truth, each a solid and its surface.
-
-    Args:
-        ours: of the prediction.
-        theirs: of the truth.
-        masks: cells of a surface that are measured from, and that are measured to.
-        truth: for its lengths.
-    """
-    from kinectbench.scoring.surface_kernels import agreement, cells_of, nearest, normals
-
-    (our_solid, our_surface), (their_solid, their_surface) = ours, theirs
-    counted, trusted = masks
-    our_cells, their_cells = cells_of(our_surface & counted), cells_of(their_surface & counted)
-    if not len(our_cells) and not len(their_cells):
+def _metrics(there: "Matched", back: "Matched", truth: Truth) -> SurfaceMetrics:
+    """The metrics of the prediction's surface cells and of the truth's; `truth` is for its lengths."""
+    if not len(there) and not len(back):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000
-    if not len(our_cells) or not len(their_cells):
+    if not len(there) or not len(back):
         return SurfaceMetrics(math.sqrt(3) * FULL_CELLS * voxel_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    our_targets, their_targets = cells_of(our_surface & trusted), cells_of(their_surface & trusted)
-    squared, to_theirs = nearest(our_cells, their_targets)
-    squared_back, to_ours = nearest(their_cells, our_targets)
-    between = Distances(np.sqrt(squared) * voxel_mm, np.sqrt(squared_back) * voxel_mm)
-    there = agreement(
-        normals(our_solid, our_cells.index), normals(their_solid, their_targets.index)[to_theirs]
-    )
-    back = agreement(normals(their_solid, their_cells.index), normals(our_solid, our_targets.index)[to_ours])
+    between = Distances(np.sqrt(there.squared) * voxel_mm, np.sqrt(back.squared) * voxel_mm)
     size_mm = size_cells(truth.full) * voxel_mm
     one_percent, two_percent, near, wide = 0.01 * size_mm, 0.02 * size_mm, *F_SCORE_MM
     return SurfaceMetrics(
@@ -113,7 +99,7 @@ def _between(
         f_score_10mm=between.f_score(near),
         f_score_20mm=between.f_score(wide),
         surface_dice=between.dice(SIGMAS * truth.surface_sigma_m * 1000),
-        normal_consistency=(there + back) / 2,
+        normal_consistency=(float(there.cosines.mean()) + float(back.cosines.mean())) / 2,
     )
 
 

@@ -1,4 +1,8 @@
-"""Nearest cells and normals of voxel surfaces. Import late: numba is slow to load."""
+"""Voxel surfaces: their cells, the nearest of another, how normals agree. Import late: numba is slow to load.
+
+A shape has a hundred thousand surface cells, a prediction of noise eight million: what is kept of each is
+small.
+"""
 
 from dataclasses import dataclass
 
@@ -6,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from kinectbench.core.types import Float64, Int32
-
-Packed = NDArray[np.uint8]
+from kinectbench.core.types import Bools, Float64, Int32
+from kinectbench.core.voxels.morphology import packed_shell
+from kinectbench.core.voxels.pair_file import Packed
 
 _SIDE = 32  # blocks along an axis; a packed byte is one column of a block
 
@@ -29,6 +33,71 @@ class Cells:
 
     def __len__(self) -> int:
         return len(self.index)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Surface cells of a solid.
+
+    Attributes:
+        packed: (256, 256, 32) uint8, the cells.
+        cells: the same, as a list.
+        moments: (n, 3) int16 of each of `cells.index`, against the outward normal; see `moments`.
+    """
+
+    packed: Packed
+    cells: Cells
+    moments: NDArray[np.int16]
+
+    def within(self, mask: Packed) -> "Surface":
+        """The part of it that lies in a packed mask."""
+        packed = self.packed & mask
+        return Surface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
+
+
+@dataclass(frozen=True)
+class Matched:
+    """The cells of one surface, each with the nearest cell of another.
+
+    Attributes:
+        index: (n,) int32, the cells, x << 16 | y << 8 | z.
+        squared: (n,) int32, squared distance in cells.
+        cosines: (n,) float64, |n . n'| of the two normals; 1 where neither has one, 0 where one has.
+    """
+
+    index: Int32
+    squared: Int32
+    cosines: Float64
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def within(self, mask: Packed) -> "Matched":
+        """Those of its cells that lie in a packed mask, with the same nearest."""
+        chosen = is_set(mask, self.index)
+        return Matched(self.index[chosen], self.squared[chosen], self.cosines[chosen])
+
+
+def surface_of(solid: Packed) -> Surface:
+    """The surface of a packed solid, (256, 256, 32) uint8: its cells with an empty 6-neighbour."""
+    packed = packed_shell(solid)
+    cells = cells_of(packed)
+    return Surface(packed, cells, moments(solid, cells.index))
+
+
+def matched(queries: Surface, targets: Surface) -> Matched:
+    """Each cell of one surface with the nearest of the other; zeros where the other is empty."""
+    index = queries.cells.index
+    if not len(targets.cells):
+        return Matched(index, np.zeros(len(index), np.int32), np.zeros(len(index)))
+    squared, found = nearest(queries.cells, targets.cells)
+    return Matched(index, squared, agreement(queries.moments, targets.moments, found))
+
+
+def is_set(packed: Packed, index: Int32) -> Bools:
+    """Which of some cells, (n,) int32 x << 16 | y << 8 | z, are set in a packed grid."""
+    bits: Bools = (packed.reshape(-1)[index >> 3] << (index & 7).astype(np.uint8)) & 128 != 0
+    return bits
 
 
 def cells_of(packed: Packed) -> Cells:
@@ -169,34 +238,39 @@ _COUNT = _BITS.sum(axis=1).astype(np.int32)
 _MOMENT = (_BITS * np.arange(-RADIUS_CELLS, RADIUS_CELLS + 1, dtype=np.int32)).sum(axis=1).astype(np.int32)
 
 
-def normals(solid: Packed, cells: Int32) -> Float64:
-    """The outward normal of a solid at some of its surface cells, (n, 3) float64; zero where it has none.
+def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
+    """Where the mass lies around some surface cells of a solid: (n, 3) int16, against the outward normal.
 
-    It points away from the centre of mass of what is occupied in the 7^3 cells around (outside the grid is
-    empty): zero only in pieces that are symmetric in them, such as a single cell or a plate one cell thick.
-    Own rule.
+    The sum of the offsets of what is occupied in the 7^3 cells around (outside the grid is empty): zero only
+    in pieces that are symmetric in them, such as a single cell or a plate one cell thick. Own rule.
 
     Args:
         solid: (256, 256, 32) uint8, packed, most significant bit first.
         cells: (n,) int32, x << 16 | y << 8 | z.
     """
-    moments = -_moments(np.ascontiguousarray(solid), cells).astype(np.float64)
-    lengths = np.sqrt((moments**2).sum(axis=1, keepdims=True))
-    units: Float64 = np.divide(moments, lengths, out=np.zeros_like(moments), where=lengths > 0)
-    return units
+    return _moments(np.ascontiguousarray(solid), cells)  # type: ignore[no-any-return]
 
 
-def agreement(first: Float64, second: Float64) -> float:
-    """Mean of |n . n'| over rows of unit normals (n, 3), n > 0; 1 where both are zero, 0 where one is."""
-    cosines = np.abs((first * second).sum(axis=1))
-    cosines[~first.any(axis=1) & ~second.any(axis=1)] = 1.0
-    return float(cosines.mean())
+@njit(cache=True, error_model="numpy")
+def agreement(first, second, found):  # type: ignore[no-untyped-def]
+    """(n,) float64: |n . n'| of moments (n, 3) and of the rows `found` of others; of zeros see `Matched`."""
+    cosines = np.empty(len(first))
+    for n in range(len(first)):
+        a, b, c = np.float64(first[n, 0]), np.float64(first[n, 1]), np.float64(first[n, 2])
+        m = found[n]
+        d, e, f = np.float64(second[m, 0]), np.float64(second[m, 1]), np.float64(second[m, 2])
+        ours, theirs = np.sqrt(a * a + b * b + c * c), np.sqrt(d * d + e * e + f * f)
+        if ours > 0 and theirs > 0:
+            cosines[n] = abs(a / ours * (d / theirs) + b / ours * (e / theirs) + c / ours * (f / theirs))
+        else:
+            cosines[n] = 1.0 if ours == theirs else 0.0
+    return cosines
 
 
 @njit(cache=True, error_model="numpy")
 def _moments(solid, cells):  # type: ignore[no-untyped-def]
-    """(n, 3) int32: the sum of the offsets of the occupied cells around each cell."""
-    moments = np.zeros((len(cells), 3), np.int32)
+    """(n, 3) int16: the sum of the offsets of the occupied cells around each cell, at most 49 * 6."""
+    moments = np.zeros((len(cells), 3), np.int16)
     side, last = solid.shape[0], solid.shape[2] - 1
     for n in range(len(cells)):
         x, y, z = cells[n] >> 16, cells[n] >> 8 & 255, cells[n] & 255

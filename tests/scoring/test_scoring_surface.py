@@ -14,7 +14,7 @@ from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack, unpack
 from kinectbench.scoring.counts import occupied
 from kinectbench.scoring.surface import SAME, SurfaceMetrics, size_cells, surface_metrics
-from kinectbench.scoring.surface_kernels import agreement, cells_of, nearest, normals
+from kinectbench.scoring.surface_kernels import agreement, cells_of, moments, nearest
 from kinectbench.scoring.truth import Truth
 
 Bools = NDArray[np.bool_]
@@ -59,17 +59,32 @@ def test_nearest_is_exact_and_the_first_of_several(share: float) -> None:
 def test_normals_of_a_ball_and_of_thin_things() -> None:
     solid = ball((128.0, 127.3, 128.6), 60.0)
     cells = np.flatnonzero(unpack(packed_shell(pack(solid)))).astype(np.int32)
-    outward = np.stack(np.unravel_index(cells, CUBE), axis=1) + 0.5 - [128.0, 127.3, 128.6]
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    cosines = (normals(pack(solid), cells) * outward).sum(axis=1)
+    inward = [128.0, 127.3, 128.6] - np.stack(np.unravel_index(cells, CUBE), axis=1) - 0.5
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    found = moments(pack(solid), cells)
+    cosines = (found * inward).sum(axis=1) / np.linalg.norm(found.astype(float), axis=1)
     assert np.degrees(np.arccos(cosines)).max() < 12
-    corner = normals(pack(EVERYTHING), np.array([0], np.int32))[0]
-    np.testing.assert_allclose(corner, -np.ones(3) / math.sqrt(3))
+    corner = moments(pack(EVERYTHING), np.array([0], np.int32))[0]
+    assert corner.tolist() == [96, 96, 96]  # 4 * 4 * (1 + 2 + 3)
+    full = box(0, 0, 0, 255, 3, 255)
+    assert moments(pack(full), np.array([100 << 16 | 0 << 8 | 100], np.int32))[0].tolist() == [
+        0,
+        294,
+        0,
+    ]  # the most
     plate = box(100, 100, 9, 140, 140, 9)
     middle = np.array([120 << 16 | 120 << 8 | 9], np.int32)
-    assert not normals(pack(plate), middle).any()
-    up, none = np.array([[0.0, 0, 1]]), np.zeros((1, 3))
-    assert [agreement(up, -up), agreement(up, none), agreement(none, none)] == [1, 0, 1]
+    assert not moments(pack(plate), middle).any()
+
+
+def test_normals_agree_whatever_their_lengths_and_signs() -> None:
+    up, slant, none = ([[0, 0, 294]], [[3, 0, 4]], [[0, 0, 0]])
+    pairs = [(up, up), (up, [[0, 0, -7]]), (up, slant), (up, none), (none, slant), (none, none)]
+    first = np.array([row for (row,), _ in pairs], np.int16)
+    second = np.array([row for _, (row,) in pairs], np.int16)
+    back = np.arange(len(pairs))[::-1]
+    cosines = agreement(first, second[::-1], back)
+    np.testing.assert_allclose(cosines, [1, 1, 0.8, 0, 0, 1], rtol=1e-15)
 
 
 def test_two_plates_by_hand() -> None:
