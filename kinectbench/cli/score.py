@@ -140,8 +140,9 @@ def _recheck(
     table = read_table(paths[0])
     shown = differences[:SHOWN_FAILURES]
     more = [f"and {len(differences) - len(shown)} more differences"] * (len(differences) > len(shown))
-    told = f"{paths[0]}: {'not verified' if differences else table.standing}"
-    common.tell({"standing": table.standing, "differences": differences}, [told])
+    # A table that differs keeps its mark, if it has one: the file is not written.
+    standing = "not verified" if differences else table.standing
+    common.tell({"standing": standing, "differences": differences}, [f"{paths[0]}: {standing}"])
     console.lines("error", [*shown, *more], "red")
     return SOME_FAILED if differences else exit_status(rows)
 

@@ -1,6 +1,7 @@
 """`kinectbench report` on several score files: one page of one truth, or one line why not."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,10 @@ import pytest
 from fuzz.releases import seal
 from small_benchmark import Run
 
+from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
+from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.score import score_methods
 
 Command = Callable[..., Run]
@@ -85,3 +88,51 @@ def test_what_cannot_be_compared_is_one_line(
     assert done.status != 0 and words in done.err
     assert done.err.count("error:") == 1 and "Traceback" not in done.err
     assert not (scored / "no.html").exists()
+
+
+def forged(path: Path, out: Path) -> Path:
+    """A table with better rows and the mark of a recheck that nobody ran, all of it consistent."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    for row in content["rows"]:
+        row["ce"] /= 2
+    for key in ("by_category", "overall", "extremes", "iou_by_threshold"):
+        del content[key]
+    out.write_text(json.dumps(content | {"method": "forged"}), encoding="utf-8")
+    table = read_table(out)
+    mark = Verified(
+        date="2024-01-01",
+        package_version="9.9.9",
+        table_sha256=table.facts_sha256(),
+        predictions_sha256=table.predictions_sha256(),
+    )
+    table.model_copy(update={"verified": mark}).write(out.parent, out.name)
+    return out
+
+
+def test_the_page_tells_who_says_that_a_table_is_verified(
+    command: Command, release: Release, scored: Path, tmp_path: Path
+) -> None:
+    """A recheck and a forger write the same mark: the page shows both as the words of a file."""
+    of_release = ("--benchmark", str(release.folder))
+    predictions = str(scored / "ours" / "net")
+    lie = forged(scored / "ours" / "scores" / "scores.json", tmp_path / "forged.json")
+    truth, reported = tmp_path / "rechecked.json", scored / "theirs" / "scores" / "scores.json"
+    shutil.copy(scored / "ours" / "scores" / "scores.json", truth)
+    done = command(tmp_path, "score", "--recheck", str(truth), predictions, *of_release)
+    assert done.status == 0, done.err
+    before = lie.read_bytes()
+    done = command(tmp_path, "score", "--recheck", str(lie), predictions, *of_release, "--json")
+    assert done.status == 3 and json.loads(done.out)["standing"] == "not verified"
+    assert lie.read_bytes() == before
+    shown = [argument for path in (lie, truth, reported) for argument in ("--scores", str(path))]
+    done = command(tmp_path, "report", *of_release, *shown, "--out", "page.html")
+    assert done.status == 0, done.err
+    page = " ".join((tmp_path / "page.html").read_text(encoding="utf-8").split())
+    marks = [words for words in re.findall(r"<small>([^<]*)</small>", page) if words[:1] in "rv"]
+    assert set(marks) == {"verified 2024-01-01, kinectbench 9.9.9", read_table(truth).standing, "reported"}
+    said = (
+        "Reported: as the file of scores says; verified: the file says that it was scored again from the "
+        "predictions, which anybody can write; <code>score --recheck</code> tells."
+    )
+    scores = page.partition('<section id="scores">')[2].partition("</section>")[0]
+    assert page.count(said) == scores.count(said) == 1

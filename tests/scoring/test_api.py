@@ -10,12 +10,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from synthetic_release import RECORDINGS, publish_synthetic
 
 import kinectbench
 from kinectbench.cli import score as commands_score
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.compare import compare as compare_tables
 from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.score import score, score_methods
@@ -59,6 +60,32 @@ def test_scorer_gives_what_files_give(release: Release, tmp_path: Path) -> None:
     found = scorer.result().json_value()
     assert found.pop("hashes").keys() == expected.pop("hashes").keys()
     assert found == expected
+
+
+@pytest.mark.parametrize("missing", ["error", "empty"])
+def test_scorer_gives_what_files_give_where_a_category_has_no_validation(
+    tmp_path: Path, missing: str
+) -> None:
+    """To the byte, also where a pair is missing; the threshold of tables is fixed, of chairs searched."""
+    folder = publish_synthetic(tmp_path, tuple(one for one in RECORDINGS if one[0] != "table_02")).folder
+    release, rng = open_release(folder), np.random.default_rng(0)
+    assert {target.category for target in release.split("validation")} == {"chair"}
+    scorer = kinectbench.Scorer(folder, method="mine", missing=missing, surface=False)
+    for target in (*release.split("validation"), *release.split("test")):
+        if target.name not in ("chair_03/001", "chair_01/001"):
+            y = rng.random((8, 8, 8)).astype(np.float32)
+            scorer.update(target.name, y)
+            path = tmp_path / "mine" / target.recording / f"{target.view}.npy"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.save(path, y)
+    (by_files,) = score_methods(release, tmp_path / "mine", tmp_path / "out", missing=missing, surface=False)
+    in_memory = scorer.result()
+    assert by_files.threshold_source_by_category == {"chair": "validation", "table": "fixed"}
+    # An array has no file whose bytes could be hashed.
+    assert in_memory.hashes.keys() == by_files.hashes.keys()
+    in_memory.model_copy(update={"hashes": by_files.hashes}).write(tmp_path / "memory")
+    for name in ("scores.json", "scores.csv"):
+        assert (tmp_path / "memory" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
 
 
 def test_an_option_has_one_default() -> None:
