@@ -223,6 +223,14 @@ def below(folder: Path, name: str) -> Path:
     return folder / way
 
 
+def lies_below(path: Path, root: Path) -> bool:
+    """Whether a path, its links followed, lies below a folder, whose own links are followed already."""
+    try:
+        return path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError):  # links that lead to each other
+        return False
+
+
 def _can_be(way: PurePosixPath) -> bool:
     """Whether a file can have such a path."""
     try:

@@ -150,7 +150,8 @@ class Contents:
             reason = error.strerror or error
             raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
         except DAMAGED as error:
-            raise ReleaseError(f"{name}: damaged in the archive ({error}); download it again") from error
+            # In the archive, or the file in a folder: who reads it checks it here.
+            raise ReleaseError(f"{name}: damaged ({error}); make or download it again") from error
 
     def text(self, name: str, limit: int = MAX_READ_BYTES) -> str:
         """A UTF-8 text file.

@@ -129,16 +129,17 @@ def _open_archive(path: Path) -> Iterator[Contents]:
 def _opened(path: Path, stack: ExitStack) -> Contents:
     """An archive's files; what is to be closed goes onto the stack."""
     file: IO[bytes] = stack.enter_context(open_plain(path))
-    head = file.read(2)
+    head, packed_bytes = file.read(2), size_of(file)
     file.seek(0)
     if head == ZIP:
-        return _zip_contents(stack.enter_context(open_zip(file, MOST_FILES)), path)
+        members = _zip_members(stack.enter_context(open_zip(file, MOST_FILES)))
+        return _contents(members, path, packed_bytes)
     if head == GZIP:
         with storage_errors(Path(tempfile.gettempdir())):
             inflated = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115
             _inflate(file, inflated, path)
         file = inflated
-    return _contents(_tar_members(file), path)
+    return _contents(_tar_members(file), path, packed_bytes)
 
 
 def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
@@ -153,15 +154,16 @@ def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
     inflated.seek(0)
 
 
-def _zip_contents(archive: zipfile.ZipFile, path: Path) -> Contents:
-    members = []
+def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
+    """The members of a zip and how each is opened."""
+    members = list[tuple[str, Entry]]()
     for info in archive.infolist():
         problem = LINK if stat.S_ISLNK(info.external_attr >> 16) else None
         if info.flag_bits & 1:
             problem = "encrypted"
         if not info.is_dir():
             members.append((info.filename, Entry(info.file_size, partial(archive.open, info), problem)))
-    return _contents(members, path)
+    return members
 
 
 def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
@@ -265,7 +267,7 @@ class _Slice(io.RawIOBase):
         return len(part)
 
 
-def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
+def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
     """An archive's files by name; names that lead elsewhere and doubles are told and not opened."""
     entries: dict[str, Entry] = {}
     problems = []
@@ -279,7 +281,7 @@ def _contents(members: Iterable[tuple[str, Entry]], path: Path) -> Contents:
             )
         else:
             entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry
-    if sum(entry.size for entry in entries.values()) > unpacked_bound(path.stat().st_size):
+    if sum(entry.size for entry in entries.values()) > unpacked_bound(packed_bytes):
         raise _bomb(path)
     return Contents(entries, tuple(problems))
 

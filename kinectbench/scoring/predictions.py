@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import listed, printable
+from kinectbench.core.untrusted import lies_below, listed, printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
@@ -74,21 +74,13 @@ def _matched(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
             both = "both " if len(suffixes) == 2 else ""
             listed = " and ".join([", ".join(suffixes[:-1]), suffixes[-1]])
             problems[target] = f"{target.name}: {both}{listed} are there; keep one"
-        elif not _inside(present[0], root):
+        elif not lies_below(present[0], root):
             problems[target] = (
                 f"{target.name}{present[0].suffix}: a link out of the folder; put the file itself"
             )
         else:
             files[target] = present[0]
     return FoundPredictions(files, tuple(missing), problems, _stray(folder, expected))
-
-
-def _inside(path: Path, root: Path) -> bool:
-    """Whether a path, its links followed, lies below `root`."""
-    try:
-        return path.resolve().is_relative_to(root)
-    except (OSError, RuntimeError):  # links that lead to each other
-        return False
 
 
 def _stray(folder: Path, expected: set[str]) -> tuple[str, ...]:
@@ -167,7 +159,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
             "per method"
         )
     for path in methods:
-        if not _inside(path, folder.resolve()):
+        if not lies_below(path, folder.resolve()):
             raise PredictionError(f"{path}: a link out of the folder; put the predictions themselves there")
         check_method(path.name)
     return {path.name: path for path in methods}

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from fuzz.releases import seal
 from synthetic_release import synthetic_settings
 from typer.testing import CliRunner
 
@@ -92,6 +93,21 @@ def test_all_problems_at_once(parts: Path, tmp_path: Path) -> None:
     assert result.exit_code == 1
     for name in ("more.txt: not part", "pairs/chair_02/000.npz: missing", "LICENSE: changed"):
         assert name in result.output
+
+
+def test_a_file_that_is_damaged_itself_is_told_alike_in_a_folder_and_an_archive(
+    parts: Path, tmp_path: Path
+) -> None:
+    """It was published so, as its checksum holds: no archive is to blame."""
+    name = "objects/chair_02/volume.npz"
+    folder = Path(shutil.copytree(parts / "whole", tmp_path / "benchmark"))
+    content = (folder / name).read_bytes()
+    (folder / name).write_bytes(content[: len(content) // 2])
+    seal(folder)
+    packed = Path(shutil.make_archive(str(tmp_path / "benchmark"), "zip", folder))
+    (line,) = verify(folder)
+    assert line.startswith(f"{name}: damaged (") and "archive" not in line
+    assert verify(packed) == [line]
 
 
 @pytest.mark.parametrize(

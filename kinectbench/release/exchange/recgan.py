@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.views import ViewName
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.storage import NAME, sha256_file, write_below
 from kinectbench.core.types import Framing, PartialRule, Progress, Split
-from kinectbench.core.untrusted import below
+from kinectbench.core.untrusted import below, lies_below
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
@@ -171,10 +171,11 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
     Raises:
         SettingsError: no such files there, test pairs of several numbers of views and none chosen, or `out`
             holds something else.
-        PairError: a file is damaged, or lacks its counterpart.
+        PairError: a file is damaged, lacks its counterpart, or is a link out of the folder.
         StorageError: the disk is full or read-only.
     """
-    exported = folder / EXPORT_JSON
+    exported, root = folder / EXPORT_JSON, folder.resolve()
+    _refuse_link_out(exported, root)
     content = Exported.read(folder) if exported.exists() else Exported()
     if content.pairs and views is not None:
         raise SettingsError(f"{exported}: a release that was exported has its own split; leave out --views")
@@ -185,7 +186,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
         targets = []
         for done, one in enumerate(found, start=1):
             path = temporary / one.target.file
-            write_below(path, pair_bytes(_pair(one)))
+            write_below(path, pair_bytes(_pair(one, root)))
             targets.append(replace(one.target, sha256=sha256_file(path)))
             if progress:
                 progress(done, len(found))
@@ -262,9 +263,16 @@ def _target(recording: str, object: str, view: str, category: str, split: str) -
     return Target(recording, object, view, category, split, f"pairs/{recording}/{view}.npz", "")
 
 
-def _pair(found: Found) -> Pair:
-    """A pair of two files; what they do not say is filled in as the card tells."""
+def _refuse_link_out(path: Path, root: Path) -> None:
+    """What is read is published, and a link could lead to any file of whoever imports the folder."""
+    if not lies_below(path, root):
+        raise PairError(f"{path}: a link out of the folder; put the file itself there")
+
+
+def _pair(found: Found, root: Path) -> Pair:
+    """A pair of two files in a folder; what they do not say is filled in as the card tells."""
     for path in (found.file_25d, found.file_3d):
+        _refuse_link_out(path, root)
         if not path.is_file():
             raise PairError(f"{path}: missing; every file of 25d needs its counterpart of 3d")
     seen, full = read_recgan_file(found.file_25d), pack(read_recgan_file(found.file_3d))

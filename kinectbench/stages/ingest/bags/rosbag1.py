@@ -49,8 +49,9 @@ class Rosbag1Recording(RosRecording):
     def walk(cls, path: Path) -> RosBag:
         """Walk through the bag's chunks."""
         reader = BagReader(path, _chunk_at)
-        walk = _Walk(cls.wanted, cls.own_types, reader.keep, WalkBudget(path.stat().st_size))
-        complete = walk.take_all(path)
+        with open_plain(path) as file:
+            walk = _Walk(cls.wanted, cls.own_types, reader.keep, WalkBudget(size_of(file)))
+            complete = walk.take_all(file, path)
         topics = walk.found.topics()
         reader.start_reading(sum(len(topic.messages) for topic in topics))
         if complete and not walk.damaged_chunks:
@@ -83,27 +84,24 @@ class _Walk:
         self._own_types = own_types
         self._keep = keep
 
-    def take_all(self, path: Path) -> bool:
+    def take_all(self, file: BinaryIO, path: Path) -> bool:
         """Walk through the file; whether it ends as it should and has an index.
 
         Raises:
             RecordingError: it is encrypted.
         """
-        with open_plain(path) as file:
-            size = size_of(file)
-            file.seek(len(MAGIC))
-            try:
-                fields, data_size = _read_header(file, size)
-                if fields.get(b"encryptor"):
-                    raise RecordingError(
-                        f"{path}: the bag is encrypted; record or copy it without encryption"
-                    )
-                file.seek(data_size, os.SEEK_CUR)
-                while file.tell() < size:
-                    self.take_record(file, size)
-                return 0 < _number(fields, b"index_pos", "<Q") < size
-            except DamagedRecordError:
-                return False
+        size = size_of(file)
+        file.seek(len(MAGIC))
+        try:
+            fields, data_size = _read_header(file, size)
+            if fields.get(b"encryptor"):
+                raise RecordingError(f"{path}: the bag is encrypted; record or copy it without encryption")
+            file.seek(data_size, os.SEEK_CUR)
+            while file.tell() < size:
+                self.take_record(file, size)
+            return 0 < _number(fields, b"index_pos", "<Q") < size
+        except DamagedRecordError:
+            return False
 
     def take_record(self, file: BinaryIO, end: int) -> None:
         """Read the next record of the file, or pass over it."""

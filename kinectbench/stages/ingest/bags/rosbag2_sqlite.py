@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import copy_bounded, open_plain, read_head
+from kinectbench.core.untrusted import copy_bounded, open_plain, read_head, size_of
 from kinectbench.stages.ingest.bags.bag_reader import STEPS_AT_ONCE, WalkBudget
 from kinectbench.stages.ingest.bags.ros_messages import (
     DEFINITION_BYTES,
@@ -85,7 +85,8 @@ class _Reader:
     """
 
     def __init__(self, path: Path, cut_off: bool) -> None:
-        self.file_bytes = path.stat().st_size
+        with open_plain(path) as file:
+            self.file_bytes = size_of(file)
         self._path = path
         self._database: sqlite3.Connection | None = None
         if cut_off:
@@ -150,12 +151,13 @@ def _bytes_at(path: Path, place: slice) -> bytes:
 
 def _page_bytes_if_cut_off(path: Path) -> int:
     """The size of a page if the file is shorter than its head says, else 0 (SQLite's file format, 1.3)."""
-    head = read_head(path, HEAD_BYTES)
+    with open_plain(path) as file:
+        head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     if len(head) < HEAD_BYTES:
         return LEAST_PAGE_BYTES
     (said,), (pages,) = struct.unpack_from(">H", head, 16), struct.unpack_from(">I", head, 28)
     page_bytes = 65536 if said == 1 else max(int(said), LEAST_PAGE_BYTES)
-    return page_bytes if path.stat().st_size < pages * page_bytes else 0
+    return page_bytes if file_bytes < pages * page_bytes else 0
 
 
 def _leave_out_torn(found: FoundMessages, page_bytes: int) -> None:

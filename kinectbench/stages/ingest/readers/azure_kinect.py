@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
-from kinectbench.core.untrusted import HEAD_BYTES, UNPACKED_BYTES, is_too_large, open_plain, read_head
+from kinectbench.core.untrusted import HEAD_BYTES, UNPACKED_BYTES, is_too_large, open_plain, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
 from kinectbench.stages.ingest.intrinsics import object_of
@@ -272,14 +272,15 @@ def _find_images(
 
 def _cut(path: Path, frames: int) -> list[str]:
     """A warning where the file is shorter than it says."""
-    head = read_head(path)
+    with open_plain(path) as file:
+        head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     start = head.find(SEGMENT) + len(SEGMENT)
     size = head[start : start + 8]
     # Recorders write the size with eight bytes, as they fill it in at the end.
     if len(size) < 8 or size[0] != 1:
         return []
     length = int.from_bytes(size[1:], "big")
-    if length == UNKNOWN_SIZE or start + 8 + length <= path.stat().st_size:
+    if length == UNKNOWN_SIZE or start + 8 + length <= file_bytes:
         return []
     return [f"{path}: is cut off: {frames} frames are whole and are read; copy it again"]
 
