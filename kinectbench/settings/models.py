@@ -273,7 +273,7 @@ class DatasheetSettings(Settings):
 class ChangeSettings(Settings):
     """What is new in one version of the data."""
 
-    version: str = Field(description="such as 1.0.0")
+    version: Line = Field(description="such as 1.0.0")
     changes: list[Line] = Field(min_length=1, description="a line each")
 
 

@@ -151,6 +151,21 @@ def test_answers_and_changes(build: Path, tmp_path: Path) -> None:
     )
 
 
+def test_answers_and_changes_are_markdown_without_html(build: Path, tmp_path: Path) -> None:
+    """Markdown of their author stays; no tag, comment or declaration begins in it."""
+    text = "**Bold** if 2 < 3, `a`\n\n- see [x](y)\n\n<script>a()</script><!-- <?x <!D></p><IMG on=b()>"
+    keys = ("motivation", "creators", "collection", "consent", "uses_to_avoid", "maintenance")
+    changes = [{"version": "1.0.0\n<b>", "changes": [text]}]
+    settings = synthetic_settings(publish={"datasheet": dict.fromkeys(keys, text), "changelog": changes})
+    folder = publish(settings, build, tmp_path / "b", NAMES).folder
+    assert verify(folder) == []
+    for name, times in (("datasheet.md", len(keys)), ("CHANGELOG.md", 1)):
+        found = (folder / name).read_text(encoding="utf-8")
+        assert found.count("**Bold** if 2 < 3, `a`") == found.count("&lt;script>a()&lt;/script>") == times
+        assert not re.search(r"<[A-Za-z/!?]", found) and found.count("[x](y)") == times
+    assert "## 1.0.0 &lt;b>\n" in (folder / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
 def test_the_packaged_schemas_are_those_of_the_code() -> None:
     packaged = {path.name: path.read_text() for path in SCHEMAS.iterdir()}
     assert packaged == schema_texts()

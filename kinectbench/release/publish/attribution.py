@@ -64,6 +64,11 @@ def markdown(text: str) -> str:
     return re.sub(r"[\\[|]", r"\\\g<0>", line)
 
 
+def without_tags(text: str) -> str:
+    """A text of its author's own Markdown, in which no HTML begins."""
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
+
+
 def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:
     """LICENSE: the licence, and of each recording its licence and source.
 
@@ -136,7 +141,12 @@ def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
     """CHANGELOG.md, newest first, as given."""
     lines = [f"# Changes of {name}", ""]
     for change in changes or []:
-        lines += [f"## {change.version}", "", *(f"- {' '.join(line.split())}" for line in change.changes), ""]
+        lines += [
+            f"## {markdown(change.version)}",
+            "",
+            *(f"- {without_tags(line)}" for line in change.changes),
+            "",
+        ]
     if not changes:
         lines += ["Nothing is recorded.", ""]
     return "\n".join(lines[:-1]) + "\n"

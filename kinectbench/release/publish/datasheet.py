@@ -14,6 +14,7 @@ from kinectbench.release.publish.attribution import (
     common_license,
     markdown,
     reasons_against_distribution,
+    without_tags,
 )
 from kinectbench.release.publish.card import counts_table
 from kinectbench.settings.models import BenchmarkSettings
@@ -56,7 +57,8 @@ def datasheet(
         warnings: of the release.
         held_back: splits of which only the inputs are there.
     """
-    answers = {key: value or NOT_STATED for key, value in settings.publish.datasheet.model_dump().items()}
+    said = settings.publish.datasheet.model_dump()
+    answers = {key: without_tags(value or NOT_STATED) for key, value in said.items()}
     refused = sum(info.refused for info in infos.values())
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         answers,
