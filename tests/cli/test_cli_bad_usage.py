@@ -31,7 +31,6 @@ BAD_USAGE = {
     "unknown protocol": (["score", "predictions", "--protocol", "papre"], "no protocol 'papre'|paper"),
     "unknown way with missing": (["score", "predictions", "--missing", "zero"], "--missing zero|empty"),
     "compare no scores": (["compare", "none.json"], "none.json: no such file or folder"),
-    "compare what is no table": (["compare", "benchmark.yaml"], "benchmark.yaml: not valid JSON"),
     "report no scores": (["report", "--scores", "none.json"], "none.json: no such file or folder"),
     "simulate nothing": (["simulate"], "OUT|--samples"),
     "simulate no furniture": (["simulate", "new", "--object", "chiar:seed=1"], "chiar|chair"),
@@ -84,3 +83,9 @@ def test_init_where_nothing_is(command: Command, tmp_path: Path) -> None:
     run = command(tmp_path, "init", ".")
     assert run.status in (1, 2) and len(run.err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_no_table_is_data_that_cannot_be_used(command: Command, one: Path) -> None:
+    before = hashes(one)
+    check_line(command(one, "compare", "benchmark.yaml"), 1, "benchmark.yaml: not valid JSON")
+    assert hashes(one) == before

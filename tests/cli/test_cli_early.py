@@ -22,7 +22,7 @@ WRONG = {
     "upsampling": (["score", "mine", "--upsampling", "corners"], 2, "no upsampling 'corners'"),
     "thresholds": (["score", "mine", "--thresholds", "benchmark.yaml"], 2, "benchmark.yaml: cannot be read"),
     "scores": (["report", "--scores", "nowhere"], 2, "nowhere: no such file or folder"),
-    "scores of no kind": (["report", "--scores", "benchmark.yaml"], 2, "benchmark.yaml: not valid JSON"),
+    "scores of no kind": (["report", "--scores", "benchmark.yaml"], 1, "benchmark.yaml: not valid JSON"),
 }
 RECORDINGS = {"a": "chair", "b": "unknown", "c": "unknown"}
 
