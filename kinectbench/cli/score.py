@@ -115,7 +115,7 @@ def _recheck(
     from kinectbench.scoring.recheck import recheck
 
     given = [
-        "--" + name.replace("_", "-")
+        ("--no-" if context.params[name] is False else "--") + name.replace("_", "-")
         for name in FROM_THE_TABLE
         if (source := context.get_parameter_source(name)) and source.name == "COMMANDLINE"
     ]

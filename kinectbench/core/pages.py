@@ -5,6 +5,8 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
+from kinectbench.core.untrusted import STEERING
+
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
@@ -13,14 +15,14 @@ if TYPE_CHECKING:
 def render_page(template: str, shown: dict[str, Any]) -> str:
     """Lay out a page: HTML text, the same for the same input.
 
-    Names and reasons come from strangers: all text is escaped, except for the package's own files, which a
-    template names by `packaged("core/page.css")`.
+    Names and reasons come from strangers: all text is escaped, and control characters show as `?`, except in
+    the package's own files, which a template names by `packaged("core/page.css")`.
 
     Args:
         template: path of the page's template below the package, such as "doctor/page.html".
         shown: what the template shows, by the names it uses; a name that is missing is an error.
     """
-    return _environment().get_template(template).render(shown)
+    return environment().get_template(template).render(shown)
 
 
 def png_uri(png: bytes) -> str:
@@ -29,18 +31,25 @@ def png_uri(png: bytes) -> str:
 
 
 @cache
-def _environment() -> "Environment":
+def environment() -> "Environment":
+    """Where templates are found, and how they show values."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
+    made = Environment(
         loader=PackageLoader("kinectbench", ""),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_shown,
     )
-    environment.globals["packaged"] = _packaged
-    return environment
+    made.globals["packaged"] = _packaged
+    return made
+
+
+def _shown(value: Any) -> Any:
+    """A value as a template shows it: a stranger's text does not steer how the page reads."""
+    return value if type(value) is not str else STEERING.sub("?", value)
 
 
 def _packaged(name: str) -> "Markup":

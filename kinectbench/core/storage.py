@@ -130,10 +130,13 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 def replaced_file(path: Path) -> Iterator[Path]:
     """Yield a temporary sibling path to write; it takes `path`'s place when the block ends well."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    if path.exists() and not path.is_file():
+        raise StorageError(f"{path}: is no file that could be replaced; name another")
     try:
         with storage_errors(path):
             with _reachable(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
+                temporary.touch()
             yield temporary
             temporary.replace(path)
     finally:

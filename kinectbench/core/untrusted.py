@@ -244,6 +244,10 @@ def quoted(value: Any) -> str:
     return printable(reprlib.repr(value))
 
 
+# Control characters but for tab and line feed, separators of lines, and what turns the direction of writing.
+STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
 def printable(text: str, most: int = QUOTED) -> str:
     """A text from a file as a line for people may quote it: without control characters, and short.
 

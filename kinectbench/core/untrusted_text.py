@@ -8,7 +8,10 @@ import csv
 import io
 import json
 import re
+from collections import Counter
 from typing import Any, NoReturn
+
+from kinectbench.core.untrusted import printable
 
 # Values in one text: those of a quarter of a million lines of targets.csv, of seventy thousand rows of
 # scores, or of a benchmark.json of five thousand recordings. Read as a model, a value takes 150 bytes, and
@@ -23,7 +26,7 @@ _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
 def strict_json(text: str) -> Any:
-    """`parsed_json` without NaN and infinities, which are no JSON."""
+    """`parsed_json` without NaN and infinities, which are no JSON, and without a key twice: which counts?"""
     return parsed_json(text, constants=False)
 
 
@@ -32,7 +35,8 @@ def parsed_json(text: str, *, constants: bool) -> Any:
 
     Args:
         text: JSON.
-        constants: accept NaN, Infinity and -Infinity, as many programs write them.
+        constants: accept NaN, Infinity and -Infinity, as many programs write them; of a key that is there
+            twice the last counts.
 
     Raises:
         ValueError: it is malformed, or has too many values or keys; RecursionError: it is nested without end.
@@ -47,7 +51,11 @@ def parsed_json(text: str, *, constants: bool) -> Any:
             keys.update(key for key, _ in pairs)
         if max(len(keys), len(pairs)) > MOST_KEYS:
             raise ValueError(f"it has more than {MOST_KEYS} keys")
-        return dict(pairs)
+        values = dict(pairs)
+        if not constants and len(values) < len(pairs):
+            twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+            raise ValueError(f"it has the key '{printable(twice)}' twice")
+        return values
 
     _check_values(text, ",[" + "{" * OBJECT_VALUES)
     if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):

@@ -100,12 +100,14 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
     except FileNotFoundError as error:
         raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError, ReleaseError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
         raise SettingsError(
-            f"{path}: cannot be read as a threshold file ({error}); "
+            f"{path}: cannot be read as a threshold file ({why}); "
             f'a threshold file is {{"thresholds": {{"chair": 0.5}}}}'
         ) from error
     given = file.thresholds
-    shared = sorted(test_objects.intersection(file.objects))
+    test_names = {_plain(name) for name in test_objects}
+    shared = sorted(name for name in file.objects if _plain(name) in test_names)
     if shared:
         raise SettingsError(f"{path}: found on objects of the test split ({', '.join(shared)}); use others")
     missing = [category for category in categories if category not in given]
@@ -132,6 +134,11 @@ def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
     """`read_thresholds` for the pairs of a test split; the same errors."""
     categories = sorted({target.category for target in test})
     return read_thresholds(path, categories, frozenset(target.object for target in test))
+
+
+def _plain(name: str) -> str:
+    """A name without what people overlook: case, and blanks around it."""
+    return name.strip().casefold()
 
 
 def _step(value: float, where: str) -> float:

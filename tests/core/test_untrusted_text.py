@@ -23,6 +23,14 @@ def test_json() -> None:
     assert math.isnan(parsed_json("[NaN, Infinity]", constants=True)[0])
 
 
+def test_a_key_that_is_there_twice() -> None:
+    for twice in ('{"a": 1, "b": 2, "a": 1}', '[{"x": {"b": 1, "a": 1, "a\\u0000": 2, "a": 3}}]'):
+        with pytest.raises(ValueError, match="it has the key 'a' twice"):
+            strict_json(twice)
+        parsed_json(twice, constants=True)
+    assert strict_json('{"a": {"a": 1}, "A": 2}') == {"a": {"a": 1}, "A": 2}
+
+
 def test_as_many_values_as_are_accepted_and_one_more() -> None:
     most = "[" + "1," * (MOST_VALUES - 1) + "1]"
     assert len(strict_json(most)) == MOST_VALUES

@@ -168,6 +168,19 @@ def test_a_killed_write_leaves_the_old_artefact_and_the_next_lock_sweeps_up(tmp_
     assert made.is_current()
 
 
+def test_a_place_that_can_hold_no_file_is_told(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "gone").symlink_to("nothing/there")
+    for name, words in (("pipe", "is no file"), ("folder", "is no file"), ("gone/a", "the way to it holds")):
+        with pytest.raises(StorageError, match=f"{name}: {words}"), replaced_file(tmp_path / name) as part:
+            part.write_text("new", encoding="utf-8")
+    if Path("/proc/self").is_dir():  # where nothing can be made
+        with pytest.raises(StorageError, match="choose another place"), replaced_file(Path("/proc/a.html")):
+            pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "gone", "pipe"]
+
+
 def test_replaced_file_is_whole_or_old(tmp_path: Path) -> None:
     path = tmp_path / "new folder" / "scores.json"
     with replaced_file(path) as temporary:

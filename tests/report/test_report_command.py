@@ -12,6 +12,7 @@ from fuzz.releases import seal
 from small_benchmark import Run
 
 from kinectbench.core.artefacts.score_marks import Verified
+from kinectbench.core.untrusted import STEERING
 from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
 from kinectbench.scoring.read_table import read_table
@@ -60,6 +61,7 @@ def test_a_release_may_have_a_name_that_no_benchmark_yaml_accepts(
     done = command(scored / "ours", "report", "--benchmark", str(copy), "--out", str(tmp_path / "page.html"))
     assert done.status == 0 and done.err == "", done.err
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert not STEERING.search(page.replace("\r", ""))
     assert "my chairs &lt;b&gt;" in page and "<b> \x1b" not in page
 
 

@@ -92,6 +92,7 @@ def test_threshold_file(tmp_path: Path) -> None:
         ({"thresholds": {"chair": -1.7e308}}, "must be one of"),
         ({"thresholds": {"chair": 0.5}, "objects": "red"}, "'objects': Input should be a valid array"),
         ({"thresholds": {"chair": 0.5}, "objects": ["red"]}, r"on objects of the test split \(red\)"),
+        ({"thresholds": {"chair": 0.5}, "objects": ["a", " RED"]}, r"on objects of the test split \( RED\)"),
     ],
 )
 def test_bad_threshold_files(content: object, message: str, tmp_path: Path) -> None:
@@ -99,10 +100,21 @@ def test_bad_threshold_files(content: object, message: str, tmp_path: Path) -> N
         read_thresholds(write(tmp_path / "t.json", content), ["chair"], frozenset({"red"}))
 
 
-@pytest.mark.parametrize("text", [b"{", b"\xff\xfe", b'{"thresholds": {"chair": NaN}}', b"[" * 100_000])
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"{",
+        b"\xff\xfe",
+        b'{"thresholds": {"chair": NaN}}',
+        b"[" * 100_000,
+        b'{"thresholds": {"chair": 0.5, "chair": 0.1}}',
+    ],
+)
 def test_malformed_threshold_files(text: bytes, tmp_path: Path) -> None:
     (tmp_path / "t.json").write_bytes(text)
     with pytest.raises(SettingsError, match=r"t\.json: cannot be read as a threshold file"):
         read_thresholds(tmp_path / "t.json", ["chair"], frozenset())
+    with pytest.raises(SettingsError, match=r"threshold file \(not a plain file but a folder\)"):
+        read_thresholds(tmp_path, ["chair"], frozenset())
     with pytest.raises(SettingsError, match=r"none\.json: no such file$"):
         read_thresholds(tmp_path / "none.json", ["chair"], frozenset())
