@@ -136,7 +136,8 @@ def replaced_file(path: Path) -> Iterator[Path]:
         with storage_errors(path):
             with _reachable(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                temporary.touch()
+                temporary.touch()  # whether it can be made
+                temporary.unlink()  # some who write it refuse what is there
             yield temporary
             temporary.replace(path)
     finally:

@@ -206,7 +206,7 @@ def test_scores_of_an_older_version_are_left_out_or_refused(tmp_path: Path) -> N
 def test_damaged_files_are_one_line(tmp_path: Path, content: bytes) -> None:
     path = put(tmp_path, "net")
     path.write_bytes(content)
-    with pytest.raises(SettingsError, match=re.escape(str(path))) as caught:
+    with pytest.raises(StorageError, match=re.escape(str(path))) as caught:
         files_named([path], "ab" * 32)
     assert "\n" not in str(caught.value)
 
