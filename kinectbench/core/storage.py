@@ -128,7 +128,11 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary sibling path to write; it takes `path`'s place when the block ends well."""
+    """Yield a temporary sibling path to write; it takes `path`'s place when the block ends well.
+
+    Raises:
+        StorageError: a folder, a pipe or a device is there, or no file can be made or written there.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     if path.exists() and not path.is_file():
         raise StorageError(f"{path}: is no file that could be replaced; name another")

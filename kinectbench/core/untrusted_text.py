@@ -47,6 +47,7 @@ def parsed_json(text: str, *, constants: bool) -> Any:
         raise ValueError(f"{constant} is not JSON")
 
     def counted(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        """An object of JSON; its keys are counted with those of the whole text."""
         if len(pairs) <= MOST_KEYS:
             keys.update(key for key, _ in pairs)
         if max(len(keys), len(pairs)) > MOST_KEYS:

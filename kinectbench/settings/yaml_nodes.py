@@ -54,6 +54,7 @@ class _Counting(Composer):
     _values = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
+        """The next node; a file of more than `MOST_VALUES` keys and values is refused at the one too many."""
         self._values += 1
         if self._values > MOST_VALUES:
             mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's

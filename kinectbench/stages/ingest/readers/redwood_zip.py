@@ -23,6 +23,8 @@ from kinectbench.stages.ingest.readers.folder import (
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording, first_whole, tried
 
+# Its images are named by a count of seven digits and a stamp of twelve in microseconds, as in
+# depth/0000002-000000033369.png of scan 00033 of redwood-3dscan; a count of up to nine is read.
 NAMED = re.compile(rb"(?:depth|rgb)/\d{1,9}-\d{12}\.(?:png|jpg)")
 MEMBER = re.compile(r"(?:[^/]+/)?(depth|rgb)/(\d{1,9}-\d{12})\.(?:png|jpg)")
 
