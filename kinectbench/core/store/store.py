@@ -1,0 +1,280 @@
+"""A place by its URL: files are read, listed, put once or replaced there, each as a whole."""
+
+import os
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, TypeVar
+from urllib.parse import unquote
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import replaced_file
+from kinectbench.core.store.address import is_web, joined, shown
+from kinectbench.core.store.attempts import MissingObjectError, UnsettledError, patiently, wait_until
+from kinectbench.core.untrusted import TEXT_BYTES, printable
+
+if TYPE_CHECKING:
+    from obstore.store import ObjectStore
+
+T = TypeVar("T")
+
+# Of one request, with its answer: a part of 8 MB at 140 kB/s. What takes longer is cut off and goes on.
+REQUEST_TIMEOUT, CONNECT_TIMEOUT = "60s", "10s"
+# S3 takes at least 5 MB as a part, and 10,000 of them: files up to 80 GB.
+PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
+# Files that are read or put at a time (own choice).
+AT_ONCE = 8
+# Objects of one listing, a recording's four million frames and more (own choice); a kilobyte each in memory.
+MOST_OBJECTS = 1_000_000
+# A file of a recording or of a stage (own choice: S3's bound of one object is 5 TB, no recording's is near).
+MOST_OBJECT_BYTES = 1 << 40
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """What a listing says of a file.
+
+    Attributes:
+        name: relative to the store's URL, with "/" between folders; a stranger may have chosen it.
+        size: bytes.
+        e_tag: another one where the content is another.
+        modified_s: seconds since 1970.
+    """
+
+    name: str
+    size: int
+    e_tag: str
+    modified_s: float
+
+
+@dataclass(frozen=True)
+class Store:
+    """A folder in an object store, on a web server (reading alone) or on a disk; it can be pickled.
+
+    Every file appears whole or not at all. What fails is tried again for some minutes; then, or where that
+    cannot help, it is a `StorageError` in one line.
+
+    Attributes:
+        url: without a slash at its end.
+    """
+
+    url: str
+
+    @property
+    def can_list(self) -> bool:
+        """Whether its files can be listed."""
+        return not is_web(self.url)
+
+    def place(self, name: str = "") -> str:
+        """A file's URL, as lines for people name it."""
+        return printable(shown(joined(self.url, name) if name else self.url), 200)
+
+    def read(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes:
+        """The bytes of a file.
+
+        Raises:
+            MissingObjectError: there is none.
+            StorageError: it is larger than `most_bytes`, or cannot be read.
+        """
+        return self._try(name, lambda: self._content(name, most_bytes))
+
+    def read_if_there(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes | None:
+        """`read`; None if there is no such file."""
+        try:
+            return self.read(name, most_bytes)
+        except MissingObjectError:
+            return None
+
+    def fetch(self, name: str, path: Path, most_bytes: int = MOST_OBJECT_BYTES) -> None:
+        """Copy a file to this machine; it appears at `path` when it is whole.
+
+        Raises:
+            MissingObjectError: there is none.
+            StorageError: it is larger than `most_bytes`, cannot be read, or the disk cannot be written.
+        """
+        with replaced_file(path) as temporary, temporary.open("wb") as out:
+            first: list[Any] = []
+            self._try(name, lambda: self._append(name, out, first, most_bytes), out.tell)
+
+    def put(self, name: str, content: bytes | Path) -> None:
+        """Write a file, in the place of what is there.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        import obstore
+
+        options = {"chunk_size": PART_BYTES, "max_concurrency": PARTS_AT_ONCE}
+        self._try(name, lambda: obstore.put(self._opened(make=True), name, content, **options))  # type: ignore[arg-type]
+
+    def put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool] = bytes.__eq__) -> bool:
+        """Write a file that must not be there, or be the same; of several that write it one succeeds.
+
+        An answer that was lost is no failure: the file is there, and it is the same.
+
+        Args:
+            name: of the file.
+            content: its bytes.
+            same: whether what is there (its first argument) is as good as what would be written.
+
+        Returns:
+            Whether it was written now.
+
+        Raises:
+            StorageError: it holds something else, or cannot be written.
+        """
+        return self._try(name, lambda: self._put_new(name, content, same))
+
+    def objects(self, below: str = "", most: int = MOST_OBJECTS) -> list[StoredObject]:
+        """Every file below a folder, sorted by name.
+
+        Raises:
+            StorageError: there are more than `most`, or they cannot be listed.
+        """
+        return self._try(below, lambda: self._listed(below, most))
+
+    def head(self, name: str) -> StoredObject | None:
+        """What there is to know of a file without reading it; None if there is none."""
+        import obstore
+
+        try:
+            return self._try(name, lambda: _object(obstore.head(self._opened(), name)))
+        except MissingObjectError:
+            return None
+
+    def delete(self, names: Iterable[str]) -> None:
+        """Remove files; those that are not there are no error."""
+        import obstore
+
+        found = list(names)
+        if found:
+            self._try("", lambda: obstore.delete(self._opened(), found))
+
+    def _try(self, name: str, call: Callable[[], T], progress: Callable[[], object] = lambda: None) -> T:
+        return patiently(self.place(name), call, progress)
+
+    def _opened(self, *, make: bool = False) -> "ObjectStore":
+        return _opened(self.url, make, os.getpid())
+
+    def _content(self, name: str, most_bytes: int) -> bytes:
+        import obstore
+
+        result = obstore.get(self._opened(), name)
+        self._check_size(name, result.meta["size"], most_bytes)
+        return bytes(result.bytes())
+
+    def _put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool]) -> bool:
+        import obstore
+        from obstore.exceptions import AlreadyExistsError
+
+        try:
+            obstore.put(self._opened(make=True), name, content, mode="create")
+        except AlreadyExistsError:
+            try:
+                there = self._content(name, max(TEXT_BYTES, len(content)))
+            except FileNotFoundError:  # of two that write at once neither may have come through
+                raise UnsettledError from None
+            if same(there, content):
+                return False
+            raise StorageError(
+                f"{self.place(name)}: holds something else than what was to be written there, and stays so"
+            ) from None
+        return True
+
+    def _append(self, name: str, out: IO[bytes], first: list[Any], most_bytes: int) -> None:
+        """Write what is still missing of a file; `first` keeps what its first answer said of it."""
+        import obstore
+
+        at = out.tell()
+        if first and at == first[0]["size"]:
+            return
+        options: Any = {"range": {"offset": at}} if at else {}
+        if at and first[0]["e_tag"]:
+            options["if_match"] = first[0]["e_tag"]
+        result = obstore.get(self._opened(), name, options=options or None)
+        self._check_size(name, result.meta["size"], most_bytes)
+        first[:] = first or [result.meta]
+        for part in result.stream():
+            out.write(bytes(part))
+            if out.tell() > most_bytes:
+                self._check_size(name, out.tell(), most_bytes)
+        if out.tell() != first[0]["size"]:
+            raise UnsettledError(f"{out.tell()} of {first[0]['size']} bytes")
+
+    def _check_size(self, name: str, size: int, most_bytes: int) -> None:
+        if size > most_bytes:
+            raise StorageError(f"{self.place(name)}: {size} bytes are more than the {most_bytes} it may have")
+
+    def _listed(self, below: str, most: int) -> list[StoredObject]:
+        import obstore
+
+        found: list[StoredObject] = []
+        try:
+            store = self._opened()
+        except FileNotFoundError:  # a folder of this machine; an object store has none, and so holds nothing
+            return []
+        for chunk in obstore.list(store, prefix=below or None):
+            found += [_object(each) for each in chunk]
+            if len(found) > most:
+                raise StorageError(f"{self.place(below)}: holds more than {most} files")
+        return sorted(found, key=lambda each: each.name)
+
+
+def in_parallel(
+    calls: Iterable[Callable[[], T]], done: Callable[[int], None] = lambda count: None
+) -> list[T]:
+    """Call all, some at a time: they wait for a store. The first error ends it; what was not begun is not.
+
+    Args:
+        calls: of `Store`'s methods, by `functools.partial`.
+        done: told in this thread how many have ended.
+    """
+    stop = threading.Event()
+    with ThreadPoolExecutor(AT_ONCE, "store", initializer=wait_until, initargs=(stop,)) as pool:
+        futures = [pool.submit(call) for call in calls]
+        results = []
+        try:
+            for number, future in enumerate(futures, start=1):
+                results.append(future.result())
+                done(number)
+        except BaseException:
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+            raise
+        return results
+
+
+def _object(meta: Any) -> StoredObject:
+    return StoredObject(meta["path"], meta["size"], meta["e_tag"] or "", meta["last_modified"].timestamp())
+
+
+@cache
+def _opened(url: str, make: bool, process: int) -> "ObjectStore":
+    """Open a store once in a process; `make` lets the folder of a file:// URL be made."""
+    try:
+        from obstore.store import LocalStore, MemoryStore, from_url
+    except ImportError as error:
+        raise StorageError(
+            f"{shown(url)}: stores need the package obstore; run `pip install 'kinectbench[cluster]'`"
+        ) from error
+    if url.startswith("memory:"):
+        return MemoryStore() if process == 0 else _opened(url, False, 0)
+    if url.startswith("file:"):
+        folder = Path(unquote(url.removeprefix("file://")))
+        if not make and not folder.is_dir():
+            raise FileNotFoundError(str(folder))
+        return LocalStore(folder, mkdir=make)
+    plain = url.startswith("http:") or os.environ.get("AWS_ENDPOINT_URL", "").startswith("http:")
+    client: Any = {"timeout": REQUEST_TIMEOUT, "connect_timeout": CONNECT_TIMEOUT, "allow_http": plain}
+    # Attempts are counted and bounded in one place, `attempts.patiently`.
+    return from_url(url, client_options=client, retry_config={"max_retries": 0})
+
+
+def fetch_all(
+    store: Store, files: Iterable[tuple[str, Path, int]], done: Callable[[int], None] = lambda count: None
+) -> None:
+    """Copy files to this machine, some at a time: (name in the store, path here, most bytes) of each."""
+    in_parallel((partial(store.fetch, name, path, most) for name, path, most in files), done)
