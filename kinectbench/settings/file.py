@@ -9,6 +9,9 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.store.address import parent_of, shown, url_of
+from kinectbench.core.store.attempts import MissingObjectError
+from kinectbench.core.store.store import Store
 from kinectbench.core.untrusted import printable, read_plain_text
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.models import BenchmarkSettings
@@ -28,7 +31,7 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
     """Read and check a benchmark.yaml.
 
     Args:
-        path: the file.
+        path: the file, or its URL as a path.
         overrides: `section.key=value` or `recordings.<id>.key=value`, the value in YAML; they win
             over the file, the last one over those before it.
 
@@ -39,7 +42,7 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
         SettingsError: one line for each error, in the file's order: file and line (or the
             override), dotted key, what was found and what is wanted.
     """
-    return parse_benchmark(_read(path), str(path), overrides)
+    return parse_benchmark(_read(path), shown(path), overrides)
 
 
 def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> BenchmarkSettings:
@@ -60,6 +63,8 @@ def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> Be
 
 
 def _read(path: Path) -> str:
+    if (url := url_of(path)) is not None:
+        return _read_stored(url)
     if path.is_dir():
         raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it")
     try:
@@ -73,6 +78,17 @@ def _read(path: Path) -> str:
         raise SettingsError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from None
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _read_stored(url: str) -> str:
+    """The text of a benchmark.yaml in a store or on a web server."""
+    try:
+        return Store(parent_of(url)).read(url.rpartition("/")[2], MOST_BYTES).decode("utf-8-sig")
+    except MissingObjectError:
+        raise SettingsError(f"{shown(url)}: no such file; copy a benchmark.yaml there") from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise SettingsError(f"{shown(url)}:{line}: not UTF-8 text; save the file as UTF-8") from None
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
