@@ -56,6 +56,10 @@ class StorageError(KinectBenchError):
     """An artefact cannot be written or read: disk full, read-only, or in use."""
 
 
+class ClusterError(KinectBenchError):
+    """A cluster cannot be reached or used any more; what was done on it is kept."""
+
+
 def internal_error(error: BaseException) -> str:
     """One line about an error that nobody foresaw; for some there is advice."""
     text = " ".join(str(error).split())

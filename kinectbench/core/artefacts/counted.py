@@ -12,6 +12,8 @@ from kinectbench.core.storage import canonical_json
 from kinectbench.core.types import Float64, Int64
 
 JOURNAL = ".counted.jsonl"
+# Of the parts that several runs counted at the same time, each in a file of its own.
+PART_JOURNAL, JOURNALS = ".counted.{number}-of-{of}.jsonl", ".counted*.jsonl"
 
 
 @dataclass(frozen=True)
