@@ -21,7 +21,9 @@ from kinectbench.engine.artefact import Artefact, whole_manifest
 from kinectbench.engine.failures import failed_before, forget_failure, keep_failure
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
+from kinectbench.engine.recording_summary import RecordingSummary
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
+from kinectbench.engine.time_limit import time_limit
 
 NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
 
@@ -31,6 +33,7 @@ class Outcome:
     """What became of one recording: the stages made and those still current, the error or None.
 
     `repeated`: the error is that of an earlier run, as nothing has changed; nothing was tried.
+    `row`: its figures, of a recording in a store; None: they are read in its folder.
     """
 
     recording: str
@@ -39,6 +42,7 @@ class Outcome:
     error: str | None
     seconds: float
     repeated: bool = False
+    row: RecordingSummary | None = None
 
 
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
@@ -51,6 +55,7 @@ def build_recording(
     progress: Callable[[str, int, int], None] | None = None,
     *,
     wait: bool = True,
+    limit_s: float | None = None,
 ) -> Outcome:
     """Bring one recording up to date as far as a stage. Its errors are told, not raised.
 
@@ -63,6 +68,7 @@ def build_recording(
         force: names of stages to make anew even if they are current.
         progress: called with (stage, done, total); a run that waits for another says so as its stage.
         wait: whether to wait for another run that is at this recording; else that is the error.
+        limit_s: how long it may take, seconds, without that wait; None: as long as it does.
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
@@ -71,7 +77,10 @@ def build_recording(
     error: str | None = None
     repeated = False
     try:
-        with locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)):
+        with (
+            locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)),
+            time_limit(limit_s, report) as report,
+        ):
             artefacts: dict[str, Artefact] = {}
             stages = stages_upto(upto)
             for stage in stages:
@@ -94,7 +103,7 @@ def build_recording(
             if not repeated:
                 forget_failure(job.build, (*made, *current))
     except Exception as failure:
-        error = _told(failure)
+        error = told(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     seconds = time.monotonic() - started
@@ -109,11 +118,11 @@ def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> 
     except Exception as failure:
         check_interrupt()
         if stage.name in STAGE_NAMES:
-            keep_failure(job.build, stage.name, _told(failure), failure, artefacts.get(stage.name))
+            keep_failure(job.build, stage.name, told(failure), failure, artefacts.get(stage.name))
         raise
 
 
-def _told(failure: Exception) -> str:
+def told(failure: Exception) -> str:
     """What people are told of an error, in one line; an unforeseen one goes on with KINECTBENCH_DEBUG set."""
     if isinstance(failure, KinectBenchError):
         return str(failure)
@@ -126,10 +135,15 @@ def _told(failure: Exception) -> str:
 
 def is_current(job: Job, upto: str) -> bool:
     """Whether all stages up to the named one are made and current."""
+    return all(artefact.is_current() for artefact in artefacts_upto(job, upto).values())
+
+
+def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
+    """What each stage up to the named one is to make, by the stages' names in their order."""
     artefacts: dict[str, Artefact] = {}
     for stage in stages_upto(upto):
         artefacts[stage.name] = _artefact(job, stage, artefacts)
-    return all(artefact.is_current() for artefact in artefacts.values())
+    return artefacts
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[Any, Any]]:

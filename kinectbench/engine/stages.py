@@ -17,12 +17,14 @@ class Job:
     Attributes:
         settings: the whole benchmark.
         recording: the recording.
-        root: the folder of benchmark.yaml; relative paths start there.
+        root: the folder of benchmark.yaml, or its URL as a path; relative paths start there.
+        source_sha256: one hash over the recording's files, if it is known without them.
     """
 
     settings: BenchmarkSettings
     recording: RecordingSettings
     root: Path
+    source_sha256: str | None = None
 
     @property
     def build(self) -> Path:
@@ -149,6 +151,8 @@ def _frame_mask_sources(job: Job) -> Mapping[str, str]:
 
 
 def _recording_sources(job: Job) -> Mapping[str, str]:
+    if job.source_sha256 is not None:
+        return {"recording": job.source_sha256}
     from kinectbench.stages.ingest.readers import source_files
     from kinectbench.stages.ingest.sources import check_there
 

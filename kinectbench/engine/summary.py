@@ -4,60 +4,25 @@ from collections.abc import Iterable
 from statistics import median
 from typing import TypeVar
 
-from pydantic import Field, field_serializer
-
-from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW, FrontierPart, QualityFile
+from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
-from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 from kinectbench.core.errors import KinectBenchError
 from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
 from kinectbench.engine.stages import STAGES, Job
 
 File = TypeVar("File", bound=Stored)
 FOLDERS = {stage.name: stage.folder for stage in STAGES}
 
 
-class RecordingSummary(Part):
-    """What a run made of a recording; a figure is null where its stage is not made and current."""
-
-    recording: str = Field(description="its id")
-    frames: int | None = Field(description="their number")
-    left_out: tuple[int, ...] | None = Field(description="frames whose depth disagrees with their given pose")
-    lost: int | None = Field(description="number of frames without a pose, but for these")
-    source: str | None = Field(description="of the poses: trust, refine or tracked")
-    grade: str | None = Field(description="what ground truth the poses are good for, in a word")
-    verdict: str | None = Field(description="the same in a sentence")
-    recommended: str | None = Field(description="the setting `trajectory` that is recommended")
-    repeatability_iou: float | None = Field(description="IoU of the solids made of odd and of even frames")
-    estimated_iou: float | None = Field(description="estimate of the solid's IoU to the unknown truth")
-    estimated_iou_low: float | None = Field(description=INTERVAL_LOW)
-    estimated_iou_high: float | None = Field(description=INTERVAL_HIGH)
-    estimated_iou_reasons: tuple[str, ...] | None = Field(description="what widens that interval")
-    frontiers: tuple[FrontierPart, ...] | None = Field(description="openings that nobody looked into")
-    views: int | None = Field(description="their number")
-    pairs: int | None = Field(description="their number")
-    refused: int | None = Field(description="frames that were no views, and views without a pair")
-    containment: float | None = Field(description="share of the points in the shape, median of the pairs")
-    residual_m: float | None = Field(
-        alias="residual_mm", description="of the points from the shape, median of the pairs, mm"
-    )
-    warnings: tuple[str, ...] = Field(description="of all stages, one line each")
-    status: str = Field(description="failed, up to date, or the seconds it took")
-    error: str | None = Field(description="why it failed")
-    made: tuple[str, ...] = Field(description="stages of this run")
-    current: tuple[str, ...] = Field(description="stages that were up to date")
-
-    @field_serializer("residual_m")
-    def _millimetres(self, residual_m: float | None) -> float | None:
-        # With all its decimals, or what is shown would be rounded twice.
-        return None if residual_m is None else round(1000 * residual_m, 6)
-
-
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:
     """The figures of what a run made or found up to date; what lies there of other stages is older."""
+    if outcome.row is not None:
+        return outcome.row
     stages = (*outcome.made, *outcome.current)
 
     def read(stage: str, model: type[File]) -> File | None:

@@ -1,7 +1,7 @@
 """7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`; depth in mm, not registered."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar, Self
@@ -117,6 +117,11 @@ class SevenScenesRecording(FileRecording):
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Turn 65535 (invalid) into 0."""
         return np.where(depth == INVALID, np.uint16(0), depth)
+
+
+def names_beside(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of files above a folder that may belong to it, by the names in it; none if it is no sequence."""
+    return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
 
 
 def _camera_file(path: Path) -> Path | None:

@@ -1,0 +1,225 @@
+"""A recording whose benchmark lies in a store is checked out: what is needed of it comes to a folder here.
+
+Nothing is locked there. `sources/` keeps the hashes of a recording's files by what the store's listing says
+of them, so that what is current is known without fetching the recording.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path, PurePosixPath
+
+from kinectbench.core.artefacts.manifest import Failed, SourceFile, Sources
+from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError
+from kinectbench.core.storage import canonical_json, sha256_text, storage_errors, write_below
+from kinectbench.core.store.address import url_of
+from kinectbench.core.store.store import Store, StoredObject, fetch_all, in_parallel
+from kinectbench.core.untrusted import below, printable
+from kinectbench.engine.artefact import VERSIONS, Artefact
+from kinectbench.engine.pipeline import artefacts_upto
+from kinectbench.engine.scratch import scratch_folder
+from kinectbench.engine.stages import STAGES, Job
+from kinectbench.engine.stored_stage import is_stored
+from kinectbench.stages.ingest.readers.seven_scenes import names_beside
+from kinectbench.stages.ingest.sources import MOST_FILES
+
+SOURCES = "sources"
+MOST_FAILED_BYTES = 1 << 20
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Checkout:
+    """A recording of a store and its folder here.
+
+    Attributes:
+        store: of the benchmark's root.
+        job: the recording, below a scratch folder of this machine.
+        artefacts: of the stages in question, by their names.
+        current: names of those stages that the store holds.
+        failed: whether the store holds a failed.json.
+    """
+
+    store: Store
+    job: Job
+    artefacts: Mapping[str, Artefact]
+    current: tuple[str, ...]
+    failed: bool
+
+
+def nobody(stage: str, done: int, total: int) -> None:
+    """Whoever does not want to know how far it is."""
+
+
+@contextlib.contextmanager
+def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Iterator[Checkout]:
+    """A recording of a store, with a folder here for as long as the block runs; nothing built is fetched yet.
+
+    The recording itself is fetched only if the hashes of its files are not known.
+
+    Raises:
+        SettingsError: its path is none that a store can have.
+        RecordingError: it is not there, or is none.
+        StorageError: the store fails.
+    """
+    with scratch_folder() as root, named_as_there(store_of(job), root):
+        yield checkout(job, root, upto, report)
+
+
+def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody) -> Checkout:
+    """`checked_out` in a folder that is there."""
+    listing, job = _listing(job), replace(job, root=root)
+    found = _of_known_files(listing, job, upto)
+    if found is not None:
+        return found
+    store = listing.store
+    fetch_recording(store, job, listing.files, report)
+    STAGES[0].sources(job)  # hashes the files, and keeps the hashes
+    known = Sources.read(job.build)
+    rows = {file: SourceFile(row.size, 0, row.sha256) for file, row in known.files.items()}
+    store.put_new(listing.sources, Sources.model_validate(rows).text().encode())
+    return _checkout(listing, job, known, upto)
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """What a store's listings say of a recording.
+
+    Attributes:
+        store: of the benchmark's root.
+        files: its own.
+        built: names of all below `build/<recording>/`.
+        sources: where the hashes of its files lie if they are known.
+    """
+
+    store: Store
+    files: Sequence[StoredObject]
+    built: frozenset[str]
+    sources: str
+
+
+def store_of(job: Job) -> Store:
+    """The store of a recording whose root is a URL."""
+    url = url_of(job.root)
+    assert url is not None, "a benchmark on this machine is not fetched"
+    return Store(url)
+
+
+def _listing(job: Job) -> _Listing:
+    store = store_of(job)
+    files = files_of_recording(store, job)
+    built = frozenset(each.name for each in store.objects(f"build/{job.recording.id}"))
+    return _Listing(store, files, built, sources_name(job, files))
+
+
+def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
+    """The recording as it lies in the store; None if nobody has hashed its files yet."""
+    if listing.sources not in listing.built:
+        return None
+    text = listing.store.read(listing.sources)
+    known = Sources.parse(text.decode("utf-8", errors="replace"), listing.store.place(listing.sources))
+    write_below(job.build / Sources.FILE, text)
+    return _checkout(listing, job, known, upto)
+
+
+def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkout:
+    """The recording, with what else is read of it: a person's masks, and why it failed."""
+    store, name = listing.store, job.recording.id
+    if job.masks is not None:
+        fetch_files(store, job.root, store.objects(str(job.recording.masks)))
+    job = replace(job, source_sha256=sha256_text(canonical_json(known.sha256)))
+    artefacts = artefacts_upto(job, upto)
+    current = tuple(stage for stage, made in artefacts.items() if is_stored(listing.built, name, made))
+    failed = f"build/{name}/{Failed.FILE}"
+    if failed in listing.built:
+        store.fetch(failed, job.build / Failed.FILE, MOST_FAILED_BYTES)
+    return Checkout(store, job, artefacts, current, failed in listing.built)
+
+
+def status_there(job: Job) -> tuple[tuple[str, ...], str | None]:
+    """The stages of a recording that its store holds, and why its last run failed; nothing is fetched for it.
+
+    Of a recording whose files have not been hashed none is known to be current.
+    """
+    try:
+        listing = _listing(job)
+        with scratch_folder() as root, named_as_there(listing.store, root):
+            found = _of_known_files(listing, replace(job, root=root), STAGES[-1].name)
+    except (RecordingError, SettingsError) as error:
+        return (), str(error)
+    name, failed = f"build/{job.recording.id}/{Failed.FILE}", None
+    if name in listing.built:
+        text = listing.store.read(name, MOST_FAILED_BYTES)
+        failed = Failed.parse(text.decode("utf-8", errors="replace"), listing.store.place(name)).error
+    return () if found is None else found.current, failed
+
+
+def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], report: Report) -> None:
+    """Fetch a recording's files to where the job has them."""
+    if not Path(job.recording.path).is_absolute():
+        fetch_files(store, job.root, listed, lambda done: report("fetch", done, len(listed)))
+
+
+def fetch_files(
+    store: Store, root: Path, listed: Sequence[StoredObject], done: Callable[[int], None] = lambda count: None
+) -> None:
+    """Fetch files to the same names below a folder; hidden ones are left."""
+    seen = [each for each in listed if not _hidden(each.name)]
+    try:
+        files = [(each.name, below(root, each.name), each.size) for each in seen]
+    except ValueError as error:
+        raise RecordingError(f"{store.place()}: {error}") from error
+    with storage_errors(root):
+        fetch_all(store, files, done)
+
+
+def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
+    """What the store has of a recording: the file, or all below the folder and known files beside it."""
+    path = PurePosixPath(job.recording.path)
+    if path.is_absolute():
+        return []  # on a disk that every machine has
+    if ".." in path.parts or not path.parts:
+        raise SettingsError(
+            f"recordings.{job.recording.id}.path: '{printable(str(path))}' leads out of {store.place()}; "
+            "recordings of a benchmark in a store lie below it"
+        )
+    listed = [each for each in store.objects(str(path), MOST_FILES) if not _hidden(each.name)]
+    if listed:
+        names = names_beside(PurePosixPath(each.name).name for each in listed)
+        beside = in_parallel(partial(store.head, str(path.parent / name)) for name in names)
+        return listed + [each for each in beside if each is not None]
+    file = store.head(str(path))
+    if file is None:
+        raise RecordingError(
+            f"{store.place(str(path))}: no such recording; correct `path` of '{job.recording.id}'"
+        )
+    return [file]
+
+
+def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
+    """Where the hashes of a recording's files lie, by what the store says of these files.
+
+    Another version of ingest may read other files.
+    """
+    rows = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
+    listing = sha256_text(canonical_json([VERSIONS["ingest"], job.recording.path, rows]))
+    return f"build/{job.recording.id}/{SOURCES}/{listing}.json"
+
+
+def _hidden(name: str) -> bool:
+    return any(part.startswith(".") and part != ".." for part in PurePosixPath(name).parts)
+
+
+@contextlib.contextmanager
+def named_as_there(store: Store, root: Path) -> Iterator[None]:
+    """Errors within the block have the store's names in the place of those of the scratch folder."""
+    try:
+        yield
+    except KinectBenchError as error:
+        raise type(error)(*(as_there(store, root, line) for line in error.lines)) from error
+
+
+def as_there(store: Store, root: Path, text: str) -> str:
+    """A message with the store's names in the place of those of a folder here."""
+    return text.replace(str(root), store.place())

@@ -1,0 +1,51 @@
+"""Folders of this machine that last as long as something is built in them, and no longer if it is killed."""
+
+import contextlib
+import os
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import storage_errors
+from kinectbench.engine.locks import locked
+
+SCRATCH_VARIABLE = "KINECTBENCH_SCRATCH"
+PREFIX = "kinectbench-scratch-"
+# Whoever makes a folder has locked it by then (own choice).
+YOUNG_S = 60.0
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A new folder below KINECTBENCH_SCRATCH, or the system's temporary folder; removed after the block.
+
+    Those that killed runs left there are removed first: nobody holds their locks.
+
+    Raises:
+        StorageError: the place is no folder, or cannot be written.
+    """
+    base = Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir())
+    if not base.is_dir():
+        raise StorageError(f"{base}: no such folder; make it, or correct {SCRATCH_VARIABLE}")
+    _sweep(base)
+    with contextlib.ExitStack() as stack:
+        with storage_errors(base):
+            name = stack.enter_context(tempfile.TemporaryDirectory(prefix=PREFIX, dir=base))
+        folder = Path(name)
+        stack.enter_context(locked(folder))
+        yield folder
+
+
+def _sweep(base: Path) -> None:
+    """Remove our own folders that nobody works in."""
+    for folder in base.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError, StorageError):
+            found = folder.lstat()
+            old = time.time() - found.st_mtime > YOUNG_S
+            if old and stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid():
+                with locked(folder, wait=False):
+                    shutil.rmtree(folder)

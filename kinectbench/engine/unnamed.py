@@ -1,0 +1,78 @@
+"""What a store holds of a build that no manifest names: remains of runs that were killed."""
+
+import re
+import time
+from collections.abc import Iterable
+from functools import partial
+
+from kinectbench.core.artefacts.manifest import Manifest, Timing
+from kinectbench.core.errors import StorageError
+from kinectbench.core.store.store import Store, StoredObject, in_parallel
+from kinectbench.engine.stages import STAGES, SUGGEST
+from kinectbench.engine.stored_stage import ARCHIVE
+
+# What is younger may be of a run that goes on, on a machine whose clock is wrong by hours (own choice).
+YOUNG_S = 86_400.0
+# A benchmark of ten thousand recordings has a fortieth of this (own choice).
+MOST_OBJECTS = 20_000_000
+
+_STAGES = "|".join(re.escape(stage.name) for stage in (*STAGES, SUGGEST))
+_ARTEFACT = re.compile(rf"(build/[^/]+/(?:{_STAGES})/[0-9a-f]{{64}})/(.+)")
+
+
+def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
+    """Every file of an artefact's folder that its manifest does not name, and all where there is none.
+
+    Only folders of artefacts are looked into: recordings, releases and whatever else is there is nobody's to
+    remove.
+
+    Args:
+        store: of the benchmark's root.
+        young: also those that are younger than a day, or lie beside one that is.
+
+    Raises:
+        StorageError: a manifest is damaged, or the store fails.
+    """
+    folders: dict[str, list[StoredObject]] = {}
+    for each in store.objects("build", MOST_OBJECTS):
+        if match := _ARTEFACT.fullmatch(each.name):
+            folders.setdefault(match[1], []).append(each)
+    now = time.time()
+    found = in_parallel(partial(_unnamed_of, store, folder, files) for folder, files in folders.items())
+    return [
+        each
+        for files in found
+        for each in files
+        if young or all(now - other.modified_s > YOUNG_S for other in files)
+    ]
+
+
+def remove(store: Store, found: Iterable[StoredObject]) -> int:
+    """Remove what `unnamed` found, unless a manifest has come since; the number of files removed."""
+    folders: dict[str, list[StoredObject]] = {}
+    for each in found:
+        match = _ARTEFACT.fullmatch(each.name)
+        assert match, "only files of artefacts are found"
+        folders.setdefault(match[1], []).append(each)
+    return sum(in_parallel(partial(_remove_of, store, folder, files) for folder, files in folders.items()))
+
+
+def _remove_of(store: Store, folder: str, files: list[StoredObject]) -> int:
+    still = {each.name for each in _unnamed_of(store, folder, store.objects(folder))}
+    names = [each.name for each in files if each.name in still]
+    store.delete(names)
+    return len(names)
+
+
+def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[StoredObject]:
+    """Of the files of one folder those that its manifest does not name."""
+    place = f"{folder}/{Manifest.FILE}"
+    if not any(each.name == place for each in files):
+        return files
+    manifest = Manifest.parse(store.read(place).decode("utf-8", errors="replace"), store.place(place))
+    if manifest.fingerprint != folder.rpartition("/")[2]:
+        raise StorageError(
+            f"{store.place(place)}: is of another artefact; look at it before anything is removed"
+        )
+    names = {f"{folder}/{name}" for name in (*manifest.files, Manifest.FILE, Timing.FILE, ARCHIVE)}
+    return [each for each in files if each.name not in names]
