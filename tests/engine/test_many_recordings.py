@@ -16,7 +16,7 @@ from small_benchmark import Run, copied, finish, hashes, leftovers, start
 from test_resume import group, wait_for, wait_until_all_ended
 
 from kinectbench.core.storage import replaced_folder
-from kinectbench.engine import parallel
+from kinectbench.engine import parallel, pool
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.parallel import build
 from kinectbench.engine.pipeline import Outcome
@@ -93,15 +93,15 @@ def sent_bytes(count: int, monkeypatch: pytest.MonkeyPatch) -> int:
     settings = parse_benchmark(f"name: many\nrecordings:\n{rows}", "x.yaml")
     sent: list[Job] = []
 
-    def done_at_once(pool: object, function: object, jobs: list[Job]) -> list[Future[Outcome]]:
+    def done_at_once(processes: object, function: object, jobs: list[Job]) -> list[Future[Outcome]]:
         sent.extend(jobs)
         futures = [Future[Outcome]() for _ in jobs]
         for future, job in zip(futures, jobs, strict=True):
             future.set_result(Outcome(job.recording.id, (), (), "no such recording", 0.0))
         return futures
 
-    monkeypatch.setattr(parallel, "worker_pool", lambda *_: contextlib.nullcontext())
-    monkeypatch.setattr(parallel, "submit_all", done_at_once)
+    monkeypatch.setattr(pool, "worker_pool", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(pool, "submit_all", done_at_once)
     jobs = [Job(settings, recording, Path("root")) for recording in settings.recordings]
     listener = Listener()
     outcomes = build(jobs, workers=2, watcher=listener)
@@ -130,7 +130,7 @@ def test_an_interrupt_leaves_no_folders_of_recordings_that_had_not_begun(
     def interrupted(*_: object) -> list[Job]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(parallel, "_in_pool", interrupted)
+    monkeypatch.setattr(pool, "_until_killed", interrupted)
     with pytest.raises(KeyboardInterrupt):
         build([Job(settings, recording, tmp_path) for recording in settings.recordings], workers=2)
     assert list(tmp_path.iterdir()) == []

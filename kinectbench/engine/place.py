@@ -1,0 +1,72 @@
+"""Where a recording is built: in its folder of this machine, or in a store if its root is a URL."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.core.errors import StorageError
+from kinectbench.core.store.address import url_of
+from kinectbench.engine.failures import keep_failure
+from kinectbench.engine.locks import locked
+from kinectbench.engine.pipeline import Outcome, build_recording
+from kinectbench.engine.stages import Job, current_stages
+
+
+def build_at_its_place(
+    job: Job,
+    upto: str = "pairs",
+    force: Sequence[str] = (),
+    progress: Callable[[str, int, int], None] | None = None,
+    *,
+    wait: bool = True,
+    limit_s: float | None = None,
+) -> Outcome:
+    """`build_recording`, wherever the benchmark lies."""
+    if url_of(job.root) is None:
+        return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s)
+    from kinectbench.engine.stored_build import build_stored
+
+    return build_stored(job, upto, force, progress, limit_s=limit_s)
+
+
+def status_of(job: Job) -> tuple[tuple[str, ...], str | None]:
+    """The stages of a recording that are made and current, and why its last run failed, if it did."""
+    if url_of(job.root) is not None:
+        from kinectbench.engine.checkout import status_there
+
+        return status_there(job)
+    try:
+        failed = Failed.read_if_there(job.build)
+    except StorageError:  # nobody can read why
+        failed = None
+    return tuple(current_stages(job.build, job)), failed.error if failed else None
+
+
+def keep_killed(job: Job, error: str) -> None:
+    """Write failed.json of a recording whose process was killed."""
+    if url_of(job.root) is None:
+        keep_failure(job.build, None, error)
+        return
+    from kinectbench.engine.stored_build import put_failure
+
+    with contextlib.suppress(StorageError):
+        put_failure(job, Failed(stage=None, error=error))
+
+
+def for_elsewhere(job: Job) -> Job:
+    """The job as processes that started in other folders must be given it."""
+    return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
+
+
+def waits_for_others(job: Job) -> bool:
+    """Whether a recording is built by one run at a time; in a store nobody waits, and all write the same."""
+    return url_of(job.root) is None
+
+
+def clear_away(job: Job) -> None:
+    """Remove what killed workers left of a recording here, but not where another run is at work."""
+    if url_of(job.root) is not None or not job.build.is_dir():
+        return
+    with contextlib.suppress(StorageError), locked(job.build, wait=False):
+        pass

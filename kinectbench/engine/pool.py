@@ -1,0 +1,117 @@
+"""Processes of this machine as an executor: a killed one costs nothing but time."""
+
+import contextlib
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from kinectbench.engine.executor import Audience, Lost, Outcomes, Result, Say, Task
+from kinectbench.engine.interrupts import check_interrupt
+from kinectbench.engine.processes import CONTEXT, submit_all, worker_pool
+
+KILLED_ALONE = (
+    "its process was killed although no other ran beside it, perhaps for lack of memory; "
+    "free some memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
+)
+# Seconds between two looks at what the tasks say.
+LISTEN_S = 0.2
+
+
+@dataclass(frozen=True)
+class Pool:
+    """So many processes of this machine, which end with this one.
+
+    Where one is killed (by the system, for lack of memory), the tasks that were not done are carried out on
+    half as many, and in the end one at a time: then it is known which one cannot be.
+    """
+
+    processes: int
+
+    def slots(self) -> int:
+        """As many as processes."""
+        return self.processes
+
+    def outcomes(
+        self,
+        function: Callable[[Task, Say], Result],
+        tasks: Sequence[Task],
+        audience: Audience,
+        memory_gb: Callable[[Task], float] | None = None,
+        *,
+        slowest_twice: bool = False,
+    ) -> Outcomes[Task, Result]:
+        """See `Executor`; nothing is carried out twice, as another process here is no faster."""
+        left, at_once = list(tasks), self.processes
+        while left:
+            left = yield from _until_killed(function, left, at_once, audience)
+            check_interrupt()  # a SIGTERM to the whole group ends the workers, too
+            if left and at_once == 1:
+                # A single process takes them in their order: the first that is left killed it.
+                culprit, *left = left
+                yield culprit, Lost(KILLED_ALONE)
+            elif left:
+                at_once = max(at_once // 2, 1)
+                audience.warn(
+                    "a worker process was killed, perhaps for lack of memory; "
+                    f"going on with {at_once} recording{'s' * (at_once > 1)} at a time"
+                )
+
+
+def _until_killed(
+    function: Callable[[Task, Say], Result], tasks: Sequence[Task], processes: int, audience: Audience
+) -> Generator[tuple[Task, Result], None, list[Task]]:
+    """Carry them out; returns those that were not done when a process was killed."""
+    messages = CONTEXT.Queue()
+    undone = dict(enumerate(tasks))
+    try:
+        with worker_pool(processes, _keep_queue, (messages,)) as pool:
+            # To wait for all that are pending would look at each of them each time.
+            done = SimpleQueue[Future[Result]]()
+            numbers = {}
+            for number, future in enumerate(submit_all(pool, partial(_call, function), tasks)):
+                numbers[future] = number
+                future.add_done_callback(done.put)
+            for _ in tasks:
+                future = _next_done(done, messages, audience)
+                result = future.result()
+                yield undone.pop(numbers[future]), result
+    except BrokenProcessPool:
+        pass
+    return list(undone.values())
+
+
+def _next_done(done: "SimpleQueue[Future[Result]]", messages: Any, audience: Audience) -> "Future[Result]":
+    """The next task that is done; until then what the tasks say is told."""
+    while True:
+        ended = None
+        with contextlib.suppress(Empty):
+            ended = done.get(timeout=LISTEN_S)
+        for message in _drained(messages):
+            audience.heard(message)
+        if ended is not None:
+            return ended
+
+
+# In a worker process: the way of what its task says to the parent.
+_messages: list[Any] = []
+
+
+def _keep_queue(messages: Any) -> None:
+    messages.cancel_join_thread()  # a worker must not wait at its end for messages nobody reads
+    _messages.append(messages)
+
+
+def _call(function: Callable[[Task, Say], Result], task: Task) -> Result:
+    return function(task, _messages[-1].put)
+
+
+def _drained(messages: Any) -> Iterator[Any]:
+    while True:
+        try:
+            yield messages.get_nowait()
+        except Empty:
+            return
