@@ -1,0 +1,52 @@
+"""How far a benchmark is: which recordings are built, which failed, and which are to be built yet."""
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Literal
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.store.store import in_parallel
+from kinectbench.engine.place import status_of
+from kinectbench.engine.stages import STAGES, Job
+
+State = Literal["done", "failed", "missing"]
+
+
+class RecordingStatus(Part):
+    """How far one recording is."""
+
+    recording: str = Field(description="its id")
+    state: State = Field(description="done: all stages are current; failed: the last run failed; missing")
+    current: tuple[str, ...] = Field(description="stages that are made and current")
+    next: str | None = Field(description="the first stage that is not")
+    error: str | None = Field(description="why the last run failed")
+
+
+def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
+    """How far each recording is, as the settings are now; nothing is built, and no recording is read.
+
+    Whether a recording's own files changed since is therefore not seen here; `build` looks at them.
+    """
+    return in_parallel(partial(_status, job) for job in jobs)
+
+
+def _status(job: Job) -> RecordingStatus:
+    current, failed = status_of(job)
+    left = [stage.name for stage in STAGES if stage.name not in current]
+    error = failed if left else None
+    state: State = "failed" if error else "missing" if left else "done"
+    return RecordingStatus(
+        recording=job.recording.id,
+        state=state,
+        current=current,
+        next=left[0] if left else None,
+        error=error,
+    )
+
+
+def in_words(rows: Sequence[RecordingStatus]) -> str:
+    """One line over all of them."""
+    counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
+    return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"
