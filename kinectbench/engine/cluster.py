@@ -1,0 +1,322 @@
+"""A cluster as an executor: Dask's scheduler hands tasks to workers, here or on other machines.
+
+The scheduler keeps nothing but what is in flight: what is done lies on disk. Whatever part of the cluster
+dies, the same command goes on from there.
+"""
+
+import logging
+import pickle
+import re
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from statistics import median
+from typing import TYPE_CHECKING, Any, Generic
+
+from kinectbench.core.errors import ClusterError, KinectBenchError, SettingsError
+from kinectbench.engine.executor import Audience, Lost, Outcomes, Result, Say, Task
+from kinectbench.engine.interrupts import interrupts_held
+from kinectbench.engine.on_worker import call, package_versions
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+WANTED = (
+    "give tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the file that `dask scheduler --scheduler-file` "
+    "wrote, or local:N for N processes here"
+)
+MISSING = "--cluster needs Dask; install it by `pip install 'kinectbench[cluster]'`"
+KILLED_ALONE = (
+    "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
+    "more memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
+)
+# Seconds: between two looks at the workers; without a scheduler's answer; without any worker (own choices).
+LOOK_S, CONNECT_S, NO_WORKERS_S = 1.0, 20.0, 900.0
+# Of a scheduler that is started here; docs/cluster.md says how others are given them. Three tries; a worker
+# that is silent for 20 minutes is dead: compiled code may hold the interpreter's lock for minutes. Tasks hold
+# their arrays themselves, so that Dask has nothing to spill.
+OF_LOCAL = {
+    "distributed.scheduler.allowed-failures": 2,
+    "distributed.scheduler.worker-ttl": "20 minutes",
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+}
+
+
+@contextmanager
+def cluster(address: str) -> Iterator["Cluster"]:
+    """Connect to a cluster, or start one here; TLS is as Dask's own configuration says.
+
+    Args:
+        address: `tcp://HOST:PORT`, `tls://HOST:PORT`, a scheduler's file, or `local:N`.
+
+    Raises:
+        SettingsError: it is something else, or Dask is not installed.
+        ClusterError: no scheduler answers there.
+    """
+    local = re.fullmatch(r"local:([1-9][0-9]{0,3})", address)
+    end = time.monotonic() + CONNECT_S
+    while address.endswith(".json") and not Path(address).is_file() and time.monotonic() < end:
+        time.sleep(0.1)  # a scheduler that is just being started
+    if not local and not re.match(r"(tcp|tls)://.", address) and not Path(address).is_file():
+        raise SettingsError(f"--cluster {address}: {WANTED}")
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise SettingsError(MISSING) from error
+    _be_quiet()
+    with dask.config.set(OF_LOCAL if local else {}):
+        here: Any = None
+        try:
+            with interrupts_held():
+                if local:
+                    here = LocalCluster(
+                        n_workers=int(local[1]),
+                        threads_per_worker=1,
+                        memory_limit=0,  # as much as there is, like the pool's processes
+                        host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0",
+                        silence_logs=logging.CRITICAL,
+                    )
+                where = (
+                    {"scheduler_file": address} if Path(address).is_file() else {"address": here or address}
+                )
+                client = Client(**where, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TypeError, KeyError, AssertionError) as error:
+            raise ClusterError(f"--cluster {address}: no scheduler answers there ({_line(error)})") from error
+        try:
+            yield Cluster(client, address)
+        finally:
+            client.close(timeout=CONNECT_S)
+            if here is not None:
+                here.close(timeout=CONNECT_S)
+
+
+def _be_quiet() -> None:
+    """What goes wrong is told by us, in one line."""
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    warnings.filterwarnings("ignore", module=r"distributed\.")
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+class Cluster:
+    """The workers of a Dask scheduler; one task for each of their threads at a time."""
+
+    def __init__(self, client: "Client", address: str) -> None:
+        self._client, self._address = client, address
+        self._slots, self._memory_gb, self._looked = 0, 0.0, float("-inf")
+        self._last_worker = time.monotonic()
+
+    @property
+    def dashboard(self) -> str:
+        """Address of Dask's page about the cluster; it needs `bokeh` where the scheduler runs."""
+        return str(self._client.dashboard_link)
+
+    def slots(self) -> int:
+        """How many threads the workers have, as it was a second ago at most."""
+        self._look()
+        return self._slots
+
+    def outcomes(
+        self,
+        function: Callable[[Task, Say], Result],
+        tasks: Sequence[Task],
+        audience: Audience,
+        memory_gb: Callable[[Task], float] | None = None,
+        *,
+        slowest_twice: bool = False,
+    ) -> Outcomes[Task, Result]:
+        """See `Executor`. A task whose workers were killed is tried once more at the end, alone.
+
+        Args:
+            function: of the task.
+            tasks: what is to be done.
+            audience: who hears of it.
+            memory_gb: what a task is expected to need, where workers have a resource `memory_gb`; alone it
+                may have twice as much.
+            slowest_twice: see `Executor`.
+        """
+        run = _Run(self, self._client, function, tasks, audience, memory_gb)
+        try:
+            while run.waiting or run.running or run.killed:
+                slots = self.slots()
+                while run.waiting and len(run.running) <= slots:
+                    run.submit(run.waiting.popleft())
+                if not run.waiting and not run.running:
+                    run.submit(run.killed.popleft(), alone=True)
+                if slowest_twice and not run.waiting and len(run.running) < slots:
+                    run.submit_slowest()
+                yield from run.ended()
+        finally:
+            run.close()
+
+    def largest_gb(self) -> float:
+        """The largest resource `memory_gb` of a worker; 0: none has such a resource."""
+        self._look()
+        return self._memory_gb
+
+    def gone(self) -> ClusterError:
+        """What is told when the scheduler does not answer any more."""
+        return ClusterError(
+            f"--cluster {self._address}: lost the scheduler; start it again and run the same command again: "
+            "what is done is kept"
+        )
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        if now - self._looked < LOOK_S:
+            return
+        try:
+            workers = self._client.scheduler_info()["workers"].values()
+        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+            raise self.gone() from error
+        if self._client.status != "running":
+            raise self.gone()
+        self._looked = now
+        self._slots = sum(worker["nthreads"] for worker in workers)
+        self._memory_gb = max((worker["resources"].get("memory_gb", 0) for worker in workers), default=0)
+        if self._slots:
+            self._last_worker = now
+        elif now - self._last_worker > NO_WORKERS_S:
+            raise ClusterError(
+                f"--cluster {self._address}: no worker for {NO_WORKERS_S / 60:.0f} minutes; start some, by "
+                "`dask worker` with this address, and run the same command again"
+            )
+
+
+@dataclass
+class _Run(Generic[Task, Result]):
+    """The tasks of one call of `outcomes`, by their numbers."""
+
+    cluster: Cluster
+    client: "Client"
+    function: Callable[[Task, Say], Result]
+    tasks: Sequence[Task]
+    audience: Audience
+    memory_gb: Callable[[Task], float] | None
+    events: "SimpleQueue[Any]" = field(default_factory=SimpleQueue)
+    running: "dict[Future, int]" = field(default_factory=dict)
+    begun: dict[int, float] = field(default_factory=dict)
+    seconds: list[float] = field(default_factory=list)
+    alone: set[int] = field(default_factory=set)
+    killed: deque[int] = field(default_factory=deque)
+
+    def __post_init__(self) -> None:
+        self.waiting = deque(range(len(self.tasks)))
+        self.topic = f"kinectbench-{self.client.id}"
+        self.client.subscribe_topic(self.topic, lambda event: self.events.put(event[1]))
+        self.versions = package_versions()
+
+    def submit(self, number: int, *, alone: bool = False) -> None:
+        """Give a task to the scheduler."""
+        task = self.tasks[number]
+        future = self.client.submit(
+            call,
+            pickle.dumps((self.function, task)),  # only a worker may unpack it: it may be what kills one
+            self.topic,
+            self.versions,
+            key=f"{self.topic}-{number}-{time.monotonic_ns()}",
+            pure=False,
+            resources=self._resources(task, 2 if alone else 1),
+        )
+        self.running[future] = number
+        self.begun.setdefault(number, time.monotonic())
+        if alone:
+            self.alone.add(number)
+        future.add_done_callback(self.events.put)
+
+    def _resources(self, task: Task, times: int) -> dict[str, float] | None:
+        """What a worker must have to spare; never more than the largest of them has in all."""
+        largest = self.cluster.largest_gb()
+        if self.memory_gb is None or not largest:
+            return None
+        return {"memory_gb": min(times * self.memory_gb(task), largest)}
+
+    def submit_slowest(self) -> None:
+        """Give the task that has been running longest to a second worker, if it is slower than most were."""
+        copies = list(self.running.values())
+        single = [number for number in copies if copies.count(number) == 1 and number not in self.alone]
+        slowest = min(single, key=self.begun.__getitem__, default=None)
+        usual_s = median(self.seconds) if self.seconds else float("inf")
+        if slowest is not None and time.monotonic() - self.begun[slowest] > 2 * usual_s:
+            self.submit(slowest)
+
+    def ended(self) -> Iterator[tuple[Task, Result | Lost]]:
+        """Wait a moment for what happens, and yield the tasks that have ended."""
+        try:
+            event = self.events.get(timeout=LOOK_S)
+        except Empty:
+            return
+        if isinstance(event, tuple | list):
+            self.audience.heard(tuple(event))
+            return
+        number = self.running.pop(event, None)
+        if number is None:
+            return  # the copy of a task that was faster elsewhere
+        try:
+            outcome = self._outcome(event, number)
+        except TimeoutError:  # its worker died with the result, which is made again, or is slow to answer
+            self.running[event] = number
+            event.add_done_callback(self.events.put)
+            return
+        if outcome is None:
+            return
+        for copy in [future for future, same in self.running.items() if same == number]:
+            del self.running[copy]
+            copy.cancel()
+        self.seconds.append(time.monotonic() - self.begun.pop(number))
+        yield self.tasks[number], outcome
+
+    def _outcome(self, future: "Future", number: int) -> Result | Lost | None:
+        """What has become of a task; None if it is to be tried once more, at the end, or runs elsewhere.
+
+        Raises:
+            TimeoutError: its result does not come; the future ends again.
+        """
+        from distributed.scheduler import KilledWorker, NoValidWorkerError
+
+        try:
+            result: Result = future.result(timeout=CONNECT_S)
+            return result
+        except (KilledWorker, NoValidWorkerError):
+            if number in self.running.values():
+                return None
+            if number in self.alone:
+                return Lost(KILLED_ALONE)
+            self.audience.warn(
+                "workers were killed, perhaps for lack of memory; the recording that was on them is tried "
+                "once more at the end, alone"
+            )
+            self.killed.append(number)
+            return None
+        except KinectBenchError:
+            raise
+        except Exception as error:
+            if future.status == "pending" or (
+                future.status == "finished" and isinstance(error, TimeoutError)
+            ):
+                raise TimeoutError from error
+            if future.status != "error":
+                raise self.cluster.gone() from error
+            raise ClusterError(
+                f"a worker could not carry out its task ({type(error).__name__}: {_line(error)}); every "
+                f"worker needs kinectbench {self.versions['kinectbench']} and the packages of this machine"
+            ) from error
+
+    def close(self) -> None:
+        """Let go of what still runs: it is stopped with its worker, or ends by itself unheard."""
+        for future in self.running:
+            future.cancel()
+        self.running.clear()

@@ -1,0 +1,72 @@
+"""What a worker of a cluster does with a task: it checks its own versions, and says how far the task is."""
+
+import pickle
+import time
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
+from typing import Any
+
+from kinectbench._version import __version__
+from kinectbench.core.errors import ClusterError
+
+# What the bytes of a benchmark come from, beside kinectbench and Python.
+PACKAGES = (
+    *("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "manifold3d", "trimesh"),
+    *("zlib-ng", "zstandard", "lz4"),
+)
+# A task says as often at most how far its stage is: the scheduler hears all of them (own choice).
+SAY_S = 1.0
+
+
+@cache
+def package_versions() -> Mapping[str, str]:
+    """The versions here of all that the result of a task depends on; "none" for what is not installed."""
+    return {"kinectbench": __version__, "Python": python_version()} | {
+        name: _version(name) for name in PACKAGES
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
+
+
+def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
+    """Carry out a task on this worker.
+
+    Args:
+        packed: the function and the task, pickled.
+        topic: by which the client hears what the task says.
+        versions: of the client's packages.
+
+    Raises:
+        ClusterError: this worker's packages are not the client's.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    own = package_versions()
+    differing = [
+        f"{name} {own.get(name)} and not {wanted}"
+        for name, wanted in versions.items()
+        if own.get(name) != wanted
+    ]
+    if differing:
+        raise ClusterError(
+            f"the worker at {worker.address} has {', '.join(differing)}; install there what is here, so that "
+            "it makes the same bytes"
+        )
+    said: dict[Any, float] = {}
+
+    def say(message: Any) -> None:
+        what, now = message[:2], time.monotonic()
+        if now - said.get(what, float("-inf")) >= SAY_S:
+            said[what] = now
+            worker.log_event(topic, list(message))
+
+    function, task = pickle.loads(packed)
+    return function(task, say)
