@@ -21,7 +21,8 @@ from kinectbench.scoring.pair_result import Counting, Job, count, count_job
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.score import check_missing, check_words, pairs_to_score
+from kinectbench.scoring.rounds import pairs_to_score
+from kinectbench.scoring.score import check_missing, check_words
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_truth
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from kinectbench.core.artefacts.counted import JOURNAL, CountedPair, PairResult
+from kinectbench.core.artefacts.counted import JOURNAL, JOURNALS, PART_JOURNAL, CountedPair, PairResult
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
@@ -16,6 +16,7 @@ from kinectbench.core.untrusted import read_plain_text
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
+from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import Prediction, ceiling, occupied, protocol_counts, tally
 from kinectbench.scoring.mesh_prediction import MESHES
@@ -116,11 +117,19 @@ def ceilings(truth: Truth, side: int, counting: Counting) -> Mapping[str, float]
 
 
 class Journal:
-    """Results by pair, on disk as soon as they are known; None as folder keeps nothing."""
+    """Results by pair, on disk as soon as they are known.
 
-    def __init__(self, folder: Path | None) -> None:
-        self._path = None if folder is None else folder / JOURNAL
-        self._earlier = {} if self._path is None else _read(self._path)
+    Args:
+        folder: where they are kept; None keeps nothing.
+        shard: the part that this run counts, in a file of its own; the files of all parts are read.
+    """
+
+    def __init__(self, folder: Path | None, shard: Shard | None = None) -> None:
+        name = JOURNAL if shard is None else PART_JOURNAL.format(number=shard.number, of=shard.of)
+        self._path = None if folder is None else folder / name
+        self._earlier: dict[str, CountedPair] = {}
+        for path in () if folder is None else sorted(folder.glob(JOURNALS)):
+            self._earlier |= _read(path)
 
     def earlier(self, pair: str) -> CountedPair | None:
         """What an earlier run wrote of a pair."""
@@ -143,8 +152,8 @@ class Journal:
 
     def remove(self) -> None:
         """All is done: the table holds it."""
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
+        for path in () if self._path is None else self._path.parent.glob(JOURNALS):
+            path.unlink(missing_ok=True)
 
 
 def _read(path: Path) -> dict[str, CountedPair]:

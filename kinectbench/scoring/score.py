@@ -1,42 +1,26 @@
 """Score a method's predictions, or those of several methods, against a release."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.artefacts.targets import check_splits
-from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
-from kinectbench.release.release import Release, Target
+from kinectbench.engine.executor import Executor
+from kinectbench.engine.shards import Shard
+from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
-from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
-from kinectbench.scoring.predictions import (
-    FoundPredictions,
-    check_folder,
-    check_method,
-    find_predictions,
-    missing_line,
-    split_methods,
-    stray_lines,
-)
+from kinectbench.scoring.pair_result import Counting, Journal
+from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.thresholds import (
-    VALIDATION_SOURCE,
-    Thresholds,
-    read_thresholds,
-    searched_thresholds,
-    thresholds_for,
-)
-from kinectbench.scoring.workers import run_tasks
-
-Missing = Literal["error", "empty"]
+from kinectbench.scoring.rounds import Missing, Rounds, plan
+from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
 
 
 def score(
@@ -49,7 +33,7 @@ def score(
     missing: Missing = "error",
     upsampling: str = HALF_PIXEL,
     surface: bool = True,
-    jobs: int = 1,
+    jobs: int | Executor = 1,
     progress: Progress | None = None,
     resume_in: Path | None = None,
 ) -> ScoreTable:
@@ -64,7 +48,8 @@ def score(
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
-        jobs: number of processes; the result does not depend on it.
+        jobs: number of processes, or where else pairs are counted, those of a recording at a time; the result
+            does not depend on it.
         progress: called with (pairs done, pairs in all).
         resume_in: a folder that keeps what is counted until all is; None keeps nothing.
 
@@ -78,78 +63,21 @@ def score(
         SettingsError: an unknown protocol or an unusable threshold file.
     """
     check_words(protocols, upsampling)
-    check_splits(release.targets, str(release.folder))
-    test = pairs_to_score(release, thresholds_file)
-    fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
-    found = find_predictions(predictions, release.targets)
-    files, failures = _plan(found, missing, with_validation=fixed is None)
+    asked = plan(release, predictions, thresholds_file, missing)
     counting, journal = Counting(tuple(protocols), upsampling, surface), Journal(resume_in)
-    run = _Run(release, counting, journal, jobs, progress, len(files))
-
-    validation = run.count({t: file for t, file in files.items() if t.split == "validation"}, None)
-    tallies = {t: result.tally for t, result in validation.items() if isinstance(result, PairResult)}
-    thresholds = fixed or searched_thresholds(release.targets, tallies)
-    outcomes = validation | run.count({t: file for t, file in files.items() if t.split == "test"}, thresholds)
-    failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
+    rounds = Rounds(release, counting, journal, jobs, progress)
+    outcomes, thresholds = rounds.count(asked.files, asked.fixed)
+    reasons = {target: result for target, result in outcomes.items() if isinstance(result, str)}
+    failures = asked.failures | reasons
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
-    rates = base_rates(release, jobs, {t: result.tally for t, result in results.items()})
-    empty, how = [t for t, file in files.items() if file is None], describe(counting, missing)
+    workers = jobs if isinstance(jobs, int) else 1
+    rates = base_rates(release, workers, {t: result.tally for t, result in results.items()})
+    empty, how = [t for t, file in asked.files.items() if file is None], describe(counting, missing)
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
         journal.remove()
-    stray = stray_lines(found.stray, found.missing)
+    stray = stray_lines(asked.found.stray, asked.found.missing)
     return table.model_copy(update={"warnings": (*table.warnings, *stray)})
-
-
-@dataclass
-class _Run:
-    """Counts pairs in two rounds, validation and test, with one progress and one journal."""
-
-    release: Release
-    counting: Counting
-    journal: Journal
-    jobs: int
-    progress: Progress | None
-    pairs: int
-    done: int = 0
-
-    def count(
-        self, files: Mapping[Target, Path | None], thresholds: Thresholds | None
-    ) -> dict[Target, PairResult | str]:
-        """Count some pairs; surface metrics only where there are thresholds."""
-        jobs = [
-            Job(
-                target,
-                self.release.pair_path(target),
-                file,
-                None if thresholds is None else thresholds.of[target.category],
-                self.counting,
-                self.journal.earlier(target.name),
-            )
-            for target, file in sorted(files.items(), key=lambda item: item[0])
-        ]
-        results = run_tasks(count_job, jobs, self.jobs, keep=self._keep)
-        return {job.target: result for job, result in zip(jobs, results, strict=True)}
-
-    def _keep(self, job: Job, result: PairResult | str) -> None:
-        if isinstance(result, PairResult):
-            self.journal.add(job, result)
-        self.done += 1
-        if self.progress:
-            self.progress(self.done, self.pairs)
-
-
-def pairs_to_score(release: Release, thresholds_file: Path | None) -> tuple[Target, ...]:
-    """The test split; its truth must be there, and that of the validation split without a threshold file.
-
-    Raises:
-        ReleaseError: no test pair, or its truth is held back.
-    """
-    test = release.split("test")
-    if not test:
-        raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
-    release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
-    return test
 
 
 def check_words(protocols: Sequence[str], upsampling: str) -> None:
@@ -165,29 +93,6 @@ def check_words(protocols: Sequence[str], upsampling: str) -> None:
         raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
 
 
-def _plan(
-    found: FoundPredictions, missing: Missing, with_validation: bool
-) -> tuple[dict[Target, Path | None], dict[Target, str]]:
-    """The file of every pair that is to be counted (None: an empty grid), and what has failed already.
-
-    A method that predicts nothing of the validation split has chosen to do without it; one that predicts a
-    part of it has left out the rest.
-    """
-    answered = any(target.split == "validation" for target in (*found.files, *found.problems))
-    splits = {"test", "validation"} if answered and with_validation else {"test"}
-    files: dict[Target, Path | None] = dict(found.files)
-    failures = dict(found.problems)
-    for target in found.missing:
-        if missing == "empty":
-            files[target] = None
-        else:
-            failures[target] = missing_line(target)
-    return (
-        {target: file for target, file in files.items() if target.split in splits},
-        {target: reason for target, reason in failures.items() if target.split in splits},
-    )
-
-
 def score_methods(
     release: Release,
     predictions: Path,
@@ -200,8 +105,8 @@ def score_methods(
     missing: str = "error",
     upsampling: str = HALF_PIXEL,
     surface: bool = True,
-    jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    jobs: int | Executor = 1,
+    progress: Progress | None = None,
 ) -> list[ScoreTable]:
     """Score every method in a folder and write `out/scores.json`, or `out/<method>/scores.json` of several.
 
@@ -216,7 +121,7 @@ def score_methods(
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
-        jobs: processes.
+        jobs: see `score`.
         progress: called with (pairs done, pairs in all) for each method in turn.
 
     Raises:
@@ -247,6 +152,43 @@ def score_methods(
         if save_thresholds is not None:
             _freeze(release, table, save_thresholds)
     return tables
+
+
+def count_methods(
+    release: Release,
+    predictions: Path,
+    out: Path,
+    shard: Shard,
+    *,
+    method: str | None = None,
+    protocols: Sequence[str] | None = None,
+    thresholds_file: Path | None = None,
+    missing: str = "error",
+    upsampling: str = HALF_PIXEL,
+    surface: bool = True,
+    jobs: int | Executor = 1,
+    progress: Progress | None = None,
+) -> int:
+    """Count one part of the pairs for `score_methods`, which then finds them counted beside its table.
+
+    Parts can be counted at the same time, on machines that share a disk; each keeps what it counted in a
+    file of its own. Arguments and errors are those of `score_methods`.
+
+    Returns:
+        How many pairs have no result, as their prediction is missing or cannot be scored.
+    """
+    rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
+    methods = _methods(release, predictions, method, None)
+    failed = 0
+    for name, folder in methods.items():
+        asked = plan(release, folder, thresholds_file, rule)
+        counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
+        journal = Journal(out if len(methods) == 1 else out / name, shard)
+        rounds = Rounds(release, counting, journal, jobs, progress)
+        outcomes, _ = rounds.count(asked.part(shard), asked.fixed)
+        failed += sum(isinstance(result, str) for result in outcomes.values())
+        failed += sum(shard.holds(target.recording) for target in asked.failures)
+    return failed
 
 
 def check_request(

@@ -113,7 +113,7 @@ def test_a_killed_run_resumes(
         counted.append(job.target.name)
         return count_job(job)
 
-    monkeypatch.setattr("kinectbench.scoring.score.count_job", dies_after_five)
+    monkeypatch.setattr("kinectbench.scoring.rounds.count_job", dies_after_five)
     with pytest.raises(KeyboardInterrupt):
         score(release, method, method="shifted", resume_in=tmp_path)
     assert len((tmp_path / JOURNAL).read_text().splitlines()) == 5

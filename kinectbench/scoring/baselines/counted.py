@@ -16,7 +16,8 @@ from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, 
 from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, ceilings, count, surfaces
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.score import check_words, pairs_to_score
+from kinectbench.scoring.rounds import pairs_to_score
+from kinectbench.scoring.score import check_words
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_truth
 from kinectbench.scoring.workers import run_tasks

@@ -1,0 +1,186 @@
+"""Which pairs of a method are counted, and counting them: validation first, as it gives the thresholds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.errors import KinectBenchError, ReleaseError
+from kinectbench.core.types import Progress
+from kinectbench.engine.executor import Executor, Lost, Say
+from kinectbench.engine.shards import Shard
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
+from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line
+from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
+from kinectbench.scoring.workers import run_tasks
+
+Missing = Literal["error", "empty"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be counted of a method.
+
+    Attributes:
+        found: its files.
+        files: the file of every pair that is to be counted; None: an empty grid.
+        failures: why other pairs cannot be.
+        fixed: thresholds that were given; None: they come from the validation split.
+    """
+
+    found: FoundPredictions
+    files: dict[Target, Path | None]
+    failures: dict[Target, str]
+    fixed: Thresholds | None
+
+    def part(self, shard: Shard) -> dict[Target, Path | None]:
+        """The files that a part counts: its recordings', and all of validation, which gives thresholds."""
+        return {
+            target: file
+            for target, file in self.files.items()
+            if target.split == "validation" or shard.holds(target.recording)
+        }
+
+
+def plan(release: Release, predictions: Path, thresholds_file: Path | None, missing: Missing) -> Plan:
+    """Find a method's files and say what is to be counted.
+
+    A method that predicts nothing of the validation split has chosen to do without it; one that predicts a
+    part of it has left out the rest.
+
+    Raises:
+        PredictionError, ReleaseError, SettingsError: see `score`.
+    """
+    check_splits(release.targets, str(release.folder))
+    test = pairs_to_score(release, thresholds_file)
+    fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
+    found = find_predictions(predictions, release.targets)
+    answered = any(target.split == "validation" for target in (*found.files, *found.problems))
+    splits = {"test", "validation"} if answered and fixed is None else {"test"}
+    files: dict[Target, Path | None] = dict(found.files)
+    failures = dict(found.problems)
+    for target in found.missing:
+        if missing == "empty":
+            files[target] = None
+        else:
+            failures[target] = missing_line(target)
+    return Plan(
+        found,
+        {target: file for target, file in files.items() if target.split in splits},
+        {target: reason for target, reason in failures.items() if target.split in splits},
+        fixed,
+    )
+
+
+def pairs_to_score(release: Release, thresholds_file: Path | None) -> tuple[Target, ...]:
+    """The test split; its truth must be there, and that of the validation split without a threshold file.
+
+    Raises:
+        ReleaseError: no test pair, or its truth is held back.
+    """
+    test = release.split("test")
+    if not test:
+        raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
+    release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
+    return test
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """How pairs are counted.
+
+    Attributes:
+        release: the truth.
+        counting: the same for all pairs.
+        journal: keeps what is counted until all is.
+        jobs: processes of this machine, or where else pairs are counted.
+        progress: called with (pairs done, pairs in all).
+    """
+
+    release: Release
+    counting: Counting
+    journal: Journal
+    jobs: int | Executor
+    progress: Progress | None
+    _counted: list[Target] = field(default_factory=list)
+
+    def count(
+        self, files: Mapping[Target, Path | None], fixed: Thresholds | None
+    ) -> tuple[dict[Target, PairResult | str], Thresholds]:
+        """Count pairs; the result of each or why it has none, and the thresholds of the surface metrics."""
+        total = len(files)
+        validation = self._round(_of_split(files, "validation"), None, total)
+        tallies = {t: result.tally for t, result in validation.items() if isinstance(result, PairResult)}
+        thresholds = fixed or searched_thresholds(self.release.targets, tallies)
+        return validation | self._round(_of_split(files, "test"), thresholds, total), thresholds
+
+    def _round(
+        self, files: Mapping[Target, Path | None], thresholds: Thresholds | None, total: int
+    ) -> dict[Target, PairResult | str]:
+        """Count some pairs; surface metrics only where there are thresholds."""
+        jobs = [
+            Job(
+                target,
+                self.release.pair_path(target),
+                file,
+                None if thresholds is None else thresholds.of[target.category],
+                self.counting,
+                self.journal.earlier(target.name),
+            )
+            for target, file in sorted(files.items(), key=lambda item: item[0])
+        ]
+
+        results: dict[Target, PairResult | str] = {}
+
+        def keep(job: Job, result: PairResult | str) -> None:
+            if isinstance(result, PairResult):
+                self.journal.add(job, result)
+            results[job.target] = result
+            self._counted.append(job.target)
+            if self.progress:
+                self.progress(len(self._counted), total)
+
+        if isinstance(self.jobs, int):
+            run_tasks(count_job, jobs, self.jobs, keep=keep)
+        else:
+            _by_recording(self.jobs, jobs, keep)
+        return {job.target: results[job.target] for job in jobs}
+
+
+class _Silent:
+    """Pairs are counted without a word: progress counts those whose recordings are done."""
+
+    def heard(self, message: Any) -> None: ...
+    def warn(self, message: str) -> None: ...
+
+
+def _by_recording(
+    executor: Executor, jobs: Sequence[Job], keep: Callable[[Job, PairResult | str], None]
+) -> None:
+    """Count the pairs by an executor: a task has those of a recording, as one pair takes too short a time."""
+    by_id: dict[str, list[Job]] = {}
+    for job in jobs:
+        by_id.setdefault(job.target.recording, []).append(_elsewhere(job))
+    with closing(executor.outcomes(_count_all, list(by_id.values()), _Silent(), slowest_twice=True)) as found:
+        for of_recording, results in found:
+            if isinstance(results, Lost):
+                raise KinectBenchError(results.reason.format(id=of_recording[0].target.recording))
+            for job, result in zip(of_recording, results, strict=True):
+                keep(job, result)
+
+
+def _elsewhere(job: Job) -> Job:
+    """The job as processes that started in other folders must be given it."""
+    return replace(job, truth=job.truth.absolute(), file=None if job.file is None else job.file.absolute())
+
+
+def _count_all(jobs: Sequence[Job], say: Say) -> list[PairResult | str]:
+    return [count_job(job) for job in jobs]
+
+
+def _of_split(files: Mapping[Target, Path | None], split: str) -> dict[Target, Path | None]:
+    return {target: file for target, file in files.items() if target.split == split}
