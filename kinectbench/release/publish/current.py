@@ -63,6 +63,16 @@ def publish_if_stale(
     return summary
 
 
+def already_published(
+    settings: BenchmarkSettings, root: Path, recordings: Sequence[str], options: PublishOptions | None
+) -> PublishSummary | None:
+    """What `publish_if_stale` would find to be current; None if it would publish."""
+    build, out = root / "build", root / "benchmark"
+    stamp = _stamp(build)
+    asked = options or (stamp.options if stamp else NO_OPTIONS)
+    return _published(stamp, out, _fingerprint(settings, build, recordings, asked))
+
+
 def scoring_folder(root: Path) -> Path:
     """The release below `root` that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
     out = root / "benchmark"

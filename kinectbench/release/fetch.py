@@ -1,0 +1,266 @@
+"""A release, or part of one, is fetched from a URL or folder: each file is checked, and kept if here."""
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.targets import (
+    SHA256SUMS,
+    TARGETS_CSV,
+    Target,
+    benchmark_sha256,
+    parse_sums,
+    parse_targets,
+)
+from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.storage import sha256_file, write_below
+from kinectbench.core.store.address import joined, url_of
+from kinectbench.core.store.attempts import MissingObjectError
+from kinectbench.core.store.store import Store, in_parallel
+from kinectbench.core.types import Progress
+from kinectbench.core.untrusted import TEXT_BYTES, printable
+from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, most_bytes, release_text
+
+# Where a plain NAME is looked for: a URL that holds releases by their names.
+RELEASES_VARIABLE = "KINECTBENCH_RELEASES"
+CACHE_VARIABLE = "KINECTBENCH_CACHE"
+# Folders of a release that hold a folder or file for each recording.
+BY_RECORDING = ("pairs", "views", "objects")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Which part of a release is wanted; None: all.
+
+    Attributes:
+        split: train, validation or test.
+        categories: such as chair.
+        views: so many of each recording, the first by name.
+    """
+
+    split: str | None = None
+    categories: tuple[str, ...] = ()
+    views: int | None = None
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """What was fetched.
+
+    Attributes:
+        folder: the release here.
+        benchmark_sha256: its identity.
+        pairs: number of pairs of the part.
+        fetched: number of files that were copied now.
+        kept: number of files that were here already.
+    """
+
+    folder: Path
+    benchmark_sha256: str
+    pairs: int
+    fetched: int
+    kept: int
+
+
+def release_url(name: str | Path) -> str:
+    """The URL of a release, from its URL, a folder of this machine, or its name below a known place.
+
+    Raises:
+        SettingsError: it is a name, and no place of releases is known.
+    """
+    url = url_of(name)
+    if url is not None:
+        return url
+    path = Path(name)
+    if path.is_dir():
+        return f"file://{path.resolve()}"
+    base = url_of(os.environ.get(RELEASES_VARIABLE, ""))
+    if base is None or len(path.parts) != 1:
+        raise SettingsError(
+            f"{printable(str(name))}: no such folder and no URL; name a release's URL or folder, or set "
+            f"{RELEASES_VARIABLE} to the URL of a place that holds releases by their names"
+        )
+    return joined(base, str(name))
+
+
+def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progress | None = None) -> Fetched:
+    """Bring a release, or part of it, into a folder; a fetch that was stopped goes on from there.
+
+    The small files are always those of the whole release. Another part may be added to the same folder.
+
+    Args:
+        url: of the release.
+        out: made if it is not there.
+        part: what of it.
+        progress: called with (files done, files in all).
+
+    Raises:
+        ReleaseError: there is no release, it is damaged, a file is not the published one, or the folder
+            holds something else.
+        SettingsError: the part has no pair.
+        StorageError: the store fails.
+    """
+    store = Store(url)
+    text, info = _head(store)
+    sums = parse_sums(text, store.place(SHA256SUMS))
+    _refuse_many(store, sums)
+    _refuse_other(out, info.benchmark_sha256)
+    table = _checked_text(store, TARGETS_CSV, sums.get(TARGETS_CSV))
+    targets = chosen(parse_targets(table, store.place(TARGETS_CSV)), part or Part())
+    if not targets:
+        raise SettingsError(
+            f"{store.place()}: no pair of that split and category; its {TARGETS_CSV} lists all"
+        )
+    # The list comes first: by it a fetch that was stopped is known; benchmark.json comes last.
+    write_below(out / SHA256SUMS, text.encode())
+    names = [name for name in wanted_names(sums, targets, part) if name != BENCHMARK_JSON]
+    done = _counter(progress, len(names) + 1)
+    results = in_parallel((partial(_bring, store, out, name, sums[name]) for name in names), done)
+    _bring(store, out, BENCHMARK_JSON, sums.get(BENCHMARK_JSON, ""))
+    done(len(names) + 1)
+    return Fetched(out, info.benchmark_sha256, len(targets), sum(results), len(results) - sum(results))
+
+
+def mirror_release(url: str, out: Path, progress: Progress | None = None) -> list[str]:
+    """Copy a release into an empty folder to be looked at, whatever is wrong with it.
+
+    Returns:
+        Names that the store holds beyond the release, as far as it can be listed.
+
+    Raises:
+        ReleaseError: there is no release at all, or its list of files cannot be read.
+        StorageError: the store fails.
+    """
+    store = Store(url)
+    try:
+        text = store.read(SHA256SUMS, TEXT_BYTES)
+        sums = parse_sums(text.decode("utf-8", errors="replace"), store.place(SHA256SUMS))
+    except MissingObjectError:
+        raise ReleaseError(f"{store.place()}: no release there ({SHA256SUMS} is missing)") from None
+    _refuse_many(store, sums)
+    write_below(out / SHA256SUMS, text)
+    in_parallel((partial(_mirror, store, out, name) for name in sums), _counter(progress, len(sums)))
+    listed = store.objects(most=2 * MOST_FILES) if store.can_list else []
+    return [each.name for each in listed if each.name not in sums and each.name != SHA256SUMS]
+
+
+def cached_release(url: str, progress: Progress | None = None) -> Path:
+    """The folder of this machine's cache that holds a release, fetched if it is not there."""
+    _, info = _head(Store(url))
+    base = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "kinectbench")
+    return fetch_release(url, base / "releases" / info.benchmark_sha256, progress=progress).folder
+
+
+def chosen(targets: Collection[Target], part: Part) -> tuple[Target, ...]:
+    """The targets of a part, in the order of recordings and views."""
+    found: dict[str, list[Target]] = {}
+    for target in sorted(targets):
+        if part.split in (None, target.split) and (not part.categories or target.category in part.categories):
+            found.setdefault(target.recording, []).append(target)
+    return tuple(target for rows in found.values() for target in rows[: part.views])
+
+
+def wanted_names(names: Collection[str], targets: Collection[Target], part: Part | None) -> list[str]:
+    """Those of a release's files that belong to a part: what belongs to no recording or view always does."""
+    if part is None:
+        return list(names)
+    views: dict[str, set[str]] = {}
+    for target in targets:
+        views.setdefault(target.recording, set()).add(target.view)
+    found = []
+    for name in names:
+        folder, _, rest = name.partition("/")
+        recording, _, file = rest.partition("/")
+        of = views.get(recording if file else recording.rpartition(".")[0])
+        view = file.partition(".")[0]
+        if folder not in BY_RECORDING or (of is not None and (not view.isdigit() or view in of)):
+            found.append(name)
+    return found
+
+
+def _head(store: Store) -> tuple[str, ReleaseInfo]:
+    """The text of SHA256SUMS, and benchmark.json, which agree.
+
+    Raises:
+        ReleaseError: there is no release, or they do not.
+    """
+    try:
+        info = ReleaseInfo.parse(_text(store, BENCHMARK_JSON), store.place(BENCHMARK_JSON))
+        text = _text(store, SHA256SUMS)
+    except MissingObjectError:
+        raise ReleaseError(
+            f"{store.place()}: no release there ({BENCHMARK_JSON} or {SHA256SUMS} is missing); "
+            "correct the URL, or wait until it is published"
+        ) from None
+    if benchmark_sha256(text) != info.benchmark_sha256:
+        raise ReleaseError(
+            f"{store.place(SHA256SUMS)}: not the list that {BENCHMARK_JSON} names; if it is being published, "
+            "try again later"
+        )
+    return text, info
+
+
+def _text(store: Store, name: str) -> str:
+    try:
+        return store.read(name, TEXT_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise ReleaseError(f"{store.place(name)}: not a UTF-8 text ({error})") from error
+
+
+def _checked_text(store: Store, name: str, sha256: str | None) -> str:
+    content = store.read(name, TEXT_BYTES)
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ReleaseError(_changed(store, name))
+    return content.decode("utf-8", errors="replace")
+
+
+def _changed(store: Store, name: str) -> str:
+    return f"{store.place(name)}: changed since it was published (SHA-256 differs); ask whoever published it"
+
+
+def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
+    """Fetch a file that is not here yet; whether it was fetched. The name is safe: `parse_sums` saw it."""
+    path = out / name
+    if path.is_file() and sha256_file(path) == sha256:
+        return False
+    store.fetch(name, path, most_bytes(name))
+    if sha256_file(path) != sha256:
+        path.unlink()
+        raise ReleaseError(_changed(store, name))
+    return True
+
+
+def _mirror(store: Store, out: Path, name: str) -> None:
+    """Fetch a file as it is; a missing one stays missing."""
+    with contextlib.suppress(MissingObjectError):
+        store.fetch(name, out / name, MOST_FILE_BYTES)
+
+
+def _refuse_other(out: Path, sha256: str) -> None:
+    """Refuse a folder that holds another release, or anything else."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise ReleaseError(f"{out}: a file; name another folder by --out")
+    if (out / SHA256SUMS).is_file():
+        if benchmark_sha256(release_text(out / SHA256SUMS)) == sha256:
+            return
+        raise ReleaseError(f"{out}: holds another release; name another folder by --out, or remove it")
+    if any(out.iterdir()):
+        raise ReleaseError(f"{out}: holds something else than a release; name another folder by --out")
+
+
+def _refuse_many(store: Store, sums: Collection[str]) -> None:
+    if len(sums) > MOST_FILES:
+        raise ReleaseError(
+            f"{store.place(SHA256SUMS)}: lists more than {MOST_FILES} files; no release has them"
+        )
+
+
+def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:
+    return lambda done: progress(done, total) if progress else None

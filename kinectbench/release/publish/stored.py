@@ -1,0 +1,100 @@
+"""Publishing a benchmark that lies in a store: what was built is fetched, published here, and put there."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, PublishStamp
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.sequence import CameraFile
+from kinectbench.core.storage import write_below
+from kinectbench.core.store.address import joined, url_of
+from kinectbench.core.store.store import Store, in_parallel
+from kinectbench.core.types import Progress
+from kinectbench.engine.checkout import Checkout, checkout, named_as_there
+from kinectbench.engine.scratch import scratch_folder
+from kinectbench.engine.stages import Job
+from kinectbench.engine.stored_stage import fetch_file, fetch_stage
+from kinectbench.release.publish.current import already_published, publish_if_stale
+from kinectbench.release.publish.publish import PRIVATE, PublishSummary
+from kinectbench.release.put import put_release
+
+RELEASE = "benchmark"
+# Of each stage the files that a release is made of; None: all.
+READ: Mapping[str, tuple[str, ...] | None] = {
+    "ingest": (Manifest.FILE, CameraFile.FILE),
+    "track": (Manifest.FILE,),
+    "fuse": (Manifest.FILE,),
+    "segment": None,
+    "sample-views": None,
+    "pairs": None,
+}
+
+
+def publish_stored(
+    jobs: Sequence[Job],
+    force: bool = False,
+    options: PublishOptions | None = None,
+    progress: Progress | None = None,
+) -> PublishSummary:
+    """`publish_if_stale` of recordings that were built in a store; the release lies in `benchmark/` there.
+
+    Args:
+        jobs: the recordings, at least one, all of them built.
+        force: publish anew in any case.
+        options: as of `publish_if_stale`.
+        progress: called with (recordings fetched, recordings in all).
+
+    Raises:
+        ReleaseError: as `publish_if_stale`.
+        StorageError: the store fails; the release that lay there may be incomplete until the next run.
+    """
+    settings, place = jobs[0].settings, jobs[0].root
+    url = url_of(place) or ""
+    store, names = Store(url), [job.recording.id for job in jobs]
+    with scratch_folder() as root, named_as_there(store, root):
+        _fetch_state(store, root)
+        found = [checkout(job, root) for job in jobs]
+        in_parallel(partial(_fetch_pairs_manifest, each) for each in found)
+        summary = None if force else already_published(settings, root, names, options)
+        if summary is None:
+            for number, each in enumerate(found, start=1):
+                _fetch_read(each)
+                if progress:
+                    progress(number, len(found))
+            summary = publish_if_stale(settings, root, names, force, options)
+            for part in (summary.folder, summary.private):
+                if part is not None:
+                    put_release(part, Store(joined(url, part.name)))
+            store.put(f"build/{PublishStamp.FILE}", root / "build" / PublishStamp.FILE)
+    private = None if summary.private is None else place / summary.private.name
+    return replace(summary, folder=place / RELEASE, private=private)
+
+
+def _fetch_state(store: Store, root: Path) -> None:
+    """Fetch what says what was published last."""
+    for name in (
+        f"build/{PublishStamp.FILE}",
+        f"{RELEASE}/{BENCHMARK_JSON}",
+        f"{RELEASE}{PRIVATE}/{BENCHMARK_JSON}",
+    ):
+        content = store.read_if_there(name)
+        if content is not None:
+            write_below(root / name, content)
+
+
+def _fetch_pairs_manifest(found: Checkout) -> None:
+    fetch_file(found.store, found.job.recording.id, found.artefacts["pairs"], Manifest.FILE)
+
+
+def _fetch_read(found: Checkout) -> None:
+    """Fetch what a release is made of."""
+    recording = found.job.recording.id
+    for stage, files in READ.items():
+        if files is None:
+            fetch_stage(found.store, recording, found.artefacts[stage])
+        else:
+            in_parallel(
+                partial(fetch_file, found.store, recording, found.artefacts[stage], name) for name in files
+            )
