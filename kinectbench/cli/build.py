@@ -3,22 +3,42 @@
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.store.address import url_of
 
 if TYPE_CHECKING:
+    from kinectbench.engine.executor import Executor
     from kinectbench.engine.stages import Job
     from kinectbench.engine.summary import RecordingSummary
     from kinectbench.release.release import Release
 
+# Rows of `build --status`: more of them nobody reads (own choice).
+SHOWN_STATUSES = 100
 STILL_FAILS = (
     "left out: it failed before, and nothing it depends on has changed since; `kinectbench build {id}` says "
     "why, and `kinectbench build {id} --force` tries again"
 )
+
+
+OPTIONS = (*("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "as_json"),)
+
+
+@takes(*OPTIONS, at_url=True)
+def build(
+    common: Common,
+    ids: Ids = None,
+    status: Annotated[
+        bool, typer.Option("--status", help="build nothing: list what failed and what is missing")
+    ] = False,
+) -> int:
+    """Run every stage up to the pairs; what is current is not made again."""
+    return tell_status(common, ids) if status else run_stage(common, "build", ids)
 
 
 def _command(name: str, text: str) -> Command:
@@ -26,13 +46,12 @@ def _command(name: str, text: str) -> Command:
         return run_stage(common, name, ids)
 
     stage.__doc__ = text
-    return takes("config", "overrides", "jobs", "force", "wait", "as_json")(stage)
+    return takes(*OPTIONS, at_url=True)(stage)
 
 
-BUILD: Mapping[str, Command] = {
+STAGE_COMMANDS: Mapping[str, Command] = {
     name: _command(name, text)
     for name, text in {
-        "build": "Run every stage up to the pairs; what is current is not made again.",
         "ingest": "Read recordings of any known format.",
         "fuse": "Fuse the good frames into one surface.",
         "sample-views": "Draw the views, with the object's mask in each.",
@@ -48,12 +67,55 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
     if name == "build":
         tell_unknown_categories(common, ids)
-    rows = build_recordings(common, ids, upto, stages if common.force else ())
+    chosen, force = shard_jobs(common, ids), stages if common.force else ()
+    with common.executor() as executor:
+        rows = build_jobs(
+            chosen,
+            upto,
+            common.workers,
+            force,
+            wait=common.wait,
+            limit_s=common.time_limit,
+            executor=executor,
+        )
     if common.as_json:
         common.tell([row.json_value() for row in rows], ())
     else:
         show_rows(rows, upto)
     return exit_status(rows)
+
+
+def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
+    """The recordings asked for that belong to the part that `--shard` names; says so if there are none."""
+    from kinectbench.cli import console
+
+    chosen, part = chosen_jobs(common, ids), common.part
+    if part is None:
+        return chosen
+    mine = [job for job in chosen if part.holds(job.recording.id)]
+    if not mine:
+        console.lines("note", [f"no recording belongs to part {part}: nothing to do"], "yellow")
+    return mine
+
+
+def tell_status(common: Common, ids: list[str] | None) -> int:
+    """Say which recordings are built, which failed and which are missing; 3 unless all are built."""
+    from kinectbench.cli import console
+    from kinectbench.engine.status import in_words, statuses
+
+    rows = statuses(shard_jobs(common, ids))
+    left = [row for row in rows if row.state != "done"]
+    if common.as_json:
+        console.say_json([row.json_value() for row in rows])
+    else:
+        if left:
+            columns = {"recording": "recording", "state": "status", "next": "next stage", "error": "why"}
+            shown = [row.json_value() for row in left[:SHOWN_STATUSES]]
+            console.out.print(console.table(shown, columns, {}))
+        if len(left) > SHOWN_STATUSES:
+            console.say(f"and {len(left) - SHOWN_STATUSES} more; --json lists all")
+        console.say(in_words(rows))
+    return SOME_FAILED if left else 0
 
 
 def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
@@ -80,7 +142,7 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
             hint = f"did you mean '{near[0]}'?" if near else f"there are {listed(known)}"
             raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}")
     wanted = set(ids) if ids else known.keys()
-    return [Job(settings, r, common.root) for r in settings.recordings if r.id in wanted]
+    return [Job(settings, r, common.place) for r in settings.recordings if r.id in wanted]
 
 
 def build_recordings(
@@ -123,14 +185,26 @@ def build_jobs(
     *,
     wait: bool = True,
     told: bool = False,
+    limit_s: float | None = None,
+    executor: "Executor | None" = None,
 ) -> "list[RecordingSummary]":
-    """`build_recordings` of jobs that are known already, on so many processes."""
+    """`build_recordings` of jobs that are known already, on so many processes or by an executor."""
     from kinectbench.cli import console
-    from kinectbench.engine.parallel import build
+    from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import summary
 
-    with console.recording_bars(len(chosen)) as watcher:
-        outcomes = build(chosen, upto, force, processes, watcher, wait_for_others=wait)
+    slots = executor.slots if executor else lambda: min(processes, len(chosen))
+    with console.recording_bars(len(chosen), slots) as watcher:
+        outcomes = build_all(
+            chosen,
+            upto,
+            force,
+            processes,
+            watcher,
+            wait_for_others=wait,
+            limit_s=limit_s,
+            executor=executor,
+        )
     rows = []
     for job, outcome in zip(chosen, outcomes, strict=True):
         found = summary(job, outcome)
@@ -200,8 +274,21 @@ def find_release(common: Common) -> "tuple[Release, list[RecordingSummary]]":
     from kinectbench.release.release import open_release
 
     if common.benchmark is not None:
-        return open_release(common.benchmark), []
+        return open_release(release_here(common.benchmark)), []
     rows = build_recordings(common, None, "pairs", told=True)
     waiting = partial(console.waiting, "publish")
     published = publish_if_stale(common.settings, common.root, need_some(rows), waiting=waiting)
     return open_release(published.scoring), rows
+
+
+def release_here(benchmark: Path) -> Path:
+    """The folder of a release, which is fetched into this machine's cache if it is named by its URL."""
+    from kinectbench.cli import console
+
+    url = url_of(benchmark)
+    if url is None:
+        return benchmark
+    from kinectbench.release.fetch import cached_release
+
+    with console.bar("fetch") as progress:
+        return cached_release(url, progress)

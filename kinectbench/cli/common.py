@@ -2,7 +2,8 @@
 
 import inspect
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cached_property, wraps
 from pathlib import Path
@@ -10,9 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Concatenate
 
 import typer
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.store.address import shown, url_of
 
 if TYPE_CHECKING:
+    from kinectbench.engine.executor import Executor
+    from kinectbench.engine.shards import Shard
     from kinectbench.settings.models import BenchmarkSettings
 
 # Exit statuses, as README.md lists them.
@@ -33,6 +37,9 @@ class Common:
         force: whether to make anew what is current.
         wait: whether to wait for another run in the same folder, or to stop.
         as_json: whether standard output is JSON.
+        shard: the part of the recordings to work on, `I/N`; None: all.
+        cluster: the address of a cluster, or `local:N`; None: processes of this machine.
+        time_limit: how long a recording may take, seconds; None: as long as it does.
     """
 
     benchmark: Annotated[
@@ -55,11 +62,42 @@ class Common:
         bool, typer.Option("--wait/--no-wait", help="wait for another run here, or stop and say whose it is")
     ] = True
     as_json: Annotated[bool, typer.Option("--json", help="print JSON for machines")] = False
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N", help="work on part I of N only, as task I of a batch system's array of N; from 1"
+        ),
+    ] = None
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="a Dask cluster: tcp://HOST:PORT, a scheduler's file, or local:N here"
+        ),
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=1, help="a recording that takes longer fails; default: none"),
+    ] = None
+
+    @property
+    def place(self) -> Path:
+        """Where relative paths in benchmark.yaml start: a folder, or a URL as a path."""
+        return self.config.parent
 
     @property
     def root(self) -> Path:
-        """The folder that relative paths in benchmark.yaml start from."""
-        return self.config.parent
+        """The folder that relative paths in benchmark.yaml start from.
+
+        Raises:
+            SettingsError: it is in a store, where only some commands work.
+        """
+        url = url_of(self.place)
+        if url is not None:
+            raise SettingsError(
+                f"--config {shown(url)}: this command works on folders of this machine; in a store build and "
+                "its stages, publish, verify and gc do; `kinectbench fetch` brings a release here"
+            )
+        return self.place
 
     def beside(self, name: str) -> Path:
         """A folder of results: beside benchmark.yaml, or here where a release is named."""
@@ -70,6 +108,35 @@ class Common:
         """The number of processes: as asked for, or one per core."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         return self.jobs or cores or 1
+
+    @property
+    def part(self) -> "Shard | None":
+        """The part of the recordings to work on; None: all.
+
+        Raises:
+            SettingsError: there is no such part.
+        """
+        from kinectbench.engine.shards import parse_shard
+
+        return None if self.shard is None else parse_shard(self.shard)
+
+    @contextmanager
+    def executor(self) -> Iterator["Executor | None"]:
+        """The cluster that was asked for, within the block; None: processes of this machine.
+
+        Raises:
+            SettingsError, ClusterError: it is no address, or nothing answers there.
+        """
+        if self.cluster is None:
+            yield None
+            return
+        from kinectbench.cli import console
+        from kinectbench.engine.cluster import cluster
+
+        with cluster(self.cluster) as found:
+            told = f"{found.slots()} workers at {self.cluster}; dashboard: {found.dashboard}"
+            console.lines("cluster", [told], "green")
+            yield found
 
     @cached_property
     def settings(self) -> "BenchmarkSettings":
@@ -106,11 +173,17 @@ class Common:
 Command = Callable[..., None]
 
 
-def takes(*names: str) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
+def takes(
+    *names: str, at_url: bool = False
+) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
     """Let a command offer these options of `Common`; it gets them as one value, its first argument.
 
     Typer reads options from a function's signature: here that is made of the command's own parameters and of
     the named fields of `Common`. The exit status that the command returns, if any, ends the process.
+
+    Args:
+        names: of the fields.
+        at_url: whether the command works on a benchmark in a store, too; else it is refused at once.
     """
     shared = [field for field in fields(Common) if field.name in names]
     assert len(shared) == len(names), f"not all of {names} are fields of Common"
@@ -121,6 +194,8 @@ def takes(*names: str) -> Callable[[Callable[Concatenate[Common, ...], int | Non
         @wraps(command)
         def run(**options: Any) -> None:
             common = Common(**{field.name: options.pop(field.name, field.default) for field in shared})
+            if not at_url:
+                _ = common.root
             status = command(common, **options)
             if status:
                 raise typer.Exit(status)

@@ -231,9 +231,20 @@ class RecordingBars:
     `kinectbench.engine.parallel.Watcher`.
     """
 
-    def __init__(self, bars: Progress, recordings: int | None) -> None:
-        """Nothing is shown yet; `recordings` is how many there will be, if that is known."""
+    def __init__(
+        self, bars: Progress, recordings: int | None, workers: Callable[[], int] | None = None
+    ) -> None:
+        """Nothing is shown yet.
+
+        Args:
+            bars: where it is shown.
+            recordings: how many there will be, if that is known.
+            workers: how many are built at a time now.
+        """
         self._bars = bars
+        self._recordings, self._workers = recordings, workers
+        self._started = time.monotonic()
+        self._failed = 0
         self._plain = None if err.is_terminal else PlainLines()
         self._tasks: dict[str, TaskID] = {}
         self._stages: dict[str, str] = {}
@@ -258,14 +269,27 @@ class RecordingBars:
     def ended(self, outcome: "Outcome") -> None:
         """A recording is up to date or has failed: a line in a log, if anything was to be done."""
         self._ended += 1
+        self._failed += outcome.error is not None
         if outcome.recording in self._tasks:
             self._bars.remove_task(self._tasks.pop(outcome.recording))
+        if self._plain and self._all is not None:
+            self._plain.say_sometimes(f"recordings: {self._ended}{self._of} ended, {self._rest()}")
         if self._all is not None:
-            self._bars.update(self._all, completed=self._ended)
+            self._bars.update(self._all, description=f"recordings ({self._rest()})", completed=self._ended)
         if self._plain and (outcome.made or outcome.error):
             what = "failed" if outcome.error else "done"
             count = f", {self._ended}{self._of}" if self._all is not None else ""
             self._plain.say(f"{outcome.recording}: {what}{count}")
+
+    def _rest(self) -> str:
+        """Such as `3 failed, 97 left, 8 workers, 12 min to go`."""
+        left = (self._recordings or 0) - self._ended
+        parts = [f"{self._failed} failed", f"{left} left"]
+        if self._workers is not None:
+            workers = self._workers()
+            parts.append(f"{workers} worker{'s' * (workers != 1)}")
+        to_go_s = (time.monotonic() - self._started) / max(self._ended, 1) * left
+        return ", ".join([*parts, f"{duration(to_go_s)} to go"])
 
     def warn(self, message: str) -> None:
         """Something that concerns all of them."""
@@ -273,10 +297,19 @@ class RecordingBars:
 
 
 @contextmanager
-def recording_bars(recordings: int | None = None) -> Iterator[RecordingBars]:
+def recording_bars(
+    recordings: int | None = None, workers: Callable[[], int] | None = None
+) -> Iterator[RecordingBars]:
     """A bar for each of so many recordings; yields a function of (recording, stage, done, total)."""
     with _bars() as bars:
-        yield RecordingBars(bars, recordings)
+        yield RecordingBars(bars, recordings, workers)
+
+
+def duration(seconds: float) -> str:
+    """Such as `40 s`, `12 min` or `3.5 h`."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _bars() -> Progress:

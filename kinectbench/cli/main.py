@@ -1,6 +1,6 @@
 """The command line: all commands in one app, and what becomes of their errors."""
 
-import gc
+import gc as garbage
 import io
 import os
 import sys
@@ -12,10 +12,11 @@ import typer
 
 from kinectbench._version import __version__
 from kinectbench.cli.baseline import baseline, check
-from kinectbench.cli.build import BUILD
+from kinectbench.cli.build import STAGE_COMMANDS, build
 from kinectbench.cli.common import Command
 from kinectbench.cli.evaluate import evaluate
 from kinectbench.cli.exchange import export, import_
+from kinectbench.cli.fetch import fetch, gc
 from kinectbench.cli.publish import publish
 from kinectbench.cli.recordings import formats, init, inspect
 from kinectbench.cli.report import report
@@ -50,17 +51,18 @@ PANELS: Mapping[str, Mapping[str, Command]] = {
     "Make a benchmark": {
         "init": init,
         "inspect": inspect,
-        "build": BUILD["build"],
-        "ingest": BUILD["ingest"],
+        "build": build,
+        "ingest": STAGE_COMMANDS["ingest"],
         "track": track,
-        "fuse": BUILD["fuse"],
+        "fuse": STAGE_COMMANDS["fuse"],
         "segment": segment,
-        "sample-views": BUILD["sample-views"],
-        "pairs": BUILD["pairs"],
+        "sample-views": STAGE_COMMANDS["sample-views"],
+        "pairs": STAGE_COMMANDS["pairs"],
         "formats": formats,
+        "gc": gc,
     },
     "Look at what was made": {"report": report},
-    "Publish it": {"publish": publish, "verify": verify, "export": export, "import": import_},
+    "Publish it": {"publish": publish, "verify": verify, "fetch": fetch, "export": export, "import": import_},
     "Score predictions": {"baseline": baseline, "check": check, "score": score, "compare": compare},
     "Work with known truth": {"simulate": simulate, "synthesize": synthesize, "evaluate": evaluate},
 }
@@ -103,7 +105,7 @@ def main() -> None:
     if status == INTERRUPTED:
         # Libraries that were interrupted while they were imported complain at the end of Python, or end it
         # with a status of their own.
-        gc.collect()
+        garbage.collect()
         if "kinectbench.engine.processes" in sys.modules:
             from kinectbench.engine.processes import give_back_shared
 

@@ -7,17 +7,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.cli.build import build_recordings, exit_status, need_some, tell_unknown_categories
+from kinectbench.cli.build import (
+    build_recordings,
+    chosen_jobs,
+    exit_status,
+    need_some,
+    tell_unknown_categories,
+)
 from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.store.address import shown, url_of
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
+    from kinectbench.core.store.store import Store
     from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.settings.models import BenchmarkSettings
 
 
-@takes("config", "overrides", "jobs", "force", "wait", "as_json")
+@takes("config", "overrides", "jobs", "force", "wait", "as_json", at_url=True)
 def publish(
     common: Common,
     ids: Ids = None,
@@ -32,27 +40,68 @@ def publish(
     archives_to: Annotated[
         Path | None, typer.Option(help="folder of the zip files; default: beside the release")
     ] = None,
+    to: Annotated[
+        str | None, typer.Option(metavar="URL", help="put the release, but no private part, there too")
+    ] = None,
 ) -> int:
     """Write the release to benchmark/, from everything that can be built."""
     from kinectbench.cli import console
     from kinectbench.release.publish.archive import refuse_unstated, write_archive
     from kinectbench.release.publish.current import publish_if_stale
+    from kinectbench.release.put import put_release
 
-    settings, root = common.settings, common.root
+    settings = common.settings
     options = publish_options(settings, hold_back or (), thresholds)
     packed = archives or archives_to is not None
-    if packed:
+    stored = url_of(common.place) is not None
+    if stored and (packed or to is not None):
+        raise SettingsError(
+            "publish: --archives and --to are for a benchmark on this machine; fetch it first"
+        )
+    target = None if to is None else store_at(to)
+    if packed or to is not None:
         refuse_unstated(settings, ids)
     tell_unknown_categories(common, ids)
     rows = build_recordings(common, ids, "pairs", told=True)
-    tell = partial(console.waiting, "publish")
+    if stored:
+        summary = _publish_there(common, need_some(rows), options)
+        _tell(common, summary, [])
+        return exit_status(rows)
+    root, tell = common.root, partial(console.waiting, "publish")
     summary = publish_if_stale(
         settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
     )
+    if target is not None:
+        with console.bar("put") as progress:
+            put_release(summary.folder, target, progress)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [write_archive(part, archives_to or root) for part in parts] if packed else []
     _tell(common, summary, written)
     return exit_status(rows)
+
+
+def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
+    """Publish in the store that holds the benchmark."""
+    from kinectbench.cli import console
+    from kinectbench.release.publish.stored import publish_stored
+
+    with console.bar("publish") as progress:
+        return publish_stored(chosen_jobs(common, recordings), common.force, options, progress)
+
+
+def store_at(url: str) -> "Store":
+    """The place where a release is to be put.
+
+    Raises:
+        SettingsError: it is no URL, or one where nothing can be put.
+    """
+    from kinectbench.core.store.address import is_web
+    from kinectbench.core.store.store import Store
+
+    found = url_of(url)
+    if found is None or is_web(found):
+        raise SettingsError(f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://")
+    return Store(found)
 
 
 def publish_options(
@@ -95,21 +144,21 @@ def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> No
         line = f"not stated in datasheet.md: {keys}; answer under `publish: datasheet:` in benchmark.yaml"
         console.lines("note", [line], "cyan")
     result = {
-        "release": str(summary.folder),
+        "release": shown(summary.folder),
         "recordings": summary.recordings,
         "pairs": summary.pairs,
         "benchmark_sha256": summary.benchmark_sha256,
-        "private": None if summary.private is None else str(summary.private),
+        "private": None if summary.private is None else shown(summary.private),
         "private_benchmark_sha256": summary.private_sha256,
         "removed": summary.removed,
         "unanswered": summary.unanswered,
         "archives": [str(path) for path in archives],
     }
     count = f"{len(summary.recordings)} recording{'s' * (len(summary.recordings) != 1)}"
-    lines = [f"published {summary.pairs} pairs of {count}: {summary.folder}"]
+    lines = [f"published {summary.pairs} pairs of {count}: {shown(summary.folder)}"]
     lines += [f"benchmark_sha256 {summary.benchmark_sha256}"]
     if summary.private is not None:
-        lines += [f"private part, which scores: {summary.private}"]
+        lines += [f"private part, which scores: {shown(summary.private)}"]
         lines += [f"private_benchmark_sha256 {summary.private_sha256}"]
     lines += summary.removed
     lines += [f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives]

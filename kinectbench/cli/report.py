@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.cli.build import build_recordings, exit_status
+from kinectbench.cli.build import build_recordings, exit_status, release_here
 from kinectbench.cli.common import Baselines, Common, Ids, takes
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def report(
     if common.benchmark is None:  # before the benchmark is built
         for path in find_scores(scores or ()):
             read_table(path)
-    release = None if common.benchmark is None else open_release(common.benchmark)
+    release = None if common.benchmark is None else open_release(release_here(common.benchmark))
     rows = [] if release else build_recordings(common, ids, "pairs", told=True)
     page = write_page(common, release, scores or common.beside("scores"), out, baselines)
     common.tell_written(page.resolve())

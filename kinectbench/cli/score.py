@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kinectbench.cli.build import exit_status, find_release
+from kinectbench.cli.build import exit_status, find_release, release_here
 from kinectbench.cli.common import SOME_FAILED, Baselines, Common, takes
 from kinectbench.cli.report import write_page
 from kinectbench.core.errors import SettingsError
@@ -26,7 +26,7 @@ FROM_THE_TABLE = (
 )
 
 
-@takes("benchmark", "config", "overrides", "jobs", "as_json")
+@takes("benchmark", "config", "overrides", "jobs", "cluster", "shard", "as_json")
 def score(
     common: Common,
     context: typer.Context,
@@ -67,26 +67,56 @@ def score(
     if recheck is not None:
         return _recheck(common, context, recheck, predictions, thresholds)
     known["surface"] = surface
+    if common.part is not None:
+        return _score_part(common, predictions, out, known | of_one)
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
     from kinectbench.scoring.score import check_request
 
     if predictions is None:
-        changed = None if missing == ERROR_IF_MISSING else missing
-        _refuse({"--method": method, "--save-thresholds": save_thresholds, "--missing": changed})
+        _refuse(common, of_one)
     if common.benchmark is None:  # before the benchmark is built
         check_request(predictions, protocol, thresholds, missing, upsampling)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
-    tables = _tables(release, predictions, folder, common.workers, known, of_one)
+    tables = _tables(common, release, predictions, folder, known, of_one)
     if gallery:
         with console.bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
-    _tell_problems(tables)
     beside = _beside(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
     _tell(common, tables, beside, page)
     return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
+
+
+def _score_part(
+    common: Common, predictions: Path | None, out: Path | None, options: Mapping[str, Any]
+) -> int:
+    """Count the pairs of one part; the table is made by the same command without `--shard`."""
+    from kinectbench.cli import console
+    from kinectbench.release.release import open_release
+    from kinectbench.scoring.score import count_methods
+
+    if predictions is None or common.benchmark is None or common.part is None:
+        missing = "the folder of predictions" if predictions is None else "the release, by --benchmark"
+        raise SettingsError(f"score --shard {common.shard}: name {missing}; a part does not make it")
+    if options["save_thresholds"] is not None:
+        raise SettingsError("score --shard: not with --save-thresholds, which needs all parts")
+    folder = out or common.beside("scores")
+    given = {name: value for name, value in options.items() if name != "save_thresholds"}
+    with common.executor() as executor, console.bar("count") as progress:
+        failed = count_methods(
+            open_release(release_here(common.benchmark)),
+            predictions,
+            folder,
+            common.part,
+            jobs=executor or common.workers,
+            progress=progress,
+            **given,
+        )
+    told = f"part {common.part} is counted; when all are, the same command without --shard makes the table"
+    common.tell({"shard": common.shard, "failed": failed}, [told])
+    return SOME_FAILED if failed else 0
 
 
 def _tell(common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path) -> None:
@@ -148,27 +178,36 @@ def _recheck(
 
 
 def _tables(
+    common: Common,
     release: "Release",
     predictions: Path | None,
     folder: Path,
-    jobs: int,
     known: Mapping[str, Any],
     of_one: Mapping[str, Any],
 ) -> "list[ScoreTable]":
-    """Score the predictions, or without them the baselines; `of_one` are options of one method."""
+    """Score the predictions, or without them the baselines, and tell problems; `of_one`: of one method."""
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.score import score_methods
 
-    with console.bar("score") as progress:
+    with common.executor() as executor, console.bar("score") as progress:
         if predictions is None:
-            return score_baselines(release, folder, jobs=jobs, progress=progress, **known)
-        return score_methods(release, predictions, folder, jobs=jobs, progress=progress, **known, **of_one)
+            tables = score_baselines(release, folder, jobs=common.workers, progress=progress, **known)
+        else:
+            options: dict[str, Any] = {"jobs": executor or common.workers, **known, **of_one}
+            tables = score_methods(release, predictions, folder, progress=progress, **options)
+    _tell_problems(tables)
+    return tables
 
 
-def _refuse(options: Mapping[str, object]) -> None:
+def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
     """Refuse options of one method where no predictions are named."""
-    given = [name for name, value in options.items() if value is not None]
+    options = {**of_one, "cluster": common.cluster}
+    given = [
+        f"--{name.replace('_', '-')}"
+        for name, value in options.items()
+        if value not in (None, ERROR_IF_MISSING)
+    ]
     if given:
         verb = "applies" if len(given) == 1 else "apply"
         raise SettingsError(

@@ -9,13 +9,14 @@ import typer
 
 from kinectbench.cli.build import build_jobs
 from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
+from kinectbench.core.store.address import shown, url_of
 
 
 @takes("jobs", "as_json")
 def verify(
     common: Common,
     release: Annotated[
-        Path, typer.Argument(help="the release's folder, or its .zip, .tar or .tar.gz")
+        Path, typer.Argument(help="the release's folder or URL, or its .zip, .tar or .tar.gz")
     ] = Path("benchmark"),
     rebuild: Annotated[
         Path | None,
@@ -29,12 +30,29 @@ def verify(
     from kinectbench.cli import console
     from kinectbench.release.check.verify import verify as find_problems
 
-    with console.bar("verify") as progress:
-        problems = find_problems(release, progress)
-    if rebuild is not None and not problems:
-        problems = _rebuild(release, rebuild, work, common.workers)
-    common.tell_problems(problems, f"{release}: all well")
+    url = url_of(release)
+    with ExitStack() as stack:
+        here, problems = release, list[str]()
+        if url is not None:
+            here = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-verify-")))
+            problems = _brought(url, here)
+        with console.bar("verify") as progress:
+            problems += find_problems(here, progress)
+        if rebuild is not None and not problems:
+            problems = _rebuild(here, rebuild, work, common.workers)
+    common.tell_problems(problems, f"{shown(release)}: all well")
     return CANNOT_BE_USED if problems else 0
+
+
+def _brought(url: str, folder: Path) -> list[str]:
+    """Copy a release here as it is; what lies beside it in a line each."""
+    from kinectbench.cli import console
+    from kinectbench.core.untrusted import printable
+    from kinectbench.release.fetch import mirror_release
+
+    with console.bar("fetch") as progress:
+        others = mirror_release(url, folder, progress)
+    return [f"{printable(name, 200)}: not part of the release" for name in others]
 
 
 def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int) -> list[str]:

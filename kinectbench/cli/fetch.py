@@ -1,0 +1,84 @@
+"""The commands `fetch` and `gc`: what others published comes here, what nothing names goes from a store."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinectbench.cli.common import Common, takes
+from kinectbench.core.errors import SettingsError
+
+SHOWN = 20
+
+
+@takes("as_json")
+def fetch(
+    common: Common,
+    release: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|URL", help="a release: its URL, folder, or name at KINECTBENCH_RELEASES"
+        ),
+    ],
+    split: Annotated[str | None, typer.Option(help="train, validation or test alone")] = None,
+    category: Annotated[
+        list[str] | None, typer.Option(help="of this category alone; may be repeated")
+    ] = None,
+    views: Annotated[int | None, typer.Option(min=1, help="so many views of each recording")] = None,
+    out: Annotated[Path | None, typer.Option(help="folder; default: the last part of the URL")] = None,
+) -> None:
+    """Bring a release, or part of one, to this machine; each file is checked, and a stopped one goes on."""
+    from kinectbench.cli import console
+    from kinectbench.core.artefacts.targets import SPLITS
+    from kinectbench.release.fetch import Part, fetch_release, release_url
+
+    if split is not None and split not in SPLITS:
+        raise SettingsError(f"--split {split}: choose among {', '.join(SPLITS)}")
+    url = release_url(release)
+    part = Part(split, tuple(category or ()), views)
+    folder = out or Path(url.rpartition("/")[2])
+    with console.bar("fetch") as progress:
+        found = fetch_release(url, folder, None if part == Part() else part, progress)
+    result = {
+        "release": str(found.folder),
+        "benchmark_sha256": found.benchmark_sha256,
+        "pairs": found.pairs,
+        "fetched": found.fetched,
+        "kept": found.kept,
+    }
+    lines = [
+        f"{found.folder}: {found.pairs} pairs, {found.fetched} files fetched, {found.kept} were here",
+        f"benchmark_sha256 {found.benchmark_sha256}",
+    ]
+    common.tell(result, lines)
+
+
+@takes("config", "as_json", at_url=True)
+def gc(
+    common: Common,
+    delete: Annotated[bool, typer.Option("--delete", help="remove it; without, it is listed")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="also what is younger than a day: while nothing is built there")
+    ] = False,
+) -> None:
+    """List what killed runs left in a store's build/, which no manifest names; --delete removes it."""
+    from kinectbench.core.store.address import shown, url_of
+    from kinectbench.core.store.store import Store
+    from kinectbench.engine.unnamed import remove, unnamed
+
+    url = url_of(common.place)
+    if url is None:
+        raise SettingsError(
+            f"--config {common.config}: gc is for stores; in a folder of this machine each run removes what "
+            "killed ones left"
+        )
+    store = Store(url)
+    found = unnamed(store, young=everything)
+    removed = remove(store, found) if delete else 0
+    size = f"{len(found)} files, {sum(each.size for each in found) / 1e6:.1f} MB"
+    names = [f"{each.name} ({each.size} bytes)" for each in found[:SHOWN]]
+    more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
+    said = f"removed {removed} files" if delete else "nothing is removed; --delete does"
+    lines = [f"{shown(url)}: {size} that no manifest names; {said}", *names, *more]
+    result = {"found": [each.name for each in found], "removed": removed}
+    common.tell(result, lines if found else [f"{shown(url)}: nothing that no manifest names"])

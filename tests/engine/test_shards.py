@@ -1,0 +1,65 @@
+"""Parts of a benchmark: each recording is in exactly one, and all parts together are the whole."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_benchmark import Run, copied, hashes
+
+from kinectbench.core.artefacts.counted import JOURNALS
+from kinectbench.core.errors import SettingsError
+from kinectbench.engine.shards import Shard, parse_shard
+from kinectbench.release.release import Release
+from kinectbench.scoring.score import count_methods, score_methods
+
+Command = Callable[..., Run]
+NAMES = [f"chair_{number:05}" for number in range(2000)]
+pytestmark = pytest.mark.xdist_group("resume")
+
+
+@pytest.mark.parametrize("of", [1, 2, 7, 40])
+def test_each_recording_is_in_exactly_one_part(of: int) -> None:
+    parts = [[name for name in NAMES if Shard(number + 1, of).holds(name)] for number in range(of)]
+    assert sorted(name for part in parts for name in part) == NAMES
+    # Of 2000 drawn evenly: within six standard deviations.
+    mean = len(NAMES) / of
+    assert all(abs(len(part) - mean) <= 6 * mean**0.5 for part in parts)
+
+
+def test_the_part_of_a_recording_is_fixed() -> None:
+    """Runs of other versions and machines must agree: a part is never drawn by Python's own hash."""
+    found = [
+        next(n for n in range(1, 41) if Shard(n, 40).holds(name)) for name in ("chair_01", "b", "stühle")
+    ]
+    assert found == [25, 27, 35]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "3", "0/4", "5/4", "1/0", "-1/4", "1/4/2", "1.0/4", "x/4", "1 / 4", "1/9999999"]
+)
+def test_a_part_that_does_not_exist_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match=r"--shard .*: give I/N"):
+        parse_shard(text)
+
+
+def test_parts_build_what_one_run_builds(command: Command, small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b", "benchmark.yaml", "recordings")
+    built = [command(root, "ingest", "--shard", f"{number}/3", "--jobs", "1") for number in (1, 2, 3)]
+    assert [run.status for run in built] == [0, 0, 0]
+    assert sum("no recording belongs to part" in run.err for run in built) >= 1
+    assert {path.parent.name for path in root.glob("build/*/sequence")} == {"chair", "table"}
+    assert hashes(root / "build" / "chair" / "sequence") == hashes(small / "build" / "chair" / "sequence")
+
+
+def test_parts_of_scores_make_the_same_table(release: Release, tmp_path: Path) -> None:
+    from kinectbench.scoring.baselines.predict import write_baselines
+
+    write_baselines(release, tmp_path / "predictions", ["partial", "mirror"])
+    whole = score_methods(release, tmp_path / "predictions", tmp_path / "whole")
+    for number in (1, 2, 3):
+        failed = count_methods(release, tmp_path / "predictions", tmp_path / "parts", Shard(number, 3))
+        assert failed == 0
+    assert len(list((tmp_path / "parts").glob(f"*/{JOURNALS}"))) == 6
+    tables = score_methods(release, tmp_path / "predictions", tmp_path / "parts")
+    assert [table.text() for table in tables] == [table.text() for table in whole]
+    assert list((tmp_path / "parts").glob(f"*/{JOURNALS}")) == []

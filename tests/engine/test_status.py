@@ -1,0 +1,50 @@
+"""`build --status`: what is done, what failed and what is missing, without building anything."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_benchmark import Run, copied, hashes
+
+Command = Callable[..., Run]
+pytestmark = pytest.mark.xdist_group("resume")
+
+
+def states(run: Run) -> dict[str, tuple[str, str | None]]:
+    return {row["recording"]: (row["state"], row["next"]) for row in json.loads(run.out)}
+
+
+def test_what_is_built_is_done(command: Command, small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b")
+    before = hashes(root)
+    result = command(root, "build", "--status", "--json")
+    assert (result.status, result.err) == (0, "")
+    assert states(result) == {"chair": ("done", None), "table": ("done", None)}
+    assert command(root, "build", "--status").out == "2 of 2 done, 0 failed, 0 missing\n"
+    assert hashes(root) == before
+
+
+def test_what_is_missing_failed_or_out_of_date_is_listed(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    shutil.rmtree(root / "build" / "table" / "object")
+    assert states(command(root, "build", "--status", "--json"))["table"] == ("missing", "segment")
+    changed = command(root, "build", "--status", "--json", "--set", "views.count=2")
+    assert changed.status == 3 and states(changed)["chair"] == ("missing", "sample-views")
+    (root / "recordings" / "table").rename(root / "recordings" / "elsewhere")
+    assert command(root, "build", "table", "--force", "--jobs", "1").status == 1
+    shown = command(root, "build", "--status")
+    assert shown.status == 3 and shown.out.endswith("1 of 2 done, 1 failed, 0 missing\n")
+    assert "no such recording" in shown.out and "chair" not in shown.out
+
+
+def test_status_of_a_part(command: Command, small: Path) -> None:
+    listed = [
+        name
+        for number in (1, 2)
+        for name in states(command(small, "build", "--status", "--json", "--shard", f"{number}/2"))
+    ]
+    assert sorted(listed) == ["chair", "table"]
