@@ -84,16 +84,17 @@ def _show(recording: str, listed: "CandidatesFile") -> None:
 
 
 def _pick(common: Common, ids: list[str] | None, number: int) -> None:
-    """Write the box of a candidate that was listed before to benchmark.yaml."""
+    """Write the box of a candidate that was listed before to benchmark.yaml, or to where the recording is."""
     from kinectbench.core.storage import replaced_file
     from kinectbench.core.untrusted import read_plain_text
     from kinectbench.engine.pipeline import listed_box
-    from kinectbench.settings.edit import with_box
+    from kinectbench.settings.edit import file_of, with_box
 
     if not ids or len(ids) != 1:
         raise SettingsError("segment --pick: name the one recording that the box is of")
     (job,) = chosen_jobs(common, ids)
-    text = read_plain_text(common.config)
-    text = with_box(text, str(common.config), ids[0], listed_box(job, number))
-    with replaced_file(common.config) as temporary:
+    box = listed_box(job, number)
+    path = file_of(common.config, ids[0], box)
+    text = with_box(read_plain_text(path), str(path), ids[0], box)
+    with replaced_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

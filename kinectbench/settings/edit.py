@@ -1,21 +1,48 @@
 """Change a benchmark.yaml as text: comments and layout stay as they are."""
 
 import json
+from pathlib import Path
 
 import yaml
 
 from kinectbench.core.artefacts.object import BoxPart
 from kinectbench.core.errors import SettingsError
 from kinectbench.settings import yaml_nodes
-from kinectbench.settings.file import parse_benchmark
-from kinectbench.settings.models import BoxSettings
+from kinectbench.settings.file import nodes_of
+from kinectbench.settings.reading import as_text, read_bytes
+from kinectbench.settings.recording_table import ENDINGS
+
+
+def file_of(config: Path, recording: str, box: BoxPart) -> Path:
+    """The file that a recording stands in: a benchmark.yaml without errors, or one that it includes.
+
+    Args:
+        config: the benchmark.yaml.
+        recording: an id in it.
+        box: that is to be put there.
+
+    Raises:
+        SettingsError: it stands in a table, which is not changed; the cells to fill in are told.
+    """
+    root = nodes_of(as_text(read_bytes(config), str(config)), str(config), config)
+    entry = _entry(yaml_nodes.items(root)["recordings"], recording)
+    path = Path(entry.start_mark.name)
+    if path.suffix.lower() in ENDINGS:
+        cells = ", ".join(f"box.{key} {json.dumps(value)}" for key, value in box.json_value().items())
+        raise SettingsError(f"{yaml_nodes.place(entry)}: tables are not changed; fill in its cells: {cells}")
+    return path
+
+
+def _entry(recordings: yaml.Node, recording: str) -> yaml.MappingNode:
+    entries: list[yaml.MappingNode] = recordings.value
+    return next(e for e in entries if str(yaml_nodes.items(e)["id"].value) == recording)
 
 
 def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
-    """The text of a benchmark.yaml in which a recording has this box, and nothing else is changed.
+    """The text of a file in which a recording has this box, and nothing else is changed.
 
     Args:
-        text: of the file, without errors.
+        text: of a benchmark.yaml or a file that it includes, without errors.
         source: its name.
         recording: an id in it.
         box: in the floor frame.
@@ -23,15 +50,15 @@ def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
     Raises:
         SettingsError: the file is written in a way that cannot be changed safely; the line to paste is told.
     """
-    entries = yaml_nodes.items(yaml_nodes.compose(text, source))["recordings"].value
-    entry = next(e for e in entries if str(yaml_nodes.items(e)["id"].value) == recording)
+    root = yaml_nodes.compose(text, source)
+    entry = _entry(yaml_nodes.items(root)["recordings"], recording)
     changed = _changed(text, entry, box_line(box))
-    wanted = parse_benchmark(text, source).model_dump()
+    wanted = yaml_nodes.plain(root)
     for row in wanted["recordings"]:
         if row["id"] == recording:
-            row["box"] = BoxSettings.model_validate(box.json_value()).model_dump()
+            row["box"] = json.loads(json.dumps(box.json_value()))
     try:
-        done = parse_benchmark(changed, source).model_dump() == wanted
+        done = yaml_nodes.plain(yaml_nodes.compose(changed, source)) == wanted
     except SettingsError:
         done = False
     if not done:

@@ -9,16 +9,14 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import parent_of, shown, url_of
-from kinectbench.core.store.attempts import MissingObjectError
-from kinectbench.core.store.store import Store
-from kinectbench.core.untrusted import printable, read_plain_text
+from kinectbench.core.store.address import shown
+from kinectbench.core.untrusted import printable
 from kinectbench.settings import yaml_nodes
+from kinectbench.settings.include import INCLUDE, with_included
 from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.reading import as_text, read_bytes
 from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
 
-# Ten thousand recordings with a page about each; how many values there may be is bounded apart (own choice).
-MOST_BYTES = 16 << 20
 # Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes (own choice).
 RECORDINGS_AT_ONCE = 5000
 # Lines about what is wrong: of more than that one reason is usually behind all.
@@ -42,12 +40,35 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
         SettingsError: one line for each error, in the file's order: file and line (or the
             override), dotted key, what was found and what is wanted.
     """
-    return parse_benchmark(_read(path), shown(path), overrides)
+    source = shown(path)
+    return parse_benchmark(as_text(read_bytes(path), source), source, overrides, path)
 
 
-def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> BenchmarkSettings:
-    """`load_benchmark` of the text of a benchmark.yaml; errors start with `source`."""
-    root = yaml_nodes.compose(text, source)
+def parse_benchmark(
+    text: str, source: str, overrides: Sequence[str] = (), config: Path | None = None
+) -> BenchmarkSettings:
+    """`load_benchmark` of the text of a benchmark.yaml; errors start with `source`.
+
+    Args:
+        text: of the file.
+        source: its name.
+        overrides: as for `load_benchmark`.
+        config: where it lies, for what it includes; None: nowhere, and it includes nothing.
+    """
+    root = nodes_of(text, source, config)
+    for override in overrides:
+        root = _overridden(root, override)
+    return _validated(root)
+
+
+def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
+    """The nodes of the text of a benchmark.yaml, with those of the files that it includes.
+
+    Raises:
+        SettingsError: it holds no settings, something stands twice in it, or a file cannot be included.
+    """
+    allowance = yaml_nodes.Allowance()
+    root = yaml_nodes.compose(text, source, allowance)
     if root.tag == yaml_nodes.NULL_TAG:
         raise SettingsError(
             f"{source}: holds no settings; `kinectbench init FOLDER` writes a file to start from"
@@ -57,38 +78,7 @@ def parse_benchmark(text: str, source: str, overrides: Sequence[str] = ()) -> Be
             f"{yaml_nodes.place(root)}: found {_found(root)}; wanted lines like 'name: furniture'"
         )
     yaml_nodes.plain(root)  # refuses duplicates before an override could hide one
-    for override in overrides:
-        root = _overridden(root, override)
-    return _validated(root)
-
-
-def _read(path: Path) -> str:
-    if (url := url_of(path)) is not None:
-        return _read_stored(url)
-    if path.is_dir():
-        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it")
-    try:
-        return read_plain_text(path, MOST_BYTES)
-    except FileNotFoundError:
-        raise SettingsError(
-            f"{path}: no such file; `kinectbench init FOLDER` writes one for the recordings in FOLDER"
-        ) from None
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise SettingsError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from None
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def _read_stored(url: str) -> str:
-    """The text of a benchmark.yaml in a store or on a web server."""
-    try:
-        return Store(parent_of(url)).read(url.rpartition("/")[2], MOST_BYTES).decode("utf-8-sig")
-    except MissingObjectError:
-        raise SettingsError(f"{shown(url)}: no such file; copy a benchmark.yaml there") from None
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise SettingsError(f"{shown(url)}:{line}: not UTF-8 text; save the file as UTF-8") from None
+    return with_included(root, config, allowance) if config else root
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
@@ -97,6 +87,8 @@ def _overridden(root: yaml.Node, override: str) -> yaml.Node:
     key, equals, text = override.partition("=")
     if not equals or not all(key.split(".")):
         raise SettingsError(f"{source}: write --set section.key=value")
+    if key.strip().split(".")[0] == INCLUDE:
+        raise SettingsError(f"{source}: what is included is read first; write it into the file")
     value = yaml_nodes.compose(text, source)
     return yaml_nodes.replaced(root, _override_path(root, key.strip(), source), value)
 
@@ -163,8 +155,9 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
         of_place.setdefault((_location(error), error["type"]), error)
     errors = list(of_place.values())
     anchors = [yaml_nodes.find(root, _location(error), known)[0] for error in errors]
-    first = sorted(range(len(errors)), key=lambda n: yaml_nodes.order(anchors[n]))[: 4 * SHOWN]
-    told = sorted((yaml_nodes.order(anchors[n]), _error_line(root, values, errors[n], known)) for n in first)
+    orders = [yaml_nodes.order(anchor, root.start_mark.name) for anchor in anchors]
+    first = sorted(range(len(errors)), key=orders.__getitem__)[: 4 * SHOWN]
+    told = sorted((orders[n], _error_line(root, values, errors[n], known)) for n in first)
     lines = list(dict.fromkeys(line for _, line in told))
     if rest := len(lines[SHOWN:]) + len(errors) - len(first):
         lines[SHOWN:] = [f"{root.start_mark.name}: and {rest} more errors"]
@@ -192,6 +185,9 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
         what = f"missing; wanted {wanted(annotation, constraints)}"
     elif kind == "value_error":
         what = error["msg"].removeprefix("Value error, ")
+        if "earlier" in error.get("ctx", {}):
+            earlier = yaml_nodes.find(root, ("recordings", error["ctx"]["earlier"]), known)[0]
+            what += f" (the other is at {yaml_nodes.place(earlier)})"
         what = f"found {_found(value)}; {what}" if isinstance(value, yaml.ScalarNode) else what
     else:
         what = f"found {_found(value)}; wanted {wanted(annotation, constraints)}"

@@ -288,9 +288,10 @@ class PublishSettings(Settings):
     )
 
 
-def _clash(index: int, problem: str) -> PydanticCustomError:
-    """An error about a recording that does not go with those before it."""
-    return PydanticCustomError("value_error", "{problem}", {"problem": problem, "index": index})
+def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
+    """An error about a recording that does not go with one before it."""
+    context = {"problem": problem, "index": index, "earlier": earlier}
+    return PydanticCustomError("value_error", "{problem}", context)
 
 
 class BenchmarkSettings(Settings):
@@ -300,6 +301,10 @@ class BenchmarkSettings(Settings):
     license: Line = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     source: Line = Field("unspecified", description="who recorded the data, or where it is from")
     recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
+    # Once read, the recordings of those files stand in `recordings`.
+    include: list[str] | None = Field(
+        None, min_length=1, exclude=True, description="files with more recordings: YAML, CSV or Parquet"
+    )
     tracking: TrackingSettings = TrackingSettings()
     fusion: FusionSettings = FusionSettings()
     segmentation: SegmentationSettings = SegmentationSettings()
@@ -311,19 +316,21 @@ class BenchmarkSettings(Settings):
 
     @model_validator(mode="after")
     def _unique(self) -> "BenchmarkSettings":
-        seen: set[str] = set()
-        split_of: dict[str, RecordingSettings] = {}
+        first_of_id: dict[str, int] = {}
+        first_of_object: dict[str, int] = {}
         for index, recording in enumerate(self.recordings):
-            first = split_of.setdefault(recording.object_name, recording)
-            if recording.id in seen:
-                raise _clash(index, f"two recordings have the id '{recording.id}': give each its own")
+            earlier = first_of_id.setdefault(recording.id, index)
+            if earlier != index:
+                problem = f"two recordings have the id '{recording.id}': give each its own"
+                raise _clash(index, earlier, problem)
+            earlier = first_of_object.setdefault(recording.object_name, index)
+            first = self.recordings[earlier]
             if first.split != recording.split:
-                raise _clash(
-                    index,
+                problem = (
                     f"object '{recording.object_name}' is in two splits: '{first.split}' ({first.id}) and "
-                    f"'{recording.split}' ({recording.id}); an object belongs to one",
+                    f"'{recording.split}' ({recording.id}); an object belongs to one"
                 )
-            seen.add(recording.id)
+                raise _clash(index, earlier, problem)
         return self
 
     def recording(self, recording_id: str) -> RecordingSettings:

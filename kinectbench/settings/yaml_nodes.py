@@ -5,6 +5,7 @@ import io
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -20,10 +21,12 @@ BOOL_TAG = "tag:yaml.org,2002:bool"
 INT_TAG = "tag:yaml.org,2002:int"
 FLOAT_TAG = "tag:yaml.org,2002:float"
 STR_TAG = "tag:yaml.org,2002:str"
+SEQ_TAG = "tag:yaml.org,2002:seq"
 MAP_TAG = "tag:yaml.org,2002:map"
 OVERRIDE = "in --set "
 # Keys and values in one text: of ten thousand recordings of fifteen lines (own choice); read in four seconds.
 MOST_VALUES = 400_000
+TOO_MANY = f"more than the {MOST_VALUES} keys and values that such a file may have"
 # Of a line, characters among which a tab is looked for (own choice).
 MOST_INDENT = 1000
 # What PyYAML's own parser reads in about two seconds.
@@ -48,18 +51,34 @@ class _TooManyError(yaml.composer.ComposerError):
     """More values than a file may have."""
 
 
-class _Counting(Composer):
-    """PyYAML's composer, which stops at too many values; each takes a kilobyte as a node."""
+@dataclass
+class Allowance:
+    """How many keys and values may still come, of one file or of several; each takes a kilobyte as a node."""
 
-    _values = 0
+    values: int = MOST_VALUES
+
+    def take(self, count: int, source: str, line: int) -> None:
+        """Count some in the line of a file.
+
+        Raises:
+            SettingsError: these are too many.
+        """
+        self.values -= count
+        if self.values < 0:
+            raise SettingsError(f"{source}:{line}: {TOO_MANY}")
+
+
+class _Counting(Composer):
+    """PyYAML's composer, which stops at too many values."""
+
+    allowance: Allowance
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """The next node; a file of more than `MOST_VALUES` keys and values is refused at the one too many."""
-        self._values += 1
-        if self._values > MOST_VALUES:
+        self.allowance.values -= 1
+        if self.allowance.values < 0:
             mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's
-            problem = f"more than the {MOST_VALUES} keys and values that such a file may have"
-            raise _TooManyError(None, None, problem, mark)
+            raise _TooManyError(None, None, TOO_MANY, mark)
         return super().compose_node(parent, index)
 
 
@@ -68,7 +87,8 @@ class _FastLoader(_Counting, Resolver):
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own attribute
 
-    def __init__(self, text: str, source: str) -> None:
+    def __init__(self, text: str, source: str, allowance: Allowance) -> None:
+        self.allowance = allowance
         Composer.__init__(self)
         Resolver.__init__(self)
         stream = io.StringIO(text)
@@ -83,7 +103,8 @@ class _PlainLoader(_Counting, yaml.SafeLoader):
 
     yaml_implicit_resolvers = _FastLoader.yaml_implicit_resolvers
 
-    def __init__(self, text: str, source: str) -> None:
+    def __init__(self, text: str, source: str, allowance: Allowance) -> None:
+        self.allowance = allowance
         super().__init__(text)
         self.name = source
 
@@ -92,12 +113,13 @@ for _tag, _pattern in _PATTERNS.items():
     _FastLoader.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern})\Z"), None)
 
 
-def compose(text: str, source: str) -> yaml.Node:
+def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.Node:
     """Parse YAML text into nodes; nothing at all is a null node.
 
     Args:
         text: the YAML.
         source: the file's name, or `in --set …` for an override; errors start with it.
+        allowance: shared by texts that may not have more values together than one; None: for this one alone.
 
     Raises:
         SettingsError: not YAML, more than one document, or a control character.
@@ -107,7 +129,7 @@ def compose(text: str, source: str) -> yaml.Node:
         with contextlib.suppress(UnicodeError):
             text = os.fsencode(text).decode()
     try:
-        node = _nodes(text, source)
+        node = _nodes(text, source, allowance or Allowance())
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark or null_mark(source)
         raise SettingsError(f"{_place(source, mark.line)}: {_problem(error, text, mark.index)}") from None
@@ -121,15 +143,17 @@ def compose(text: str, source: str) -> yaml.Node:
     return node or yaml.ScalarNode(NULL_TAG, "", null_mark(source), null_mark(source))
 
 
-def _nodes(text: str, source: str) -> yaml.Node | None:
+def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
     """The nodes of a text; what is wrong with a short one is said by PyYAML's own parser, which says more."""
+    before = allowance.values
     if _Parser:
         try:
-            return _FastLoader(text, source).get_single_node()
+            return _FastLoader(text, source, allowance).get_single_node()
         except (yaml.YAMLError, UnicodeEncodeError) as error:
             if len(text) > SPELT_OUT or isinstance(error, _TooManyError):
                 raise
-    return _PlainLoader(text, source).get_single_node()
+        allowance.values = before
+    return _PlainLoader(text, source, allowance).get_single_node()
 
 
 def null_mark(source: str) -> yaml.Mark:
@@ -158,9 +182,15 @@ def place(node: yaml.Node) -> str:
     return _place(node.start_mark.name, node.start_mark.line)
 
 
-def order(node: yaml.Node) -> tuple[bool, int]:
-    """Sort key that follows the file, with overrides last."""
-    return node.start_mark.name.startswith(OVERRIDE), node.start_mark.line
+def order(node: yaml.Node, first: str) -> tuple[bool, bool, str, int]:
+    """Sort key that follows the file of that name, then the others, and the overrides last."""
+    name = node.start_mark.name
+    return (
+        name.startswith(OVERRIDE),
+        name != first,
+        "" if name.startswith(OVERRIDE) else name,
+        node.start_mark.line,
+    )
 
 
 def plain(node: yaml.Node) -> Any:
@@ -225,6 +255,12 @@ def _scalar(node: yaml.Node) -> Any:
     if node.tag == STR_TAG:
         return text
     raise SettingsError(f"{place(node)}: the tag '{printable(node.tag)}' is not used here; remove it")
+
+
+def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:
+    """A text in one line, without quotes, as the node that YAML 1.2 makes of it."""
+    tag = next((tag for tag, pattern in _PATTERNS.items() if re.fullmatch(pattern, text)), STR_TAG)
+    return yaml.ScalarNode(tag, text, mark, mark)
 
 
 def items(node: yaml.Node | None) -> dict[str, yaml.Node]:

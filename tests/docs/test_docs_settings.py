@@ -11,7 +11,8 @@ from small_benchmark import Run
 from kinectbench.lab.simulate import Format
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.settings.models import Settings
+from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -44,3 +45,27 @@ def test_every_setting_is_listed(page: str, model: type[Settings]) -> None:
         assert any(
             line.startswith(f"| `{key}` |") and line.endswith(f"| {description} |") for line in lines
         ), key
+
+
+def test_the_example_of_included_files_is_read_as_the_page_says(tmp_path: Path) -> None:
+    text = (DOCS / "format.md").read_text()
+    section = text.split("### Recordings in other files")[1].split("\n## ")[0]
+    blocks = re.findall(r"```(?:yaml)?\n(.*?)```", section, re.DOTALL)
+    (tmp_path / "rooms").mkdir()
+    for name, block in zip(("benchmark.yaml", "rooms/kitchen.yaml", "recordings.csv"), blocks, strict=True):
+        (tmp_path / name).write_text(block)
+        assert name == "benchmark.yaml" or f"`{name}`" in section
+    stool, first, second = load_benchmark(tmp_path / "benchmark.yaml").recordings
+    assert (stool.id, stool.path) == ("stool_01", "kitchen/stool_01")
+    assert first.camera is not None and first.camera.fx == 525.0 and first.split == "train"
+    assert (second.camera, second.plane_world) == (None, (0, 0, 1, -0.02))
+
+
+def test_the_example_of_benchmark_yaml_has_every_key_of_a_recording(tmp_path: Path) -> None:
+    text = (DOCS / "format.md").read_text().split("## benchmark.yaml")[1]
+    (block,) = re.findall(r"```yaml\n(.*?)```", text.split("### ")[0], re.DOTALL)
+    (tmp_path / "benchmark.yaml").write_text(block)
+    (recording,) = load_benchmark(tmp_path / "benchmark.yaml").recordings
+    unsaid = set(RecordingSettings.model_fields) - recording.model_fields_set
+    assert unsaid == {"license", "source"}, "the two are said of the whole benchmark"
+    assert "include" in BenchmarkSettings.model_fields

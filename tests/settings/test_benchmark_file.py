@@ -136,13 +136,14 @@ def test_an_alias_is_read_and_an_override_changes_one_place_only(tmp_path: Path)
         (
             "id: chair,",
             "id: chair.01,",
-            "7: recordings.chair.01: two recordings have the id 'chair.01': give each its own",
+            "7: recordings.chair.01: two recordings have the id 'chair.01': give each its own "
+            "(the other is at benchmark.yaml:4)",
         ),
         (
             "id: chair,",
             "id: chair, object: chair.01,",
             "7: recordings.chair: object 'chair.01' is in two splits: 'test' (chair.01) and 'train' (chair); "
-            "an object belongs to one",
+            "an object belongs to one (the other is at benchmark.yaml:4)",
         ),
     ],
 )

@@ -12,7 +12,8 @@ from test_benchmark_file import complaint
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
 from kinectbench.settings import yaml_nodes
-from kinectbench.settings.file import MOST_BYTES, SHOWN, load_benchmark
+from kinectbench.settings.file import SHOWN, load_benchmark
+from kinectbench.settings.reading import MOST_BYTES
 from kinectbench.settings.template import init_benchmark
 
 

@@ -1,0 +1,122 @@
+"""`include:` of a benchmark.yaml: recordings that stand in other files, YAML or tables, below its folder."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.store.address import shown, url_of
+from kinectbench.core.untrusted import printable
+from kinectbench.settings import yaml_nodes
+from kinectbench.settings.reading import MOST_BYTES, as_text, matching, read_bytes, refuse_outside
+from kinectbench.settings.recording_table import ENDINGS, table_entries
+
+INCLUDE, RECORDINGS = "include", "recordings"
+# Files with a recording each, of the largest benchmark (own choice): each costs a tenth of a millisecond.
+MOST_FILES = 20_000
+MISSING = "correct the name under `include:`, or make the file"
+
+
+@dataclass
+class _Left:
+    """What the included files together may still hold: as much as one benchmark.yaml without them."""
+
+    allowance: yaml_nodes.Allowance
+    bytes: int = MOST_BYTES
+    seen: set[Path] = field(default_factory=set)
+
+
+def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Allowance) -> yaml.MappingNode:
+    """The nodes of a benchmark.yaml with the recordings of the files that it includes behind its own.
+
+    Args:
+        root: of benchmark.yaml; `include:` in a form that the models refuse is left to them.
+        config: its path; names are relative to its folder.
+        allowance: how many values all files may still have.
+
+    Returns:
+        Nodes without `include:`; each recording knows the file and the line that it stands in.
+
+    Raises:
+        SettingsError: a file is missing, is outside, holds something else than recordings, or cannot be read.
+    """
+    nodes = yaml_nodes.items(root)
+    patterns = nodes.get(INCLUDE)
+    own = nodes.get(RECORDINGS)
+    if patterns is None or not _are_texts(patterns):
+        return root
+    if not (own is None or isinstance(own, yaml.SequenceNode) or _is_null(own)):
+        return root
+    entries = list(own.value) if isinstance(own, yaml.SequenceNode) else []
+    left = _Left(allowance, seen={config.resolve()})
+    for pattern in patterns.value:
+        for path in _files(pattern, config):
+            entries += _entries(path, config, pattern, left)
+    mark = own or patterns
+    merged = yaml.SequenceNode(yaml_nodes.SEQ_TAG, entries, mark.start_mark, mark.end_mark)
+    pairs = [(key, child) for key, child in root.value if key.value not in (INCLUDE, RECORDINGS)]
+    key = yaml.ScalarNode(yaml_nodes.STR_TAG, RECORDINGS, mark.start_mark, mark.end_mark)
+    return yaml.MappingNode(root.tag, [*pairs, (key, merged)], root.start_mark, root.end_mark)
+
+
+def _are_texts(node: yaml.Node) -> bool:
+    return (
+        isinstance(node, yaml.SequenceNode)
+        and node.value != []
+        and all(isinstance(each, yaml.ScalarNode) and each.tag == yaml_nodes.STR_TAG for each in node.value)
+    )
+
+
+def _is_null(node: yaml.Node) -> bool:
+    return bool(node.tag == yaml_nodes.NULL_TAG)
+
+
+def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
+    """The files that one entry of `include:` means."""
+    where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
+    try:
+        found = matching(config.parent, pattern.value)
+    except ValueError as error:
+        raise SettingsError(f"{where}: {error}") from None
+    except OSError as error:
+        raise SettingsError(f"{where}: {error.filename}: {error.strerror}") from None
+    if not found:
+        place = shown(config.parent) if url_of(config) else config.parent.resolve()
+        raise SettingsError(f"{where}: no file is called '{printable(pattern.value)}' in {place}; correct it")
+    if len(found) > MOST_FILES:
+        raise SettingsError(f"{where}: {len(found)} files; at most {MOST_FILES} may be included")
+    return found
+
+
+def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) -> list[yaml.Node]:
+    """The recordings of one file; none if it was read before, as names and patterns may mean a file twice."""
+    where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
+    refuse_outside(path, config.parent)
+    if path.resolve() in left.seen:
+        if path.name == pattern.value and path.resolve() == config.resolve():
+            raise SettingsError(f"{where}: '{printable(pattern.value)}' is this file itself; remove it")
+        return []
+    left.seen.add(path.resolve())
+    content = read_bytes(path, left.bytes, f"it is named at {where}; {MISSING}")
+    left.bytes -= len(content)
+    if path.suffix.lower() in ENDINGS:
+        return table_entries(content, shown(path), left.allowance)
+    return _of_yaml(as_text(content, shown(path)), shown(path), left.allowance)
+
+
+def _of_yaml(text: str, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:
+    """The entries under `recordings:` of an included YAML file, which holds nothing else."""
+    root = yaml_nodes.compose(text, source, allowance)
+    yaml_nodes.plain(root)  # refuses what stands twice
+    only = f"an included file holds `{RECORDINGS}:` and nothing else"
+    for key in yaml_nodes.items(root):
+        if key != RECORDINGS:
+            node = next(each for each, _ in root.value if each.value == key)
+            raise SettingsError(
+                f"{yaml_nodes.place(node)}: {printable(key)}: {only}; put it into benchmark.yaml"
+            )
+    recordings = yaml_nodes.items(root).get(RECORDINGS)
+    if not isinstance(recordings, yaml.SequenceNode):
+        raise SettingsError(f"{yaml_nodes.place(recordings or root)}: {only}, a list as in benchmark.yaml")
+    return list(recordings.value)

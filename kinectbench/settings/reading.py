@@ -1,0 +1,131 @@
+"""The files that settings are read from: bounded, never outside their folder, and found by patterns."""
+
+import codecs
+import fnmatch
+from collections.abc import Iterator, Sequence
+from itertools import takewhile
+from pathlib import Path
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.store.address import is_web, parent_of, shown, url_of
+from kinectbench.core.store.attempts import MissingObjectError
+from kinectbench.core.store.store import Store
+from kinectbench.core.untrusted import MOST_LISTED, below, decoded, lies_below, printable, read_plain, scanned
+
+# Ten thousand recordings with a page about each; how many values there may be is bounded apart (own choice).
+MOST_BYTES = 16 << 20
+# The signs of a pattern; a name without them is a file's own.
+SIGNS = "*?["
+INIT = "`kinectbench init FOLDER` writes one for the recordings in FOLDER"
+
+
+def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) -> bytes:
+    """The bytes of a file of settings, here, in a store or on a web server.
+
+    Args:
+        path: the file, or its URL as a path.
+        most_bytes: a larger one is refused.
+        missing: what to do if there is no such file.
+
+    Raises:
+        SettingsError: it is missing, or cannot be read.
+        StorageError: a store cannot be read.
+    """
+    if (url := url_of(path)) is not None:
+        try:
+            return Store(parent_of(url)).read(url.rpartition("/")[2], most_bytes)
+        except MissingObjectError:
+            advice = "copy a benchmark.yaml there" if missing == INIT else missing
+            raise SettingsError(f"{shown(url)}: no such file; {advice}") from None
+    if path.is_dir():
+        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it")
+    try:
+        return read_plain(path, most_bytes)
+    except FileNotFoundError:
+        raise SettingsError(f"{path}: no such file; {missing}") from None
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def as_text(content: bytes, source: str) -> str:
+    """The bytes of a file as UTF-8 text, with or without a byte order mark.
+
+    Raises:
+        SettingsError: they are something else, or take more memory than such a file may.
+    """
+    try:
+        return decoded(content.removeprefix(codecs.BOM_UTF8), MOST_BYTES, source)
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise SettingsError(f"{source}:{line}: not UTF-8 text; save the file as UTF-8") from None
+    except OSError as error:
+        raise SettingsError(f"{source}: cannot be read: {error.strerror or error}") from None
+
+
+def matching(folder: Path, pattern: str) -> list[Path]:
+    """The files that a name or a pattern means, sorted.
+
+    A pattern is that of a shell, with `*`, `?` and `[…]` inside a name. `**` is refused: below a benchmark
+    lie the frames of its recordings, and all of them would be looked through.
+
+    Args:
+        folder: that names are relative to.
+        pattern: with "/" between folders.
+
+    Returns:
+        The files of a pattern, perhaps none; a name without signs as it is, whether it is there or not.
+
+    Raises:
+        ValueError: it leads out of the folder, is hidden, is no name, or cannot be looked for; the message
+            says which.
+        OSError, StorageError: the files cannot be listed.
+    """
+    path = below(folder, pattern)
+    parts = path.relative_to(folder).parts
+    if any("**" in part for part in parts):
+        raise ValueError(f"'{printable(pattern)}' looks through folders of any depth; write '*' for each")
+    if (url := url_of(folder)) is not None:
+        return _matching_there(url, folder, parts)
+    found = [folder]
+    for part in parts:
+        found = [way for above in found for way in _inside(above, part)]
+    return [way for way in sorted(found) if way == path or way.is_file()]
+
+
+def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path]:
+    """`matching` of the files in a store."""
+    known = list(takewhile(lambda part: not any(sign in part for sign in SIGNS), parts))
+    if len(known) == len(parts):
+        return [folder.joinpath(*parts)]
+    if is_web(url):
+        raise ValueError("a web server does not list its files; name each of them")
+    names = (each.name.split("/") for each in Store(url).objects("/".join(known)))
+    return [folder.joinpath(*name) for name in names if len(name) == len(parts) and _all_match(name, parts)]
+
+
+def _all_match(name: Sequence[str], parts: Sequence[str]) -> bool:
+    return all(_matches(one, part) for one, part in zip(name, parts, strict=True))
+
+
+def _matches(name: str, part: str) -> bool:
+    """Whether one part of a pattern means a name; `*` means nothing that is hidden."""
+    return fnmatch.fnmatchcase(name, part) and not name.startswith(".")
+
+
+def _inside(above: Path, part: str) -> Iterator[Path]:
+    """What one part of a pattern means in a folder."""
+    if not any(sign in part for sign in SIGNS):
+        yield above / part
+    elif above.is_dir():
+        names = (entry.name for entry in scanned(above, MOST_LISTED))
+        yield from (above / name for name in names if _matches(name, part))
+
+
+def refuse_outside(path: Path, folder: Path) -> None:
+    """Refuse a file whose links lead out of its folder; a store has none.
+
+    Raises:
+        SettingsError: they do.
+    """
+    if url_of(path) is None and path.exists() and not lies_below(path, folder.resolve()):
+        raise SettingsError(f"{path}: a link that leads out of {folder.resolve()}; copy the file there")

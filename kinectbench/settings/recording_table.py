@@ -1,0 +1,219 @@
+"""A table of recordings, CSV or Parquet, as nodes: a row is a recording, a column one of its fields."""
+
+import io
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import accumulate
+from typing import Any, get_origin
+
+import yaml
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import UNPACKED_BYTES, printable
+from kinectbench.core.untrusted_text import csv_rows
+from kinectbench.settings import yaml_nodes
+from kinectbench.settings.models import RecordingSettings, Settings
+from kinectbench.settings.reading import MOST_BYTES, as_text
+from kinectbench.settings.words import model_of, suggestion, without_none
+
+CSV, PARQUET = ".csv", ".parquet"
+ENDINGS = (CSV, PARQUET)
+# Rows of a Parquet file, where a million may take a few bytes (own choice: ten times the largest benchmark).
+MOST_ROWS = 100_000
+INSTALL = "reading it needs the package pyarrow; run `pip install 'kinectbench[tables]'`, or save it as CSV"
+
+
+def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:
+    """The rows of a table as entries of `recordings:`; an empty cell says nothing.
+
+    A column is called as its key in benchmark.yaml, with dots for keys inside others, such as `camera.fx`.
+    A cell holds what would stand behind the key: a text (without quotes), a number, true or false, or a list
+    of numbers such as `[0, 0, 1, 0]`.
+
+    Args:
+        content: of the file.
+        source: its name, whose ending says what it is; lines are counted from 1, the header's.
+        allowance: how many values there may still be.
+
+    Raises:
+        SettingsError: it is no such table, or has a column that is none of a recording's keys.
+    """
+    is_csv = source.lower().endswith(CSV)
+    header, rows = _of_csv(content, source) if is_csv else _of_parquet(content, source)
+    _check_header(header, source)
+    fields = [tuple(name.split(".")) for name in header]
+    entries = []
+    for line, row in rows:
+        if len(row) > len(header):
+            raise SettingsError(
+                f"{source}:{line}: {len(row)} cells under {len(header)} columns; put a cell with a comma "
+                "into double quotes"
+            )
+        cells = {key: cell for key, cell in zip(fields, row, strict=False) if cell.strip()}
+        if cells:
+            allowance.take(1 + 2 * len(cells), source, line)
+            entries.append(_entry(cells, _mark(source, line)))
+    return entries
+
+
+def columns() -> dict[str, Any]:
+    """Every column that a table may have, in the models' order, and what its cells hold."""
+    return {".".join(key): annotation for key, annotation in _leaves(RecordingSettings)}
+
+
+def _leaves(model: type[Settings], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for name, field in model.model_fields.items():
+        inner = model_of(field.annotation)
+        if inner is None:
+            yield (*above, name), without_none(field.annotation)
+        else:
+            yield from _leaves(inner, (*above, name))
+
+
+def _of_csv(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """The header, and each row with its line."""
+    try:
+        rows = csv_rows(as_text(content, source))
+    except ValueError as error:
+        raise SettingsError(f"{source}: no CSV table: {error}") from None
+    if not rows:
+        raise SettingsError(f"{source}: an empty file; its first line names the columns: id,path,category")
+    # A cell in quotes may have lines of its own.
+    lines = accumulate((1 + sum(cell.count("\n") for cell in row) for row in rows), initial=1)
+    numbered = zip(lines, rows, strict=False)
+    _, header = next(numbered)
+    return [name.strip() for name in header], numbered
+
+
+def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """The header, and each row with the line that it would have in a CSV file."""
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise SettingsError(f"{source}: {INSTALL}") from error
+    try:
+        file = parquet.ParquetFile(io.BytesIO(content))
+        _check_parquet(file, source)
+        names = [str(name) for name in file.schema_arrow.names]
+        # A text that stands in all rows is kept once; what it would take in each of them is counted first.
+        schema = file.schema_arrow
+        texts = [name for name, kind in zip(names, schema.types, strict=True) if arrow.types.is_string(kind)]
+        file = parquet.ParquetFile(io.BytesIO(content), read_dictionary=texts)
+        columns = [_cells(column, source) for column in file.read(use_threads=False).columns]
+    except (arrow.ArrowException, OSError, ValueError) as error:
+        raise SettingsError(f"{source}: no Parquet table: {printable(str(error))}") from None
+    return names, enumerate((list(row) for row in zip(*columns, strict=True)), start=2)
+
+
+def _check_parquet(file: Any, source: str) -> None:
+    """Refuse what a Parquet file says of itself before its values are read."""
+    from pyarrow import types
+
+    said, schema = file.metadata, file.schema_arrow
+    _check_header([str(name) for name in schema.names], source)
+    if said.num_rows > MOST_ROWS:
+        raise SettingsError(f"{source}: {said.num_rows} rows; at most {MOST_ROWS} may be there")
+    for name, kind in zip(schema.names, schema.types, strict=True):
+        inner = kind.value_type if types.is_list(kind) or types.is_large_list(kind) else kind
+        inner = inner.value_type if types.is_dictionary(inner) else inner
+        if not any(is_it(inner) for is_it in (types.is_string, types.is_large_string, *_numbers(types))):
+            raise SettingsError(
+                f"{source}: the column '{name}' holds {printable(str(kind))}; wanted text, numbers, truth "
+                "values or lists of numbers"
+            )
+    chunks = (
+        said.row_group(group).column(column)
+        for group in range(said.num_row_groups)
+        for column in range(said.num_columns)
+    )
+    unpacked = sum(chunk.total_uncompressed_size + 8 * chunk.num_values for chunk in chunks)
+    if unpacked > UNPACKED_BYTES:
+        raise SettingsError(f"{source}: unpacks to {unpacked} bytes; at most {UNPACKED_BYTES} may be there")
+
+
+def _numbers(types: Any) -> tuple[Callable[[Any], bool], ...]:
+    return types.is_integer, types.is_floating, types.is_boolean, types.is_null
+
+
+def _cells(column: Any, source: str) -> list[str]:
+    """A column as a CSV file would have it, as far as that is no larger than such a file may be."""
+    cells, left = [], MOST_BYTES
+    for value in column:
+        cells.append(_cell(value.as_py()))
+        left -= len(cells[-1])
+        if left < 0:
+            raise SettingsError(f"{source}: a column of more than {MOST_BYTES} characters")
+    return cells
+
+
+def _cell(value: Any) -> str:
+    """A value as a CSV file would have it."""
+    if value is None or value != value:  # NaN, which is what pandas writes for an empty cell
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{', '.join(_cell(each) for each in value)}]"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _check_header(header: Sequence[str], source: str) -> None:
+    known = columns()
+    for name, times in Counter(header).items():
+        if times > 1:
+            raise SettingsError(f"{source}:1: the column '{printable(name)}' stands {times} times; keep one")
+        if name in known:
+            continue
+        if inner := [key for key in known if key.startswith(f"{name}.")]:
+            hint = f"write a column for each of {', '.join(inner)}"
+        elif ";" in name or "\t" in name:
+            hint = "columns are separated by commas"
+        else:
+            hint = suggestion(name, list(known))
+        raise SettingsError(f"{source}:1: '{printable(name)}' is no column of recordings; {hint}")
+
+
+def _mark(source: str, line: int) -> yaml.Mark:
+    return yaml.Mark(source, 0, line - 1, 0, None, 0)
+
+
+def _entry(cells: Mapping[tuple[str, ...], str], mark: yaml.Mark) -> yaml.Node:
+    """One row as a mapping."""
+    known = _KINDS
+    entry: dict[str, Any] = {}
+    for key, cell in cells.items():
+        inner = entry
+        for part in key[:-1]:
+            inner = inner.setdefault(part, {})
+        inner[key[-1]] = _value(cell.strip(), known[key], mark)
+    return _mapping(entry, mark)
+
+
+def _mapping(entry: Mapping[str, Any], mark: yaml.Mark) -> yaml.Node:
+    pairs = [
+        (
+            yaml.ScalarNode(yaml_nodes.STR_TAG, key, mark, mark),
+            _mapping(value, mark) if isinstance(value, dict) else value,
+        )
+        for key, value in entry.items()
+    ]
+    return yaml.MappingNode(yaml_nodes.MAP_TAG, pairs, mark, mark)
+
+
+def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
+    """A cell as a node: the text itself, or what YAML would make of it."""
+    if is_text:
+        return yaml.ScalarNode(yaml_nodes.STR_TAG, cell, mark, mark)
+    if cell.startswith("[") and cell.endswith("]"):
+        parts = [yaml_nodes.scalar(part.strip(), mark) for part in cell[1:-1].split(",")]
+        return yaml.SequenceNode(yaml_nodes.SEQ_TAG, parts, mark, mark)
+    return yaml_nodes.scalar(cell, mark)
+
+
+def _is_text(annotation: Any) -> bool:
+    """Whether a field's cell is a text whatever it looks like, such as an id of digits."""
+    return annotation not in (int, float, bool) and get_origin(annotation) is not tuple
+
+
+_KINDS = {key: _is_text(annotation) for key, annotation in _leaves(RecordingSettings)}
