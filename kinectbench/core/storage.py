@@ -21,7 +21,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 # scores.json, index.html and baselines/ in a folder of scores. No recording and no method may have
 # that folder's name, or one that ends as those files do.
 OUR_FOLDERS = ("baselines",)
-OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".html", ".lock", ".part", ".old")
+OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".glb", ".html", ".lock", ".part", ".old")
 
 
 def name_problem(name: str, also: str = "") -> str | None:

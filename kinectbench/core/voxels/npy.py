@@ -5,12 +5,13 @@ and any shape, allocates what a header claims, and raises half a dozen kinds of 
 """
 
 import ast
+import io
 import math
 import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,12 +77,12 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | No
     data = np.empty(math.prod(header.shape), header.dtype)
     if data.nbytes:
         raw, done = data.view(np.uint8).data, 0
+        read_into = cast(io.BufferedIOBase, file).readinto  # what is typed IO[bytes] has it
         while done < len(raw):
-            part = file.read(min(CHUNK_BYTES, len(raw) - done))
-            if not part:
+            count = read_into(raw[done : done + CHUNK_BYTES])
+            if not count:
                 raise NpyError(f"cut short: {done} bytes of data, {len(raw)} are claimed")
-            raw[done : done + len(part)] = part
-            done += len(part)
+            done += count
     if file.read(1):  # reaching the end also checks an archive's checksum
         raise NpyError("longer than it claims")
     _check_texts(data)

@@ -17,9 +17,9 @@ from kinectbench.core.errors import PairError
 from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.untrusted import read_plain
-from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, packed_npz_bytes
+from kinectbench.core.voxels.npz import NPY, UNREADABLE, arrays_of, open_npz, packed_npz_bytes
 
-FORMAT_VERSION = 1
+FORMAT_VERSION, VERSION_KEY = 1, "format_version"
 FULL_CELLS = 256
 PARTIAL_CELLS = 64
 BLOCK = FULL_CELLS // PARTIAL_CELLS
@@ -135,7 +135,7 @@ def unpack(packed: Packed) -> Bools:
 def pair_bytes(pair: Pair | PairInput) -> bytes:
     """Serialise a pair or an input as a compressed npz, the same bytes every time."""
     arrays: dict[str, NDArray[np.generic]] = {f.name: np.asarray(getattr(pair, f.name)) for f in fields(pair)}
-    return packed_npz_bytes(arrays | {"format_version": np.asarray(FORMAT_VERSION)})
+    return packed_npz_bytes(arrays | {VERSION_KEY: np.asarray(FORMAT_VERSION)})
 
 
 def read_pair(path: Path) -> Pair:
@@ -179,13 +179,37 @@ def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
 def pair_parts(content: bytes, names: Collection[str]) -> list[NDArray[Any]]:
     """Some arrays of a pair file's bytes, checked, in the order of `names`; the others are not unpacked.
 
+    A key that files of earlier versions lack has its default.
+
     Raises:
-        UNREADABLE: one of these exceptions, if it is damaged, or one of the arrays is missing or wrong.
+        UNREADABLE: one of these exceptions, if it is damaged, of another format version, or one of the arrays
+            is missing or wrong.
     """
-    values = arrays_of(io.BytesIO(content), MAX_BYTES, names)
+    values = arrays_of(io.BytesIO(content), MAX_BYTES, (VERSION_KEY, *names), _defaults(Pair))
+    if fault := _version_fault(values):
+        raise ValueError(fault)
+    return [checked_parts(values, names)[name] for name in names]
+
+
+def checked_parts(values: dict[str, NDArray[Any]], names: Collection[str]) -> dict[str, NDArray[Any]]:
+    """Some arrays of a pair as they are, those of `names` checked.
+
+    Raises:
+        ValueError: one of them is wrong.
+    """
     if fault := _fault_in(values, names):
         raise ValueError(fault)
-    return list(values.values())
+    return values
+
+
+def pair_keys(content: bytes) -> tuple[str, ...]:
+    """The keys of a pair file's bytes; nothing is unpacked.
+
+    Raises:
+        UNREADABLE: one of these exceptions, if it is damaged.
+    """
+    with open_npz(io.BytesIO(content), MAX_BYTES) as archive:
+        return tuple(name.removesuffix(NPY) for name in archive.namelist())
 
 
 def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where: str) -> AnyPair:
@@ -194,20 +218,30 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
     Raises:
         PairError: a key is missing or wrong, or the format version is another; the line begins with `where`.
     """
-    values = {f.name: np.asarray(f.default) for f in fields(kind) if f.default is not MISSING} | dict(values)
+    values = _defaults(kind) | dict(values)
     names = [f.name for f in fields(kind)]
     missing = [name for name in names if name not in values]
     if missing:
         what = "a pair file" if kind is Pair else "a pair's input"
         raise PairError(f"{where}: not {what}: the keys {', '.join(missing)} are missing")
-    version = values.get("format_version", np.asarray(0))
-    if version.shape != () or version.item() != FORMAT_VERSION:
-        raise PairError(f"{where}: written in another format version; this package reads {FORMAT_VERSION}")
-    if fault := _fault_in(values, names):
+    if fault := _version_fault(values) or _fault_in(values, names):
         raise PairError(f"{where}: {fault}")
     scalars = (*NUMBERS, *TEXTS)
     checked: dict[str, Any] = {n: values[n].item() if n in scalars else values[n] for n in names}
     return kind(**checked)
+
+
+def _defaults(kind: type[Pair] | type[PairInput]) -> dict[str, NDArray[Any]]:
+    """What a key means where a file of an earlier version does not have it."""
+    return {f.name: np.asarray(f.default) for f in fields(kind) if f.default is not MISSING}
+
+
+def _version_fault(values: Mapping[str, NDArray[Any]]) -> str | None:
+    """What is wrong with the format version of a pair file, or None."""
+    version = values.get(VERSION_KEY, np.asarray(0))
+    if version.shape != () or version.item() != FORMAT_VERSION:
+        return f"written in another format version; this package reads {FORMAT_VERSION}"
+    return None
 
 
 def _fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
