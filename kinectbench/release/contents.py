@@ -1,6 +1,5 @@
 """The files of a release: their names, and how they are read in a folder or an archive, in place."""
 
-import hashlib
 import tarfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -11,7 +10,7 @@ from typing import IO, Any
 from kinectbench.core import untrusted_text
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.untrusted import IMAGE_BYTES, decoded, listed_below, open_plain, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, decoded, listed_below, open_plain
 from kinectbench.core.voxels.npz import UNREADABLE, open_npz
 from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
 from kinectbench.core.zip_files import DAMAGED_ZIP
@@ -19,12 +18,15 @@ from kinectbench.core.zip_files import DAMAGED_ZIP
 CARD = "README.md"
 READING = "READING.md"
 CROISSANT = "croissant.json"
+DATACITE = "datacite.json"
 DATASHEET = "datasheet.md"
 PREVIEW = "index.html"
 SCHEMAS = "schemas"
 SPLIT_TARGETS = "targets"
 # The bytes of each object, and of each view.
 OBJECT_FILES = ("mesh.ply", "volume.npz")
+# objects/<recording>.glb, and the most that it has: enough for 60,000 triangles with normals (own choice).
+GLB, MOST_GLB_BYTES = ".glb", 2_000_000
 VIEW_IMAGES = (".depth.png", ".mask.png")
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
@@ -41,7 +43,13 @@ MOST_FILE_BYTES = 256 << 20
 VOLUME_BYTES = 1 << 30
 # By how a name ends, what is written, checked and made again. A mesh of 128 MB has 3 million vertices, 6
 # million triangles, and takes 320 MB to be checked (own choice; measured).
-MOST_BYTES = {"/mesh.ply": 128 << 20, "/volume.npz": MOST_FILE_BYTES, ".npz": PAIR_BYTES, ".png": IMAGE_BYTES}
+MOST_BYTES = {
+    "/mesh.ply": 128 << 20,
+    "/volume.npz": MOST_FILE_BYTES,
+    ".npz": PAIR_BYTES,
+    ".png": IMAGE_BYTES,
+    GLB: MOST_GLB_BYTES,
+}
 # What zipfile, tarfile and gzip raise of damaged files.
 DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
 
@@ -164,41 +172,6 @@ class Contents:
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
-
-
-def release_text(path: Path) -> str:
-    """A UTF-8 text file of a release or a build.
-
-    Raises:
-        ReleaseError: it cannot be read.
-    """
-    try:
-        return decoded(read_plain(path, MAX_READ_BYTES), MAX_READ_BYTES, str(path))
-    except FileNotFoundError:
-        raise ReleaseError(f"{path}: missing; make or download it again") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ReleaseError(f"{path}: cannot be read ({error}); make or download it again") from error
-
-
-def published_bytes(path: Path, sha256: str | None, limit: int = MAX_READ_BYTES) -> bytes:
-    """The bytes of a file of a release in a folder, at the end of a link, if it is one.
-
-    Args:
-        path: the file.
-        sha256: what they must hash to.
-        limit: a larger file is not read.
-
-    Raises:
-        ReleaseError: it is missing, cannot be read, or is not the published one.
-    """
-    try:
-        content = read_plain(path, limit)
-    except OSError as error:
-        reason = error.strerror or error
-        raise ReleaseError(f"{path}: cannot be read ({reason}); download the release again") from error
-    if hashlib.sha256(content).hexdigest() != sha256:
-        raise ReleaseError(f"{path}: changed since it was published (SHA-256 differs); download it again")
-    return content
 
 
 def release_json(text: str, where: str) -> Any:

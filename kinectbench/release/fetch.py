@@ -24,7 +24,8 @@ from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import TEXT_BYTES, printable
-from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, most_bytes, release_text
+from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, most_bytes
+from kinectbench.release.published import release_text
 
 # Where a plain NAME is looked for: a URL that holds releases by their names.
 RELEASES_VARIABLE = "KINECTBENCH_RELEASES"

@@ -10,7 +10,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import TEXT_BYTES
-from kinectbench.release.contents import release_text
+from kinectbench.release.published import release_text
 
 
 def put_release(folder: Path, store: Store, progress: Progress | None = None) -> int:

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import (
     SHA256SUMS,
     SPLITS_JSON,
@@ -17,10 +18,10 @@ from kinectbench.core.artefacts.targets import (
     parse_targets,
 )
 from kinectbench.core.artefacts.targets import Target as Target
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.untrusted import decoded, printable
-from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
-from kinectbench.release.contents import MAX_READ_BYTES, published_bytes, release_text
+from kinectbench.release.contents import MAX_READ_BYTES
+from kinectbench.release.published import is_there, published_bytes, release_text
 
 FIRST_LINE = 2  # of targets.csv that holds a target
 
@@ -30,7 +31,7 @@ class Release:
     """A published benchmark that was opened.
 
     Attributes:
-        folder: where it lies.
+        folder: where it lies; or its archive, through which the paths of its files lead (see published.py).
         targets: every line of targets.csv, in its order.
         metadata: benchmark.json.
     """
@@ -103,6 +104,20 @@ class Release:
         except (OSError, UnicodeDecodeError) as error:
             raise ReleaseError(f"{self.folder / name}: not a readable text ({error})") from error
 
+    def floor(self, recording: str) -> FloorFile | None:
+        """The floor of a recording; None where the release has none, as of synthesised models.
+
+        Raises:
+            ReleaseError: its file is damaged.
+        """
+        path = self.folder / "objects" / recording / FloorFile.FILE
+        if not is_there(path):
+            return None
+        try:
+            return FloorFile.parse(release_text(path), str(path))
+        except StorageError as error:
+            raise ReleaseError(f"{error}, or download the release again") from error
+
     @cached_property
     def by_recording(self) -> dict[str, list[Target]]:
         """The targets of each recording, in the order of the recordings' ids."""
@@ -117,19 +132,20 @@ class Release:
         Raises:
             ReleaseError: it is missing, or not the published one.
         """
-        return published_bytes(self.pair_path(target), target.sha256, PAIR_BYTES)
+        return published_bytes(self.pair_path(target), target.sha256)
 
 
 def open_release(path: Path) -> Release:
     """Open a release, checking that its small files are the published ones (pairs: when they are read).
 
+    Args:
+        path: its folder, or a .zip, .tar or .tar.gz of it, which is read in place.
+
     Raises:
         ReleaseError: no release there, another format version, targets or benchmark.json changed, an object
             in two splits, a path that leaves the release, or files that do not agree with each other.
     """
-    if path.is_file():
-        raise ReleaseError(f"{path}: a file; unpack the release and give its folder")
-    if not (path / BENCHMARK_JSON).is_file():
+    if not is_there(path / BENCHMARK_JSON):
         raise ReleaseError(
             f"{path}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
         )
@@ -142,7 +158,7 @@ def open_release(path: Path) -> Release:
     # What is parsed is what was hashed: a file may change between two looks at it.
     published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}
     for name in published:
-        if not (path / name).is_file():
+        if not is_there(path / name):
             raise ReleaseError(f"{path / name}: missing; download the release again")
         published[name] = published_bytes(path / name, sums.get(name))
     if published[BENCHMARK_JSON] != stated.encode():

@@ -1,6 +1,7 @@
 """The gallery of a page: some pairs and their predictions at 64^3, as text that a browser unpacks."""
 
 import base64
+import contextlib
 import json
 import zlib
 from collections import Counter
@@ -14,9 +15,8 @@ import numpy as np
 from markupsafe import Markup
 
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
-from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import ReleaseError
 from kinectbench.core.pictures import block_density
 from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
@@ -189,7 +189,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
     path = release.pair_path(target)
     names = ("partial", "full", "known", "T_world_grid")
     partial, full, known, T_world_grid = read_parts(path, target.sha256, names)
-    up = _up_grid(release.folder / "objects" / target.recording, T_world_grid)
+    up = _up_grid(release, target.recording, T_world_grid)
     drawn = reduced(full)
     unseen = _unseen(full, known) & drawn
     return PairTruth(target.category, target.object, up, partial, drawn, _sampled(known), unseen)
@@ -201,12 +201,12 @@ def _unseen(full: Packed, known: Packed) -> Packed:
     return pack(share_unknown >= block_density(full) / np.float32(2))
 
 
-def _up_grid(folder: Path, T_world_grid: Float64) -> Float64:
-    """Where up is in a grid, by the floor in a folder; what was up in the view, if the floor is not known."""
-    try:
-        up = FloorFile.read(folder).T_floor_world[2, :3] @ T_world_grid[:3, :3]
-    except StorageError:  # it only turns a picture
-        up = np.zeros(3)
+def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
+    """Where up is in a grid, by the recording's floor; what was up in the view, if the floor is not known."""
+    up = np.zeros(3)
+    with contextlib.suppress(ReleaseError):  # it only turns a picture
+        floor = release.floor(recording)
+        up = up if floor is None else floor.T_floor_world[2, :3] @ T_world_grid[:3, :3]
     length = float(np.linalg.norm(up))
     return up / length if length > 0 and np.isfinite(length) else np.array([0.0, -1, 0])
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.core.voxels.pair_file import MAX_BYTES, NUMBERS, Packed, pair_parts
-from kinectbench.release.contents import published_bytes
+from kinectbench.core.voxels.pair_file import NUMBERS, Packed, pair_parts
+from kinectbench.release.published import published_bytes
 
 GRIDS = ("full", "known", "seen")
 
@@ -69,7 +69,7 @@ def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[An
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    content = published_bytes(path, sha256, MAX_BYTES)
+    content = published_bytes(path, sha256)
     try:
         return pair_parts(content, names)
     except UNREADABLE as error:

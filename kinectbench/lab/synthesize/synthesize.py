@@ -30,9 +30,10 @@ from kinectbench.lab.synthesize.models import (
     family_models,
     folder_models,
 )
-from kinectbench.release.contents import release_files, release_text
+from kinectbench.release.contents import release_files
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.release.published import release_text
 from kinectbench.release.release import Target
 from kinectbench.scoring.workers import run_tasks
 from kinectbench.settings.models import PairSettings

@@ -10,8 +10,8 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.locks import locked, sweep
-from kinectbench.release.contents import release_text
 from kinectbench.release.publish.publish import NO_OPTIONS, PRIVATE, PublishSummary, publish
+from kinectbench.release.published import release_text
 from kinectbench.settings.models import BenchmarkSettings
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object import FloorFile
-from kinectbench.core.errors import ReleaseError, StorageError
+from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import Packed, PairInput, unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import reduced
@@ -79,14 +79,11 @@ def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.
     Raises:
         ReleaseError: the floor's file is damaged.
     """
-    folder = release.folder / "objects" / target.recording
-    try:
-        floor = FloorFile.read_if_there(folder)
-    except StorageError as error:
-        raise ReleaseError(f"{error}, or download the release again") from error
+    floor = release.floor(target.recording)
     if floor is None:
         return UP_IN_CAMERA
     if not floor.plane_world[:3].any():
-        raise ReleaseError(f"{folder / FloorFile.FILE}: a plane without a normal; download the release again")
+        where = release.folder / "objects" / target.recording / FloorFile.FILE
+        raise ReleaseError(f"{where}: a plane without a normal; download the release again")
     up = np.linalg.inv(pair.T_world_grid[:3, :3]) @ floor.plane_world[:3]
     return np.asarray(up / np.linalg.norm(up), dtype=np.float64)

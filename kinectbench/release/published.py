@@ -1,0 +1,126 @@
+"""The bytes of a published file, in a release's folder or in its archive, which is read in place.
+
+A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`.
+So whatever is given the path of a file, in this process or in another, reads both.
+"""
+
+import hashlib
+import os
+import weakref
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.untrusted import decoded, read_plain
+from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
+from kinectbench.release.opening import open_contents
+
+# Of archives, a listing is kept of so many (own choice); one of 100,000 pairs takes 300 MB.
+MOST_OPEN = 2
+
+
+def release_text(path: Path) -> str:
+    """A UTF-8 text file of a release or a build.
+
+    Raises:
+        ReleaseError: it cannot be read.
+    """
+    try:
+        return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, str(path))
+    except FileNotFoundError:
+        raise ReleaseError(f"{path}: missing; make or download it again") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReleaseError(f"{path}: cannot be read ({error}); make or download it again") from error
+
+
+def published_bytes(path: Path, sha256: str | None) -> bytes:
+    """The bytes of a file of a release in a folder, at the end of a link, if it is one, or in an archive.
+
+    Args:
+        path: the file.
+        sha256: what they must hash to.
+
+    Raises:
+        ReleaseError: it is missing, larger than its kind may be, cannot be read, or is not the published one.
+    """
+    try:
+        content = _read(path, most_bytes(str(path)))
+    except OSError as error:
+        reason = error.strerror or error
+        raise ReleaseError(f"{path}: cannot be read ({reason}); download the release again") from error
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ReleaseError(f"{path}: changed since it was published (SHA-256 differs); download it again")
+    return content
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is a file, in a folder or in an archive.
+
+    Raises:
+        ReleaseError: the archive cannot be read.
+    """
+    if path.is_file():
+        return True
+    archive = _archive_above(path)
+    return archive is not None and _name_in(path, archive) in _listed(archive).contents.entries
+
+
+def _read(path: Path, limit: int) -> bytes:
+    try:
+        return read_plain(path, limit)
+    except NotADirectoryError:  # a part of the way is a file
+        archive = _archive_above(path)
+        if archive is None:
+            raise
+    opened = _listed(archive)
+    with opened.lock:
+        try:
+            return opened.contents.read(_name_in(path, archive), limit)
+        except ReleaseError as error:
+            raise ReleaseError(f"{archive}: {error}") from error
+
+
+def _archive_above(path: Path) -> Path | None:
+    """The file that a path leads into, if it does."""
+    return next((parent for parent in path.parents if parent.is_file()), None)
+
+
+def _name_in(path: Path, archive: Path) -> str:
+    return path.relative_to(archive).as_posix()
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """An archive that stays open.
+
+    Attributes:
+        contents: its files.
+        lock: held while a file of it is read: they share one open file, and the place in it.
+    """
+
+    contents: Contents
+    lock: Lock = field(default_factory=Lock)
+
+
+def _listed(archive: Path) -> _Opened:
+    """The archive as this process has it open; one that was written anew is opened anew.
+
+    A process that was forked opens it anew, too: the place in an open file is shared with the parent.
+
+    Raises:
+        ReleaseError: it holds no release, or is damaged.
+        OSError: it is gone.
+    """
+    found = archive.stat()
+    return _opened(archive, (os.getpid(), found.st_size, found.st_mtime_ns, found.st_ino))
+
+
+@lru_cache(MOST_OPEN)
+def _opened(archive: Path, _state: tuple[int, ...]) -> _Opened:
+    closing = ExitStack()
+    opened = _Opened(closing.enter_context(open_contents(archive)))
+    weakref.finalize(opened, closing.close)  # when no thread reads it any more
+    return opened
