@@ -19,13 +19,14 @@ from kinectbench._version import __version__ as __version__
 if TYPE_CHECKING:
     from kinectbench.scoring.api import Dataset as Dataset
     from kinectbench.scoring.api import Scorer as Scorer
+    from kinectbench.scoring.api import decode_sample as decode_sample
     from kinectbench.scoring.api import load as load
 
-__all__ = ["Dataset", "Scorer", "load"]
+__all__ = ["Dataset", "Scorer", "decode_sample", "load"]
 
 
 def __getattr__(name: str) -> Any:
-    """`load`, `Dataset` and `Scorer`, imported when they are asked for: the command line stays quick."""
+    """`load`, `Dataset`, `Scorer` and `decode_sample`, imported late: the command line stays quick."""
     if name in __all__:
         from kinectbench.scoring import api
 

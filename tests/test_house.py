@@ -68,6 +68,7 @@ RAW = {
     "core/untrusted_text.py": "the functions themselves",
     "core/voxels/npz.py": "the functions themselves",
     "core/voxels/pair_file.py": "owner of the pair file",
+    "scoring/shards.py": "samples of WebDataset shards, which others may have written",
     "core/voxels/recgan_file.py": "files of the 3D-RecGAN authors",
     "cli/": "tables that are printed",
     "stages/fuse/reconstruction.py": "owner of reconstruction/volume.npz",

@@ -1,7 +1,6 @@
 """For people who train: a release as a dataset, and a scorer that works from memory, batch by batch."""
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,114 +9,23 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.artefacts.targets import SPLITS, check_splits
-from kinectbench.core.errors import PredictionError, SettingsError
-from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pair_values, unpack
+from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.errors import PredictionError
 from kinectbench.core.voxels.resample import HALF_PIXEL
-from kinectbench.release.release import Release, Target, open_release
+from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
+from kinectbench.scoring.dataset import Dataset as Dataset
+from kinectbench.scoring.dataset import load as load
 from kinectbench.scoring.pair_result import Counting, Job, count, count_job
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.score import check_missing, check_words
+from kinectbench.scoring.shards import decode_sample as decode_sample
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_truth
-
-
-class Dataset:
-    """The pairs of a release, or of one split; a map-style dataset as torch's DataLoader takes it.
-
-    `dataset[i]` is a dict: `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full` and `known`
-    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid
-    and `unknown_share`, of the cells of `full` those that are not `known`. Where the truth is held back there
-    is no `full`, no `known` and no `unknown_share`.
-    """
-
-    def __init__(self, release: Release, targets: Sequence[Target]) -> None:
-        self.release = release
-        self.targets = tuple(targets)
-
-    def split(self, name: str) -> "Dataset":
-        """The pairs of "train", "validation" or "test".
-
-        Raises:
-            SettingsError: there is no such split.
-        """
-        if name not in ("train", "validation", "test"):
-            raise SettingsError(f"no split '{name}': choose train, validation or test")
-        return type(self)(self.release, [target for target in self.targets if target.split == name])
-
-    def __len__(self) -> int:
-        return len(self.targets)
-
-    def __repr__(self) -> str:
-        there = Counter(target.split for target in self.targets)
-        told = ", ".join(f"{there[split]} {split}" for split in SPLITS if there[split])
-        return f"<Dataset {self.release.metadata.name}: {len(self)} pairs{f' ({told})' if told else ''}>"
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return (self[index] for index in range(len(self)))
-
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        """Read one pair; its SHA-256 is looked at each time, which takes a hundredth of the reading.
-
-        Raises:
-            ReleaseError: its file is missing, or not the published one.
-            PairError: it was no pair when it was published.
-        """
-        target = self.targets[index]
-        content, where = self.release.pair_content(target), str(self.release.pair_path(target))
-        values = pair_values(content, where)
-        pair: Pair | PairInput
-        if target.split in self.release.metadata.held_back:
-            pair, truth, of_truth = checked_pair(PairInput, values, where), {}, {}
-        else:
-            pair = checked_pair(Pair, values, where)
-            truth = {"full": unpack(pair.full), "known": unpack(pair.known)}
-            of_truth = {"unknown_share": pair.unknown_share}
-        return {
-            "pair_id": target.name,
-            "partial": unpack(pair.partial),
-            **truth,
-            "meta": {
-                **{
-                    name: getattr(target, name)
-                    for name in ("recording", "object", "view", "category", "split")
-                },
-                "voxel_size_m": pair.voxel_size_m,
-                "T_world_grid": pair.T_world_grid,
-                **of_truth,
-            },
-        }
-
-
-def load(path: str | Path) -> Dataset:
-    """Open a release; where torch is installed the result is a `torch.utils.data.Dataset` too.
-
-    Raises:
-        ReleaseError: no release there, or it was changed.
-    """
-    release = open_release(Path(path))
-    return _dataset(release, release.targets)
-
-
-def _dataset(release: Release, targets: Sequence[Target]) -> Dataset:
-    return _dataset_class()(release, targets)
-
-
-def _dataset_class() -> type[Dataset]:
-    try:
-        from torch.utils.data import Dataset as TorchDataset
-    except ImportError:
-        return Dataset
-
-    def reduce(self: Dataset) -> tuple[Any, ...]:  # the class is made here: workers make it anew
-        return _dataset, (self.release, self.targets)
-
-    return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})
 
 
 class Scorer:

@@ -1,6 +1,7 @@
 """Damaged releases are named, in folders and archives; sound archives verify."""
 
 import importlib.util
+import io
 import shutil
 import sys
 import tarfile
@@ -8,14 +9,17 @@ import zipfile
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from fuzz.releases import seal
 from synthetic_release import synthetic_settings
 from typer.testing import CliRunner
 
+import kinectbench
 from kinectbench.cli.main import app
 from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.bop import export_bop
 from kinectbench.release.exchange.recgan import export_recgan
@@ -156,7 +160,12 @@ def test_exports_of_a_public_part(parts: Path, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "bop/models").glob("*.ply")] == ["obj_000002.ply"]
     assert export_webdataset(public, tmp_path / "shards") == 2
     with tarfile.open(tmp_path / "shards" / "test-000000.tar") as shard:
-        names = ["chair_02_000.partial.npy", "chair_02_000.seen.npy", "chair_02_000.json"]
-        assert shard.getnames() == names
+        assert shard.getnames() == ["chair_02_000.npz", "chair_02_000.json"]
+        npz = shard.extractfile("chair_02_000.npz")
+        assert npz is not None
+        sample = {"npz": npz.read(), "json": b"".join(shard.extractfile("chair_02_000.json") or ())}
+    assert not {*TRUTH_KEYS, "occupancy_rule"} & set(np.load(io.BytesIO(sample["npz"])))
+    (item,) = kinectbench.load(public.folder).split("test")
+    assert set(kinectbench.decode_sample(sample)) == set(item) == {"pair_id", "partial", "meta"}
     with pytest.raises(ReleaseError, match="the truth of the test split is held back"):
         export_recgan(public, tmp_path / "theirs")

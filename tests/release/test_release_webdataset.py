@@ -6,13 +6,15 @@ import json
 import tarfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import kinectbench
 from kinectbench.cli.main import app
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import PairError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.release.exchange.webdataset import export_webdataset
 from kinectbench.release.release import Release, open_release
@@ -41,8 +43,8 @@ def test_samples_by_webdataset(release: Release, shards: Path) -> None:
         for sample, target in zip(samples, release.split(split), strict=True):
             pair = read_pair(release.pair_path(target))
             assert sample["__key__"] == f"{target.recording}_{target.view}"
-            for name in ("partial", "full", "known", "seen"):
-                np.testing.assert_array_equal(sample[f"{name}.npy"], getattr(pair, name))
+            for name in ("partial", "partial_256", "full", "shell", "known", "seen"):
+                np.testing.assert_array_equal(sample["npz"][name], getattr(pair, name))
             row = sample["json"]
             for name in ("recording", "object", "view", "category", "split"):
                 assert row[name] == getattr(target, name)
@@ -56,16 +58,93 @@ def test_samples_by_webdataset(release: Release, shards: Path) -> None:
 def test_samples_by_tarfile_and_numpy(release: Release, shards: Path) -> None:
     with tarfile.open(shards / "test-000001.tar") as shard:
         members = {member.name: member for member in shard}
-        assert list(members) == [
-            "table_01_000.partial.npy", "table_01_000.full.npy", "table_01_000.known.npy",
-            "table_01_000.seen.npy", "table_01_000.json",
-        ]  # fmt: skip
+        assert list(members) == ["table_01_000.npz", "table_01_000.json"]
         assert all(member.mtime == member.uid == 0 for member in members.values())
-        file = shard.extractfile("table_01_000.full.npy")
+        file = shard.extractfile("table_01_000.npz")
         assert file is not None
-        full = np.unpackbits(np.load(io.BytesIO(file.read()), allow_pickle=False), axis=-1)
+        full = np.unpackbits(np.load(io.BytesIO(file.read()), allow_pickle=False)["full"], axis=-1)
     pair = read_pair(release.folder / "pairs/table_01/000.npz")
     np.testing.assert_array_equal(full, np.unpackbits(pair.full, axis=-1))
+
+
+def samples(path: Path) -> list[dict[str, Any]]:
+    """The samples of a shard as webdataset hands them to a decoder: bytes by ending."""
+    found: dict[str, dict[str, Any]] = {}
+    with tarfile.open(path) as shard:
+        for member in shard:
+            key, _, ending = member.name.partition(".")
+            file = shard.extractfile(member)
+            assert file is not None
+            found.setdefault(key, {"__key__": key})[ending] = file.read()
+    return list(found.values())
+
+
+def assert_same_items(found: dict[str, Any], item: dict[str, Any]) -> None:
+    assert list(found) == list(item)
+    for key in item:
+        if key == "meta":
+            assert_same_items(found[key], item[key])
+        else:
+            np.testing.assert_array_equal(found[key], item[key])
+            assert type(found[key]) is type(item[key])
+            assert getattr(found[key], "dtype", None) == getattr(item[key], "dtype", None)
+
+
+GRIDS = ("partial", "full", "known", "seen")
+
+
+def test_a_decoded_sample_is_the_item_of_the_dataset(release: Release, shards: Path) -> None:
+    found = [sample for name in ("test-000000", "test-000001") for sample in samples(shards / f"{name}.tar")]
+    for keys in (None, ("K", "shell", "framing", "surface_sigma_m")):
+        dataset = kinectbench.load(release.folder, keys=keys, packed=keys is None).split("test")
+        for sample, item in zip(found, dataset, strict=True):
+            assert_same_items(kinectbench.decode_sample(sample, keys=keys, packed=keys is None), item)
+
+
+def earlier(sample: dict[str, Any]) -> dict[str, Any]:
+    """The sample as earlier versions wrote it: a .npy file for each grid, all else in `json`."""
+    pair = np.load(io.BytesIO(sample["npz"]))
+    files = {}
+    for name in GRIDS:
+        buffer = io.BytesIO()
+        np.save(buffer, pair[name])
+        files[f"{name}.npy"] = buffer.getvalue()
+    return {"__key__": sample["__key__"], **files, "json": sample["json"]}
+
+
+def test_samples_of_earlier_versions_are_read(release: Release, shards: Path) -> None:
+    (sample,) = samples(shards / "test-000001.tar")
+    keys = (*GRIDS, "T_world_grid", "K", "voxel_size_m", "partial_rule", "meta")
+    item = kinectbench.load(release.folder, keys=keys).split("test")[3]
+    assert_same_items(kinectbench.decode_sample(earlier(sample), keys=keys), item)
+    with pytest.raises(PairError, match=r"table_01_000: cannot be read as a pair \('shell.npy'\)"):
+        kinectbench.decode_sample(earlier(sample), keys="shell")
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_a_sample_that_is_damaged_or_lacks_something_is_told(shards: Path, old: bool) -> None:
+    (sample,) = samples(shards / "test-000001.tar")
+    sample = earlier(sample) if old else sample
+    grid = "full.npy" if old else "npz"
+    for name, content in ((grid, sample[grid][:-9]), (grid, b"\0"), ("json", b"{}"), ("json", b"[")):
+        with pytest.raises(PairError, match="table_01_000: cannot be read as a pair"):
+            kinectbench.decode_sample(sample | {name: content}, keys=("full",))
+    with pytest.raises(PairError, match="a shard holds no images, so there is no 'depth'"):
+        kinectbench.decode_sample(sample, keys=("depth",))
+    with pytest.raises(SettingsError, match="no key 'fill'"):
+        kinectbench.decode_sample(sample, keys=("fill",))
+    without = {name: value for name, value in sample.items() if name != "json"}
+    with pytest.raises(PairError, match=r"cannot be read as a pair \('json'\)"):
+        kinectbench.decode_sample(without)
+
+
+def test_shards_are_no_larger_than_the_release(release: Release, shards: Path) -> None:
+    """Of these small releases as of large ones: a sample is its pair file, a line of JSON and two heads."""
+    pairs = sum(release.pair_path(target).stat().st_size for target in release.targets)
+    assert (
+        sum(path.stat().st_size for path in shards.glob("*.tar"))
+        < pairs + len(release.targets) * 6000 + 30720
+    )
 
 
 def test_same_release_same_bytes(release: Release, shards: Path, tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
-"""A release as WebDataset shards: tar files that training reads from beginning to end."""
+"""A release as WebDataset shards: tar files that training reads from beginning to end.
+
+`kinectbench.decode_sample` (scoring/shards.py) reads the samples back.
+"""
 
 import io
 import json
 import tarfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-
-import numpy as np
 
 from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.errors import SettingsError
@@ -15,9 +16,8 @@ from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pai
 from kinectbench.release.exchange.layouts import new_folder, pair_row, write_export_json
 from kinectbench.release.release import Release
 
-# At 6.3 MB a pair a shard has about 630 MB.
+# At 0.3 to 0.9 MB a pair a shard has about 60 MB; each worker process needs one of its own.
 PAIRS_PER_SHARD = 100
-GRIDS = ("partial", "full", "known", "seen")
 
 
 def export_webdataset(
@@ -28,10 +28,9 @@ def export_webdataset(
 ) -> int:
     """Write the pairs of each split as `<split>-000000.tar` and so on, the same bytes every time.
 
-    A sample is `<recording>_<view>` with `partial.npy`, `full.npy`, `known.npy` and `seen.npy`, packed along
-    the last axis as in pair files, and `json`: names, transforms and numbers. A dot in a recording's name
-    becomes `-`, for WebDataset's keys end at the first dot. Where the truth is held back there are only the
-    inputs.
+    A sample is `<recording>_<view>` with `npz`, the pair file as it is published, to the byte, and `json`:
+    names, transforms and numbers. A dot in a recording's name becomes `-`, for WebDataset's keys end at the
+    first dot. Where the truth is held back there are only the inputs.
 
     Args:
         release: opened.
@@ -54,8 +53,10 @@ def export_webdataset(
         for name, targets in _shards(release, pairs_per_shard):
             with tarfile.open(folder / name, "w", format=tarfile.USTAR_FORMAT) as shard:
                 for target in targets:
-                    for extension, content in _sample(target, _read(release, target)):
-                        _add(shard, f"{sample_key(target)}.{extension}", content)
+                    content = release.pair_content(target)
+                    row = pair_row(target, _read(release, target, content))
+                    _add(shard, f"{sample_key(target)}.npz", content)
+                    _add(shard, f"{sample_key(target)}.json", json.dumps(row, allow_nan=False).encode())
                     done += 1
                     if progress:
                         progress(done, len(release.targets))
@@ -88,21 +89,12 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
             yield f"{split}-{number:06d}.tar", targets[first : first + size]
 
 
-def _read(release: Release, target: Target) -> Pair | PairInput:
-    """A pair, or its input where its truth is held back."""
-    values = pair_values(release.pair_content(target), target.file)
+def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
+    """A pair, or its input where its truth is held back; of what it holds everything is checked."""
+    values = pair_values(content, target.file)
     if target.split in release.metadata.held_back:
         return checked_pair(PairInput, values, target.file)
     return checked_pair(Pair, values, target.file)
-
-
-def _sample(target: Target, pair: Pair | PairInput) -> Iterator[tuple[str, bytes]]:
-    """The files of one sample: extension and content."""
-    for name in (name for name in GRIDS if hasattr(pair, name)):
-        buffer = io.BytesIO()
-        np.lib.format.write_array(buffer, np.ascontiguousarray(getattr(pair, name)), allow_pickle=False)
-        yield f"{name}.npy", buffer.getvalue()
-    yield "json", json.dumps(pair_row(target, pair), allow_nan=False).encode()
 
 
 def _add(shard: tarfile.TarFile, name: str, content: bytes) -> None:

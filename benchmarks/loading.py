@@ -1,0 +1,98 @@
+"""What a pair costs whoever trains: milliseconds of the processor, and items a second with worker processes.
+
+    python benchmarks/loading.py benchmark/ [--seconds 5] [--workers 0 1 2]
+
+Beside plain numpy, which opens a pair file and unpacks the same arrays. Worker processes are those of torch's
+DataLoader where torch is installed, else of `multiprocessing`, which copies each item once more.
+"""
+
+import argparse
+import itertools
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import kinectbench
+
+GRIDS = ("partial", "full", "known")
+WAYS: dict[str, dict[str, Any]] = {
+    "packed": {"keys": GRIDS, "packed": True},
+    "unpacked": {"keys": GRIDS},
+    "default keys": {},
+    "with images": {"keys": (*GRIDS, "depth", "mask")},
+}
+REPEATS = 10
+
+
+def by_numpy(path: Path, packed: bool) -> list[np.ndarray]:
+    """The three grids of a pair file, without a look at its SHA-256."""
+    with np.load(path) as pair:
+        grids = [pair[name] for name in GRIDS]
+    return grids if packed else [np.unpackbits(grid, axis=-1).view(np.bool_) for grid in grids]
+
+
+def cpu_ms(read: Callable[[int], object], count: int) -> float:
+    """Median time of the processor to read one of `count` items, milliseconds."""
+    took = []
+    for index in itertools.islice(itertools.cycle(range(count)), REPEATS + 1):
+        began = time.process_time()
+        read(index)
+        took.append((time.process_time() - began) * 1e3)
+    return float(np.median(took[1:]))
+
+
+def items(dataset: kinectbench.Dataset, workers: int) -> Iterator[Any]:
+    """The items of a dataset over and over, read by so many processes; 0: by this one."""
+    try:
+        from torch.utils.data import DataLoader
+    except ImportError:
+        indices = itertools.cycle(range(len(dataset)))
+        if not workers:
+            yield from map(dataset.__getitem__, indices)
+        with multiprocessing.get_context("fork").Pool(workers) as pool:
+            yield from pool.imap(dataset.__getitem__, indices)
+    # Batches of one, as images differ in size; a batch is put together in shared memory, whatever its size.
+    loader = DataLoader(dataset, num_workers=workers, persistent_workers=workers > 0)
+    while True:
+        yield from loader
+
+
+def items_a_second(dataset: kinectbench.Dataset, workers: int, seconds: float) -> float:
+    """How many items come in a second, from the third on: processes are started then."""
+    stream = items(dataset, workers)
+    for _ in range(2 + workers):
+        next(stream)
+    began, count = time.perf_counter(), 0
+    while time.perf_counter() - began < seconds:
+        next(stream)
+        count += 1
+    return count / (time.perf_counter() - began)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("benchmark", type=Path)
+    parser.add_argument("--seconds", type=float, default=5, help="of each measurement")
+    parser.add_argument("--workers", type=int, nargs="+", default=[0, 1, 2])
+    options = parser.parse_args()
+
+    heads = "".join(f"{f'items/s, {count} workers':>20}" for count in options.workers)
+    print(f"{'':24}{'CPU ms':>8}{heads}")
+    for name, how in WAYS.items():
+        dataset = kinectbench.load(options.benchmark, **how)
+        row = f"{name:24}{cpu_ms(dataset.__getitem__, len(dataset)):8.1f}"
+        for workers in options.workers:
+            row += f"{items_a_second(dataset, workers, options.seconds):20.1f}"
+        print(row, flush=True)
+    paths = [dataset.release.pair_path(target) for target in dataset.targets]
+    for packed in (True, False) if paths[0].is_file() else ():
+        took = cpu_ms(lambda index, packed=packed: by_numpy(paths[index], packed), len(paths))
+        print(f"{'numpy, packed' if packed else 'numpy, unpacked':24}{took:8.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""The images of a view of a release: depth, mask and colour, from strangers' files."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.encoded_images import decoded, image_head
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.types import Bools, Float32, Rgb
+from kinectbench.release.contents import VIEW_IMAGES
+from kinectbench.release.release import Release, Target
+
+
+class Kind(NamedTuple):
+    """A kind of image.
+
+    Attributes:
+        suffix: of its file, after the view.
+        words: what it is.
+        format: suffix, bits and colour type, as its head has them.
+    """
+
+    suffix: str
+    words: str
+    format: tuple[str, int, int]
+
+
+DEPTH = Kind(VIEW_IMAGES[0], "PNG of 16-bit depth", (".png", 16, 0))
+MASK = Kind(VIEW_IMAGES[1], "PNG of 8-bit grey", (".png", 8, 0))
+COLOR = Kind(".color.jpg", "JPEG", (".jpg", 8, 2))
+MM_PER_M = 1000
+
+
+def depth_m(release: Release, target: Target) -> Float32:
+    """Depth of a pair's view: (height, width) float32, metres, 0 where nothing was measured.
+
+    Raises:
+        ReleaseError: the release has no such image, or it is damaged or not the published one.
+    """
+    return _pixels(release, target, DEPTH).astype(np.float32) / np.float32(MM_PER_M)
+
+
+def mask(release: Release, target: Target) -> Bools:
+    """The object in a pair's view, in the pixels of depth: (height, width) bool.
+
+    Raises:
+        ReleaseError: as `depth_m`.
+    """
+    return np.asarray(_pixels(release, target, MASK) > 0)
+
+
+def color(release: Release, target: Target) -> Rgb:
+    """Colour of a pair's view: (height, width, 3) uint8 RGB.
+
+    Raises:
+        ReleaseError: as `depth_m`; most releases have no colour.
+    """
+    return np.ascontiguousarray(_pixels(release, target, COLOR)[..., ::-1])
+
+
+def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
+    """Depth as it is stored: (height, width) uint16, millimetres.
+
+    Raises:
+        ReleaseError: it is something else; the line begins with `where`.
+    """
+    return np.asarray(_decoded(png, where, DEPTH), dtype=np.uint16)
+
+
+def _pixels(release: Release, target: Target, kind: Kind) -> NDArray[Any]:
+    name = f"views/{target.recording}/{target.view}{kind.suffix}"
+    if name not in release.sums:
+        raise ReleaseError(f"{release.folder / name}: the release has no such image")
+    return _decoded(release.content(name), name, kind)
+
+
+def _decoded(content: bytes, where: str, kind: Kind) -> NDArray[Any]:
+    """The pixels of an image; its head is read before it is decoded."""
+    import cv2
+
+    try:
+        head = image_head(content)
+        if (head.suffix, head.bits, head.color_type) != kind.format:
+            raise ValueError("another kind of image")
+        return decoded(content, cv2.IMREAD_COLOR if kind is COLOR else cv2.IMREAD_UNCHANGED)
+    except ValueError as error:
+        raise ReleaseError(f"{where}: not a {kind.words} ({error}); run `verify`") from error

@@ -1,0 +1,220 @@
+"""A release as a dataset for people who train: what they ask for of each pair, and no more."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.artefacts.targets import SPLITS
+from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import (
+    INPUT_KEYS,
+    NUMBERS,
+    PACKED_SHAPES,
+    TEXTS,
+    Pair,
+    pair_parts,
+    unknown_share,
+    unpack,
+)
+from kinectbench.release import view_images
+from kinectbench.release.release import Release, Target, open_release
+
+OF_PAIR = tuple(field.name for field in fields(Pair))
+OF_TRUTH = tuple(name for name in OF_PAIR if name not in INPUT_KEYS)
+IMAGES: dict[str, Callable[[Release, Target], Any]] = {
+    "depth": view_images.depth_m,
+    "mask": view_images.mask,
+    "color": view_images.color,
+}
+META = "meta"
+KEYS = (*OF_PAIR, *IMAGES, META)
+DEFAULT_KEYS = ("partial", "full", "known", META)
+TARGET_KEYS = ("recording", "object", "view", "category", "split")
+META_PARTS = ("voxel_size_m", "T_world_grid")
+
+Item = dict[str, Any]
+
+
+class Dataset:
+    """The pairs of a release, or of one split; a map-style dataset as torch's DataLoader takes it.
+
+    `dataset[i]` is a dict: `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full` and `known`
+    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid
+    and `unknown_share`, of the cells of `full` those that are not `known`. Where the truth is held back there
+    is no `full`, no `known` and no `unknown_share`. `load` says how to ask for other keys.
+    """
+
+    def __init__(
+        self,
+        release: Release,
+        targets: Sequence[Target],
+        keys: Sequence[str] | None = None,
+        transform: Callable[[Item], Any] | None = None,
+        packed: bool = False,
+    ) -> None:
+        """As `load`, of some pairs of an opened release.
+
+        Raises:
+            SettingsError: there is no such key.
+        """
+        self.release = release
+        self.targets = tuple(targets)
+        self.keys = checked_keys(keys)
+        self.transform = transform
+        self.packed = packed
+
+    def split(self, name: str) -> "Dataset":
+        """The pairs of "train", "validation" or "test", with the same keys and transform.
+
+        Raises:
+            SettingsError: there is no such split.
+        """
+        if name not in ("train", "validation", "test"):
+            raise SettingsError(f"no split '{name}': choose train, validation or test")
+        targets = [target for target in self.targets if target.split == name]
+        return type(self)(self.release, targets, self.keys, self.transform, self.packed)
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def __repr__(self) -> str:
+        there = Counter(target.split for target in self.targets)
+        told = ", ".join(f"{there[split]} {split}" for split in SPLITS if there[split])
+        return f"<Dataset {self.release.metadata.name}: {len(self)} pairs{f' ({told})' if told else ''}>"
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> Any:
+        """Read one pair; its SHA-256 is looked at each time, which takes a quarter of a millisecond.
+
+        Raises:
+            ReleaseError: its file is missing, or not the published one.
+            PairError: it was no pair when it was published.
+        """
+        target = self.targets[index]
+        names = wanted_parts(self.keys, target.split in self.release.metadata.held_back)
+        parts = _read(self.release, target, names) if names else {}
+        images = {key: IMAGES[key](self.release, target) for key in self.keys if key in IMAGES}
+        item = item_of(vars(target), parts | images, self.keys, self.packed)
+        return item if self.transform is None else self.transform(item)
+
+
+def item_of(target: Mapping[str, Any], parts: Mapping[str, Any], keys: Sequence[str], packed: bool) -> Item:
+    """What a dataset gives of a pair.
+
+    Args:
+        target: recording, object, view, category and split.
+        parts: by key, those that the pair has: arrays as they are stored, and images.
+        keys: what is asked for, in this order.
+        packed: whether grids stay packed.
+    """
+    item: Item = {"pair_id": f"{target['recording']}/{target['view']}"}
+    for key in keys:
+        if key == META:
+            item[META] = _meta(target, parts)
+        elif key in parts:
+            item[key] = _value(key, parts[key], packed)
+    return item
+
+
+def _value(key: str, stored: Any, packed: bool) -> Any:
+    """A value as an item has it."""
+    if key in (*NUMBERS, *TEXTS):
+        return stored.item()
+    return stored if packed or key not in PACKED_SHAPES else unpack(stored)
+
+
+def wanted_parts(keys: Sequence[str], hidden: bool) -> list[str]:
+    """The arrays of a pair file that some keys need; of a pair whose truth is held back none of the truth."""
+    wanted = dict.fromkeys(key for key in keys if key in OF_PAIR)
+    if META in keys:
+        wanted |= dict.fromkeys((*META_PARTS, "full", "known"))
+    return [key for key in wanted if not (hidden and key in OF_TRUTH)]
+
+
+def load(
+    path: str | Path,
+    *,
+    keys: Sequence[str] | None = None,
+    transform: Callable[[Item], Any] | None = None,
+    packed: bool = False,
+) -> Dataset:
+    """Open a release; where torch is installed the result is a `torch.utils.data.Dataset` too.
+
+    Args:
+        path: its folder, or a .zip, .tar or .tar.gz of it, which is read in place.
+        keys: what an item holds beside `pair_id`; nothing else is unpacked. Grids: `partial` (64, 64, 64),
+            `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool. Matrices, float64, metres
+            and pixels: `T_world_grid`, `T_world_camera` (4, 4), `K` (3, 3). Numbers: `voxel_size_m`,
+            `surface_sigma_m`. Texts: `framing`, `partial_rule`, `occupancy_rule`. Images of the view: `depth`
+            (height, width) float32, metres, 0 = none; `mask` (height, width) bool; `color` (height, width, 3)
+            uint8 RGB. And `meta`. Default: `partial`, `full`, `known`, `meta`. Keys of the truth are missing
+            in items whose truth is held back.
+        transform: called with each item; what it returns is the item. It must be picklable where worker
+            processes are spawned.
+        packed: leave the grids as they are stored, uint8 with 8 cells a byte along the last axis:
+            `numpy.unpackbits(grid, axis=-1)` unpacks them, later or on another processor.
+
+    Raises:
+        ReleaseError: no release there, or it was changed.
+        SettingsError: there is no such key.
+    """
+    release = open_release(Path(path))
+    return _dataset(release, release.targets, keys, transform, packed)
+
+
+def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
+    """The keys that are asked for; the default ones, if none are.
+
+    Raises:
+        SettingsError: there is no such key.
+    """
+    if keys is None:
+        return DEFAULT_KEYS
+    wanted = (keys,) if isinstance(keys, str) else tuple(keys)
+    for key in wanted:
+        if key not in (*KEYS, "pair_id"):
+            raise SettingsError(f"no key {key!r}: choose some of {', '.join(KEYS)}")
+    return wanted
+
+
+def _read(release: Release, target: Target, names: Sequence[str]) -> dict[str, Any]:
+    """Some arrays of a pair file by key, checked.
+
+    Raises:
+        ReleaseError, PairError: as `Dataset.__getitem__`.
+    """
+    content, where = release.pair_content(target), release.pair_path(target)
+    try:
+        return dict(zip(names, pair_parts(content, names), strict=True))
+    except UNREADABLE as error:
+        raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
+
+
+def _meta(target: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
+    """What is to be known of a pair beside its grids."""
+    meta: dict[str, Any] = {name: target[name] for name in TARGET_KEYS}
+    meta |= {"voxel_size_m": parts["voxel_size_m"].item(), "T_world_grid": parts["T_world_grid"]}
+    if "full" in parts:
+        meta["unknown_share"] = unknown_share(parts["full"], parts["known"])
+    return meta
+
+
+def _dataset(release: Release, targets: Sequence[Target], *options: Any) -> Dataset:
+    return _dataset_class()(release, targets, *options)
+
+
+def _dataset_class() -> type[Dataset]:
+    try:
+        from torch.utils.data import Dataset as TorchDataset
+    except ImportError:
+        return Dataset
+
+    def reduce(self: Dataset) -> tuple[Any, ...]:  # the class is made here: workers make it anew
+        return _dataset, (self.release, self.targets, self.keys, self.transform, self.packed)
+
+    return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})

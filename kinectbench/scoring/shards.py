@@ -1,0 +1,81 @@
+"""Samples of WebDataset shards as items of a dataset."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import PairError
+from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted_text import strict_json
+from kinectbench.core.voxels.npy import read_npy
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import MAX_BYTES, PACKED_SHAPES, checked_parts, pair_keys, pair_parts
+from kinectbench.scoring.dataset import (
+    IMAGES,
+    TARGET_KEYS,
+    Item,
+    checked_keys,
+    item_of,
+    wanted_parts,
+)
+
+NPZ, JSON, NPY = "npz", "json", ".npy"
+
+
+def decode_sample(
+    sample: Mapping[str, Any], *, keys: Sequence[str] | None = None, packed: bool = False
+) -> Item:
+    """An item as `load(…)[i]` gives it, of a sample of `kinectbench export --layout webdataset`.
+
+    Made for `webdataset.WebDataset(urls).map(kinectbench.decode_sample)`; with `functools.partial` for keys.
+    Samples of earlier versions, with a `.npy` file for each grid, are read, too; they hold `partial`, `full`,
+    `known` and `seen`, but none of the other grids.
+
+    Args:
+        sample: the bytes of its files by their endings, `npz` and `json`, as webdataset gives them before
+            any decoding.
+        keys: as for `load`, without images.
+        packed: as for `load`.
+
+    Raises:
+        SettingsError: there is no such key.
+        PairError: the sample is damaged, or lacks what is asked for.
+    """
+    where = printable(str(sample.get("__key__", "sample")))
+    wanted = checked_keys(keys)
+    if images := [key for key in wanted if key in IMAGES]:
+        raise PairError(f"{where}: a shard holds no images, so there is no '{images[0]}'")
+    try:
+        row = strict_json(sample[JSON].decode())
+        names = {name: str(row[name]) for name in TARGET_KEYS}
+        parts = _parts(sample, row, wanted)
+    except (*UNREADABLE, AttributeError, TypeError, RecursionError) as error:
+        raise PairError(f"{where}: cannot be read as a pair ({error}); export it again") from error
+    return item_of(names, parts, wanted, packed)
+
+
+def _parts(sample: Mapping[str, Any], row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """The arrays that some keys need; those of the truth, if it is there.
+
+    Raises:
+        UNREADABLE: damaged, or one of them is missing.
+    """
+    here = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
+    names = wanted_parts(keys, hidden="full" not in here)
+    if NPZ in sample:
+        return dict(zip(names, pair_parts(sample[NPZ], names), strict=True))
+    return checked_parts({name: _earlier(sample, row, name) for name in names}, names)
+
+
+def _earlier(sample: Mapping[str, Any], row: Mapping[str, Any], name: str) -> NDArray[Any]:
+    """A value of a sample of earlier versions."""
+    if name in PACKED_SHAPES:
+        content = sample[name + NPY]
+        if len(content) > MAX_BYTES:
+            raise ValueError(f"'{name}' is larger than a grid")
+        return read_npy(io.BytesIO(content), len(content))
+    value = row[name]
+    return np.asarray(value, None if isinstance(value, str) else np.float64)
