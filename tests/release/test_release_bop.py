@@ -240,3 +240,15 @@ def test_a_damaged_release_is_not_exported(analytic: Path, tmp_path: Path) -> No
     with pytest.raises(ReleaseError, match=r"chair_02/mesh\.ply: changed since it was published"):
         export_bop(open_release(folder), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("recording", list(SCENES))
+def test_models_of_fewer_triangles_are_there_for_errors(bop: Path, recording: str) -> None:
+    name = f"obj_{int(SCENES[recording][-6:]):06d}.ply"
+    vertices, normals, faces = read_model(bop / "models_eval" / name)
+    whole = len(read_model(bop / "models" / name)[2])
+    assert len(faces) <= 10_000 and (len(faces) < whole or whole == 12)
+    assert distance_mm(recording, vertices).max() < 0.5
+    assert np.isfinite(normals).all()
+    info = [(bop / models / "models_info.json").read_text() for models in ("models", "models_eval")]
+    assert info[0] == info[1]

@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, pair_parts, unknown_share
+from kinectbench.release import view_images
 from kinectbench.release.exchange.bop_object import (
     MM_PER_M,
     BopModel,
@@ -29,8 +30,10 @@ from kinectbench.release.exchange.bop_object import (
 from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_export_json
 from kinectbench.release.release import Release
 
-# Of one view: 4096 a side (own choice). Its silhouette and both masks take 16 bytes a pixel.
-MOST_DEPTH_PIXELS = 1 << 24
+# The models that pose errors are computed with have fewer triangles: the toolkit's model type "eval" (5,000
+# vertices are an own choice; the data sets of BOP have some thousands). One object has one diameter, so
+# that the info beside them is that of the whole models.
+MODELS, MODELS_EVAL, EVAL_TRIANGLES = "models", "models_eval", 10_000
 # Keys of scene_gt_info.json.
 GT_INFO = ("bbox_obj", "bbox_visib", "px_count_all", "px_count_valid", "px_count_visib", "visib_fract")
 DATASET_INFO = """# {name}
@@ -41,6 +44,7 @@ Made by kinectbench of the release {identity}; licence of the data: {license}.
 - Each recording has an object model of its own, fused from it: `obj_id` is the number of the scene, and
   `export.json` says which recording, object and category it is, and what share of its true shape in each
   image's cube nobody knows (`unknown_share`, in the order of `images`).
+- `models_eval/` has the same models with at most 10,000 triangles, for the errors of poses.
 - Model frame: the floor's axes, z up, the origin in the middle of the model's box; millimetres.
 - Masks and scene_gt_info.json are by BOP's own rule (the model against the view's depth, 15 mm, missing depth
   counts as visible). The masks that the pairs were made with are in the release.
@@ -70,13 +74,16 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
     camera: Camera | None = None
     done = 0
     with new_folder(out) as folder:
-        (folder / "models").mkdir()
+        for models in (MODELS, MODELS_EVAL):
+            (folder / models).mkdir()
         for number, (recording, targets) in enumerate(release.by_recording.items(), start=1):
             split = SPLIT_NAMES[targets[0].split]
             model = None if release.metadata.hides(recording) else read_model(release, recording)
             if model is not None:
                 mesh_mm = model.mesh_mm
-                (folder / "models" / f"obj_{number:06d}.ply").write_bytes(model_ply(mesh_mm))
+                file = f"obj_{number:06d}.ply"
+                (folder / MODELS / file).write_bytes(model_ply(mesh_mm))
+                (folder / MODELS_EVAL / file).write_bytes(model_ply(decimated(mesh_mm, EVAL_TRIANGLES)))
                 infos[str(number)] = model_info(mesh_mm)
             scene = folder / split / f"{number:06d}"
             last = write_scene(release, targets, scene, number, model, done, progress)
@@ -112,7 +119,8 @@ def _write_dataset_files(
         for image in scene["images"]
     ]
     nominal = {key: getattr(camera, key) for key in ("cx", "cy", "fx", "fy", "height", "width")}
-    (folder / "models" / "models_info.json").write_text(pretty_json(infos), encoding="utf-8")
+    for models in (MODELS, MODELS_EVAL):
+        (folder / models / "models_info.json").write_text(pretty_json(infos), encoding="utf-8")
     (folder / "test_targets_bop19.json").write_text(pretty_json(targets), encoding="utf-8")
     (folder / "camera.json").write_text(pretty_json({**nominal, "depth_scale": 1.0}), encoding="utf-8")
     info = release.metadata
@@ -160,7 +168,7 @@ def write_scene(
         if colored and f"{source}.color.jpg" in release.sums:
             write_below(folder / "rgb" / f"{image:06d}.jpg", release.content(f"{source}.color.jpg"))
         K, T_world_camera = _camera(release, target)
-        depth_mm = _depth_mm(png, f"{source}.depth.png")
+        depth_mm = view_images.depth_mm(png, f"{source}.depth.png")
         camera = Camera(depth_mm.shape[1], depth_mm.shape[0], K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         cameras[str(image)] = {"cam_K": K.ravel().tolist(), "depth_scale": 1.0}
         if model is not None and renderer is not None:
@@ -215,20 +223,6 @@ def _color_registered(release: Release, recording: str) -> bool:
     if name not in release.sums:
         raise ReleaseError(f"{release.folder / name}: missing; BOP needs the depth images of the views")
     return bool(ViewsFile.parse(release.text(name), name).color_registered)
-
-
-def _depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
-    import cv2
-
-    try:
-        head = image_head(png)
-        if not head.is_gray16:
-            raise ValueError("another kind of image")
-        if head.width * head.height > MOST_DEPTH_PIXELS:
-            raise ValueError(f"{head.width}x{head.height} pixels, more than the depth of a view can have")
-        return np.asarray(decoded(png, cv2.IMREAD_UNCHANGED), dtype=np.uint16)
-    except ValueError as error:
-        raise ReleaseError(f"{where}: not a PNG of 16-bit depth ({error}); run `verify`") from error
 
 
 def _mask_png(mask: Bools) -> bytes:
