@@ -1,7 +1,9 @@
 """What a release says of itself, read by the tools of others: Croissant, JSON Schema, Hugging Face's YAML."""
 
+import io
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build, write
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import COLUMNS
+from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.attribution import citation_text
 from kinectbench.release.publish.card import origins_table
@@ -37,8 +40,15 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
     import mlcroissant
 
     dataset = mlcroissant.Dataset(jsonld=release.folder / "croissant.json")
-    assert not dataset.metadata.issues.errors
-    assert "context" not in caplog.text  # it is the standard one
+    assert not dataset.metadata.issues.errors and not dataset.metadata.issues.warnings
+    assert caplog.text == ""  # the context is the standard one, too
+    for target, record in zip(release.targets, dataset.records("pairs"), strict=True):
+        assert record["pairs/file"].decode() == target.file
+        found = np.load(io.BytesIO(record["pairs/npz"]))
+        np.testing.assert_array_equal(found["full"], read_pair(release.pair_path(target)).full)
+    first = next(iter(dataset.records("cameras")))
+    assert first["cameras/view"] == b"000" and first["cameras/width"] == 8
+    np.testing.assert_array_equal(first["cameras/K"], [[5.0, 0, 3.5], [0, 5.0, 2.5], [0, 0, 1]])
     records = [
         {
             key.removeprefix("targets/"): value.decode() if isinstance(value, bytes) else value
@@ -48,7 +58,10 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
     ]
     assert records == [vars(target) for target in release.targets]
     content = json.loads((release.folder / "croissant.json").read_text())
-    assert content["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    assert content["conformsTo"] == [
+        "http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"
+    ]  # fmt: skip
+    assert content["datePublished"] == "1980-01-01"  # the stamps of these frames are no times of a day
     assert content["license"] == "https://spdx.org/licenses/CC0-1.0.html"
     for entry in content["distribution"]:
         if entry["@type"] == "cr:FileSet":
@@ -57,6 +70,24 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
             assert (
                 f"{entry['sha256']}  {entry['contentUrl']}\n" in (release.folder / "SHA256SUMS").read_text()
             )
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+def test_what_people_told_is_in_the_fields_of_responsible_use(build: Path, tmp_path: Path) -> None:
+    import mlcroissant
+
+    told = {"collection": "By us, with a Kinect.", "consent": "Nobody is seen.", "maintenance": "We do."}
+    settings = synthetic_settings(
+        publish={"datasheet": told, "citation": {"date_released": "2026-02-03", "authors": ["Doe, Jo"]}}
+    )
+    folder = publish(settings, build, tmp_path / "b", ["chair_01"]).folder
+    metadata = mlcroissant.Dataset(jsonld=folder / "croissant.json").metadata
+    assert metadata.data_collection == "By us, with a Kinect."
+    assert metadata.personal_sensitive_information[0] == "Nobody is seen."
+    assert metadata.data_release_maintenance_plan == "We do."
+    assert metadata.date_published.date().isoformat() == "2026-02-03"
+    assert metadata.data_limitations and metadata.data_biases and metadata.data_use_cases
+    assert json.loads((folder / "datacite.json").read_text())["publicationYear"] == "2026"
 
 
 def card_head(folder: Path) -> dict[str, Any]:
@@ -253,7 +284,6 @@ def test_lineage(release: Release) -> None:
 
 
 def test_a_recording_of_one_file_has_its_name(build: Path, tmp_path: Path) -> None:
-    import shutil
 
     copy = Path(shutil.copytree(build, tmp_path / "build"))
     write_json(copy / "chair_02" / "sources.json", {"": [1, 2, "cd" * 32]})

@@ -14,10 +14,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
-from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
 from kinectbench.core.storage import sha256_text
 from kinectbench.core.voxels.npz import load_arrays
 from kinectbench.release.publish.small_files import package_versions
@@ -86,7 +87,10 @@ def file_digest(path: Path) -> Digest:
             assert image is not None, path
             return {"pixels": array_digest(image, "jpeg" if path.suffix == ".jpg" else None)}
         case ".ply":
-            return mesh_digest(path)
+            return mesh_digest(read_own_ply(path))
+        case ".glb":
+            shown = trimesh.load_mesh(path, process=False)
+            return mesh_digest(TriangleMesh(np.array(shown.vertices), np.array(shown.faces, np.int32)))
         case ".json":
             return json_digest(json.loads(path.read_text(encoding="utf-8")))
         case ".txt":
@@ -132,9 +136,8 @@ def _weights(index: NDArray[np.uint64], seed: int) -> NDArray[np.float64]:
     return (mixed >> np.uint64(11)).astype(np.float64) / 2.0**52 - 1.0
 
 
-def mesh_digest(path: Path) -> Digest:
+def mesh_digest(mesh: TriangleMesh) -> Digest:
     """What the order of vertices and faces does not change: counts, area, centre, spread and box."""
-    mesh = read_own_ply(path)
     vertices = np.asarray(mesh.vertices, np.float64)
     corners = vertices[np.asarray(mesh.faces)]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2

@@ -16,11 +16,13 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import printable, quoted
+from kinectbench.release.check.object_check import recording_of
 from kinectbench.release.contents import (
     CARD,
     CITATION,
     CROISSANT,
+    DATACITE,
     LICENSE,
     MAX_READ_BYTES,
     SPLIT_TARGETS,
@@ -92,6 +94,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
         LICENSE: _license_problems,
         CITATION: _citation_problems,
         CROISSANT: _croissant_problems,
+        DATACITE: _datacite_problems,
         LINEAGE_JSON: _lineage_problems,
     }
     checks |= {f"{SPLIT_TARGETS}/{split}.csv": partial(_split_problems, split) for split in SPLITS}
@@ -195,6 +198,18 @@ def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
             yield f"another SHA-256 for {printable(str(url))} than in {SHA256SUMS}"
 
 
+def _datacite_problems(text: str, stated: Stated) -> Iterator[str]:
+    content, license = release_json(text, DATACITE), _license(stated.metadata)
+    rights = content.get("rightsList") or [{}]
+    for what, said, wanted in (
+        ("version", content.get("version"), stated.metadata.version),
+        ("licence", rights[0].get("rights"), None if license == UNSPECIFIED else license),
+    ):
+        if said != wanted:
+            told = f"no {what}" if said is None else f"{what} {quoted(said)}"
+            yield f"{told} where {BENCHMARK_JSON} has {'none' if wanted is None else quoted(wanted)}"
+
+
 def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
     recordings = Lineage.parse(text, LINEAGE_JSON).recordings
     for name in sorted(set(recordings) ^ set(stated.metadata.recordings)):
@@ -231,6 +246,6 @@ def _told_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
     """Files of objects whose truth is held back."""
     for name in contents.entries:
         parts = name.split("/")
-        truth = parts[0] == "objects" and len(parts) > 2 and parts[2] not in PUBLIC_OF_OBJECT
-        if truth and metadata.hides(parts[1]):
+        public = len(parts) > 2 and parts[2] in PUBLIC_OF_OBJECT
+        if parts[0] == "objects" and not public and metadata.hides(recording_of(name)):
             yield f"{name}: truth of a split that is held back"

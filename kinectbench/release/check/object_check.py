@@ -1,5 +1,6 @@
-"""Check the object of a recording in a release: its mesh and its volume are as the format page says."""
+"""Check the object of a recording in a release: mesh, volume and GLB are as the format page says."""
 
+import struct
 from collections.abc import Iterator
 from typing import IO, Any
 
@@ -11,9 +12,10 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
-from kinectbench.release.contents import VOLUME_BYTES, Contents
+from kinectbench.release.contents import GLB, VOLUME_BYTES, Contents
 
 SLAB_BYTES = 1 << 20
 MOST_SMALL_BYTES = 4096
@@ -22,17 +24,23 @@ KINDS: dict[str, np.dtype[Any]] = {
     "labels": np.dtype(np.uint8),
     "probability": np.dtype(np.float16),
 }
+# Magic, version and length of a GLB; length and kind of its first chunk.
+GLB_HEAD, GLB_VERSION = struct.Struct("<4sIII4s"), 2
 GRID_KEYS = ("voxel_size_m", "T_world_grid")
 
 
 def object_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a line about a mesh.ply or a volume.npz of a release that is not one.
+    """Yield a line about a mesh.ply, a volume.npz or a GLB of a release that is not one.
 
     Args:
         contents: the release.
-        name: `objects/<recording>/mesh.ply` or `volume.npz`.
+        name: `objects/<recording>/mesh.ply`, `volume.npz` beside it, or `objects/<recording>.glb`.
     """
     try:
+        if name.endswith(GLB):
+            if fault := _glb_fault(contents.read(name)):
+                yield f"{name}: {fault}"
+            return
         if name.endswith(".ply"):
             if not len(parse_ply(contents.read(name)).faces):
                 yield f"{name}: has no faces"
@@ -45,6 +53,31 @@ def object_problems(contents: Contents, name: str) -> Iterator[str]:
         yield str(error)
     except UNREADABLE as error:
         yield f"{name}: cannot be read ({error})"
+
+
+def recording_of(name: str) -> str:
+    """The recording to which a file below `objects/` belongs."""
+    part, folder, _ = name.removeprefix("objects/").partition("/")
+    return part if folder else part.removesuffix(GLB)
+
+
+def _glb_fault(content: bytes) -> str | None:
+    """What is wrong with a GLB by its head and its first chunk, which lists all else; or None.
+
+    Source: glTF 2.0 (ISO/IEC 12113:2022), section 4.4.
+    """
+    if len(content) < GLB_HEAD.size:
+        return "cut short in its head"
+    magic, version, length, json_bytes, kind = GLB_HEAD.unpack_from(content)
+    if magic != b"glTF" or version != GLB_VERSION or kind != b"JSON":
+        return "not a binary glTF 2.0 file"
+    if length != len(content) or GLB_HEAD.size + json_bytes > length:
+        return f"{len(content)} bytes where its head claims {length}"
+    try:
+        said = strict_json(content[GLB_HEAD.size :][:json_bytes].decode())
+    except (ValueError, RecursionError) as error:
+        return f"what it says of itself is not valid JSON ({error})"
+    return None if isinstance(said, dict) and said.get("meshes") else "holds no mesh"
 
 
 def _volume_fault(file: IO[bytes]) -> str | None:

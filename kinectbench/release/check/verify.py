@@ -23,9 +23,9 @@ from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
-from kinectbench.release.check.object_check import object_problems
+from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
-from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.opening import open_contents
 from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
 
@@ -67,8 +67,9 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
         shares = _stated_shares(contents, metadata, targets)
         for name in sums:
             parts = name.split("/")
-            is_object = parts[0] == "objects" and parts[-1] in OBJECT_FILES and name not in damaged
-            if is_object and metadata and not metadata.hides(parts[1]):  # if so, it must not be there at all
+            is_object = parts[0] == "objects" and (parts[-1] in OBJECT_FILES or name.endswith(GLB))
+            hidden = metadata is None or metadata.hides(recording_of(name))  # it must not be there at all
+            if is_object and name not in damaged and not hidden:
                 lines += object_problems(contents, name)
         for done, name in enumerate(pairs, start=len(sums) + 1):
             if metadata and name not in damaged:

@@ -1,62 +1,66 @@
-"""croissant.json: the metadata of a release as machines read it, in Croissant 1.0 (JSON-LD)."""
+"""croissant.json: a release as machines read it, in Croissant 1.1 with its RAI fields (JSON-LD)."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from kinectbench.core.artefacts.targets import COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
 from kinectbench.core.storage import sha256_file
+from kinectbench.core.voxels.pair_file import Pair
+from kinectbench.release.publish.about import SUBJECTS, About, responsible_use
 from kinectbench.release.publish.attribution import authors, citation_line, license_url
-from kinectbench.settings.models import CitationSettings
 
-CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
+CONFORMS_TO = ("http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0")
 TYPES = {"": "text/plain", ".csv": "text/csv", ".json": "application/json", ".html": "text/html"}
+NPZ = "application/x-npz"
 TYPES |= {".md": "text/markdown", ".cff": "application/yaml"}
-FILE_SETS = {
-    "pair-files": ("pairs/*/*.npz", "application/octet-stream", "the pairs: npz files of bit-packed grids"),
+PAIR_FILES, VIEW_LISTS = "pair-files", "view-lists"
+FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
+    # Readers that know no npz, mlcroissant for one, give the bytes of what is called plain, too.
+    PAIR_FILES: ("pairs/*/*.npz", [NPZ, "text/plain"], "the pairs: npz files of bit-packed grids"),
     "depth-images": ("views/*/*.depth.png", "image/png", "depth of each view, uint16 millimetres, 0 = none"),
     "masks": ("views/*/*.mask.png", "image/png", "255 = the object, in the pixels of depth"),
-    "view-lists": ("views/*/views.json", "application/json", "frame, camera and fit of each view"),
+    VIEW_LISTS: ("views/*/views.json", "application/json", "frame, camera and fit of each view"),
     "objects": ("objects/*/*", "application/octet-stream", "floor, closed mesh and labelled volume"),
+    "shown-objects": ("objects/*.glb", "model/gltf-binary", "each object for viewers, of fewer triangles"),
 }
 # pandas, which readers load the table with, would make a number of 007.
 VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
 
 
-def croissant(
-    name: str, license: str, description: str, citation: CitationSettings, folder: Path
-) -> dict[str, Any]:
+def croissant(about: About, folder: Path) -> dict[str, Any]:
     """Content of croissant.json.
 
     Args:
-        name: of the benchmark.
-        license: of all its recordings.
-        description: a sentence.
-        citation: how it is cited.
+        about: what is to be said of the release.
         folder: the release, complete but for what holds hashes or describes it.
 
-    Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.0.html
+    Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
+    citation = about.citation
     content: dict[str, Any] = {
         "@context": _context(),
         "@type": "sc:Dataset",
-        "name": name,
-        "description": description,
-        "conformsTo": CONFORMS_TO,
-        "license": license_url(license) or license,
+        "name": about.name,
+        "description": about.description,
+        "conformsTo": list(CONFORMS_TO),
+        "license": license_url(about.license) or about.license,
         "version": citation.version or "0.0.0",
-        "citeAs": citation_line(citation, name),
-        "creator": [_creator(author) for author in authors(citation, name)],
-        "keywords": ["3-D shape completion", "RGB-D", "voxel grids", "benchmark"],
+        "datePublished": about.date,
+        "citeAs": citation_line(citation, about.name),
+        "creator": [_creator(author) for author in authors(citation, about.name)],
+        "keywords": list(SUBJECTS),
         "isLiveDataset": False,
     }
-    if citation.date_released:
-        content["datePublished"] = citation.date_released
     url = citation.url or (f"https://doi.org/{citation.doi}" if citation.doi else None)
     if url:
         content["url"] = url
+    content |= {f"rai:{key}": text for key, text in responsible_use(about).items()}
     content["distribution"] = [*_file_objects(folder), *_file_sets(folder)]
-    content["recordSet"] = [_targets()]
+    content["recordSet"] = [_targets(), _pairs()]
+    if next(folder.glob("views/*/views.json"), None) is not None:
+        content["recordSet"].append(_cameras())
     return content
 
 
@@ -104,6 +108,59 @@ def _targets() -> dict[str, Any]:
     }
 
 
+def _pairs() -> dict[str, Any]:
+    """The pair files as records: numpy.load(io.BytesIO(record["pairs/npz"])) has the arrays."""
+    arrays = "; ".join(f"{field.name}: {field.metadata['description']}" for field in fields(Pair))
+    content = (
+        "the bytes of an npz file, whose arrays are: "
+        f"{arrays}. Grids are bits along the last axis: numpy.unpackbits(array, axis=-1)"
+    )
+    return {
+        "@type": "cr:RecordSet",
+        "@id": "pairs",
+        "name": "pairs",
+        "description": "one record per pair file, with its arrays; of what is held back without the truth",
+        "key": {"@id": "pairs/file"},
+        "field": [
+            _of_files("pairs", "file", "relative to the release", {"fileProperty": "fullpath"}, PAIR_FILES),
+            _of_files("pairs", "npz", content, {"fileProperty": "content"}, PAIR_FILES),
+        ],
+    }
+
+
+def _cameras() -> dict[str, Any]:
+    """views.json as records: the camera of each view."""
+    parts: dict[str, tuple[str, str, dict[str, Any]]] = {
+        "view": ("zero-padded index", "sc:Text", {}),
+        "K": ("intrinsics, pixels", "cr:Float64", {"isArray": True, "arrayShape": "3,3"}),
+        "width": ("of the view's images, pixels", "sc:Integer", {}),
+        "height": ("of the view's images, pixels", "sc:Integer", {}),
+    }
+    rows = []
+    for name, (text, kind, more) in parts.items():
+        path = {"jsonPath": f"$.views[*].{name}"}
+        rows.append(_of_files("cameras", name, text, path, VIEW_LISTS) | {"dataType": kind, **more})
+    return {
+        "@type": "cr:RecordSet",
+        "@id": "cameras",
+        "name": "cameras",
+        "description": "one record per view, by recording",
+        "field": rows,
+    }
+
+
+def _of_files(record_set: str, name: str, text: str, extract: dict[str, str], files: str) -> dict[str, Any]:
+    """A field that is read of each file of a file set."""
+    return {
+        "@type": "cr:Field",
+        "@id": f"{record_set}/{name}",
+        "name": name,
+        "description": text,
+        "dataType": "sc:Text",
+        "source": {"fileSet": {"@id": files}, "extract": extract},
+    }
+
+
 def _field(column: str, text: str) -> dict[str, Any]:
     source: dict[str, Any] = {"fileObject": {"@id": TARGETS_CSV}, "extract": {"column": column}}
     if column == "view":
@@ -125,11 +182,11 @@ def _creator(author: str) -> Mapping[str, str]:
 
 
 def _context() -> dict[str, Any]:
-    """The context of Croissant 1.0, word for word; readers compare it."""
+    """The context of Croissant 1.1, word for word; readers compare it."""
     of_croissant = (
-        "citeAs column equivalentProperty extract field fileProperty fileObject fileSet format includes "
-        "isLiveDataset jsonPath key md5 parentField path recordSet references regex repeated replace "
-        "samplingRate separator source subField transform"
+        "arrayShape citeAs column containedIn equivalentProperty extract field fileProperty fileObject "
+        "fileSet format includes isArray isLiveDataset jsonPath key md5 parentField path recordSet "
+        "references regex repeated replace samplingRate separator source subField transform"
     )
     context: dict[str, Any] = {"@language": "en", "@vocab": "https://schema.org/"}
     context |= {word: f"cr:{word}" for word in of_croissant.split()}
@@ -139,7 +196,9 @@ def _context() -> dict[str, Any]:
         "data": {"@id": "cr:data", "@type": "@json"},
         "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
         "dct": "http://purl.org/dc/terms/",
+        "description": {"@container": "@language"},
         "examples": {"@id": "cr:examples", "@type": "@json"},
+        "name": {"@container": "@language"},
         "rai": "http://mlcommons.org/croissant/RAI/",
         "sc": "https://schema.org/",
     }

@@ -167,6 +167,7 @@ def _write(
         held_back=options.hold_back,
     )
     write_preview(folder, settings, targets, infos, warnings, options.hold_back)
+    refuse_large(folder)  # before other files are made of them
     identity = write_small_files(head, folder, targets, infos, warnings)
     refuse_large(folder)
     return PublishSummary(

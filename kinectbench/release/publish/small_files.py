@@ -35,11 +35,13 @@ from kinectbench.release.contents import (
     CARD,
     CITATION,
     CROISSANT,
+    DATACITE,
     LICENSE,
     READING,
     SPLIT_TARGETS,
     release_files,
 )
+from kinectbench.release.publish.about import About, day_of
 from kinectbench.release.publish.attribution import (
     citation_text,
     common_license,
@@ -48,8 +50,10 @@ from kinectbench.release.publish.attribution import (
 )
 from kinectbench.release.publish.card import RECORDED, CardTexts, card, reading
 from kinectbench.release.publish.croissant import croissant
+from kinectbench.release.publish.datacite import datacite
+from kinectbench.release.publish.object_glb import write_glbs
 from kinectbench.release.publish.schemas import write_schemas
-from kinectbench.settings.models import CitationSettings
+from kinectbench.settings.models import CitationSettings, PublishSettings
 
 PACKAGES = ("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "trimesh", "manifold3d", "zlib-ng")
 
@@ -103,11 +107,29 @@ def write_small_files(
     (folder / LICENSE).write_text(license_text(head.name, license, infos), encoding="utf-8")
     (folder / CITATION).write_text(citation_text(head.citation, head.name, license), encoding="utf-8")
     write_schemas(folder)
-    about = f"A benchmark for single-depth-view shape completion from {head.texts.source}."
-    metadata = croissant(head.name, license, about, head.citation, folder)
-    (folder / CROISSANT).write_text(pretty_json(metadata), encoding="utf-8")
+    write_glbs(folder, infos)
+    about = _about(head, license, folder, warnings)
+    (folder / DATACITE).write_text(pretty_json(datacite(about)), encoding="utf-8")
+    (folder / CROISSANT).write_text(pretty_json(croissant(about, folder)), encoding="utf-8")
     (folder / CARD).write_text(card(info, targets, warnings, license, head.texts), encoding="utf-8")
     return _seal(folder, info)
+
+
+def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> About:
+    """What other catalogues are told of a release."""
+    published = head.settings.get("publish")
+    options = PublishSettings() if published is None else PublishSettings.model_validate(published)
+    return About(
+        name=head.name,
+        license=license,
+        description=f"A benchmark for single-depth-view shape completion from {head.texts.source}.",
+        citation=head.citation,
+        date=day_of(head.citation, folder),
+        answers=options.datasheet,
+        warnings=warnings,
+        color=options.color,
+        recorded=published is not None,
+    )
 
 
 def note_in_benchmark_json(folder: Path, **more: str) -> None:

@@ -1,0 +1,99 @@
+"""What croissant.json and datacite.json say of a release, each in its own words; and the day of a release."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from kinectbench.core.artefacts.provenance import Lineage
+from kinectbench.settings.models import CitationSettings, DatasheetSettings
+
+SUBJECTS = ("3-D shape completion", "RGB-D", "voxel grids", "benchmark")
+# Stamps from then on are times of a day: earlier ones count from the start of a recording or a machine.
+FIRST_DAY_NS = 946_684_800 * 10**9  # 1 January 2000
+# The day that stands in every archive of a release for a time that nobody knows.
+NO_DAY = "1980-01-01"
+NS_PER_S = 10**9
+
+
+@dataclass(frozen=True)
+class About:
+    """What is to be said of a release.
+
+    Attributes:
+        name: of the benchmark.
+        license: of all its recordings.
+        description: a sentence.
+        citation: how it is cited.
+        date: the day of its publication, year-month-day.
+        answers: what only a person can tell.
+        warnings: what is wrong with it, one line each.
+        color: whether its colour images are published.
+        recorded: whether it was made of recordings, and not of models.
+    """
+
+    name: str
+    license: str
+    description: str
+    citation: CitationSettings
+    date: str
+    answers: DatasheetSettings = field(default_factory=DatasheetSettings)
+    warnings: Sequence[str] = ()
+    color: bool = False
+    recorded: bool = True
+
+
+def day_of(citation: CitationSettings, folder: Path) -> str:
+    """The day of a release, year-month-day; no clock is asked, for the same build gives the same bytes.
+
+    As stated (`date_released`), else that of the last frame that lineage.json names, for no data is older
+    than its frames; where their stamps are no times of a day, the day that archives have.
+
+    Args:
+        citation: how the release is cited.
+        folder: the release's, with lineage.json, if it has one.
+    """
+    if citation.date_released:
+        return citation.date_released
+    lineage = Lineage.read_if_there(folder)
+    views = [row.views or () for row in lineage.recordings.values()] if lineage else []
+    last_ns = max((view.stamp_ns for some in views for view in some), default=0)
+    if last_ns < FIRST_DAY_NS:
+        return NO_DAY
+    try:
+        return datetime.fromtimestamp(last_ns // NS_PER_S, UTC).date().isoformat()
+    except (OverflowError, ValueError, OSError):  # of a year that no calendar has
+        return NO_DAY
+
+
+def responsible_use(about: About) -> Mapping[str, str | list[str]]:
+    """Croissant's fields for responsible AI, without their prefix; what nobody told is left out."""
+    answers = about.answers
+    people = [answers.consent] if answers.consent else []
+    if about.recorded:
+        shown = "published" if about.color else "not published"
+        people.append(f"Colour images are {shown}; privacy.json says what was looked for and removed.")
+    told: dict[str, str | list[str] | None] = {
+        "dataCollection": answers.collection,
+        "dataCollectionType": ["Direct measurement" if about.recorded else "Software collection"],
+        "dataCollectionMissingData": (
+            "Depth is 0 where the sensor measured nothing; `known` is not set where nobody knows the truth."
+        ),
+        "dataPreprocessingProtocol": [
+            "Every setting is in benchmark.json, every stage and file of each recording in lineage.json."
+            if about.recorded
+            else "Every setting is in benchmark.json."
+        ],
+        "dataUseCases": ["Training and testing of single-view shape completion."],
+        "dataLimitations": [
+            "Scores belong to one framing, one partial rule and one benchmark_sha256.",
+            *([answers.uses_to_avoid] if answers.uses_to_avoid else []),
+            *about.warnings,
+        ],
+        "dataBiases": [
+            "Objects, rooms and sensors are those that their makers had at hand; the card counts them."
+        ],
+        "personalSensitiveInformation": people or None,
+        "dataReleaseMaintenancePlan": answers.maintenance,
+    }
+    return {key: value for key, value in told.items() if value}

@@ -1,0 +1,89 @@
+"""`objects/<recording>.glb`: an object as viewers show it, small enough for a page; mesh.ply is the truth.
+
+glTF 2.0 in its binary form, by trimesh: metres, y up, the floor at y = 0. Where mesh.ply has more triangles
+than a viewer needs, they are fewer here, and the file says how far its surface is from that of mesh.ply.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.geometry.decimate import decimated, surface_distances_m
+from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
+from kinectbench.core.types import Float64
+from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES
+
+# 24 bytes a triangle of a closed mesh: 1.44 MB (own choice); and those of the smallest closed mesh.
+MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
+# x stays, z becomes y.
+T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+MM_PER_M = 1000
+# Of what the file says in words: matrices, and thousandths of a millimetre.
+MATRIX_DECIMALS, MM_DECIMALS = 12, 3
+
+
+def write_glbs(folder: Path, recordings: Iterable[str]) -> None:
+    """Write the GLB of each recording whose mesh lies in a release's folder: of what is held back none does.
+
+    Raises:
+        StorageError: a mesh or a floor is damaged.
+    """
+    for name in recordings:
+        objects = folder / "objects"
+        if not (objects / name / OBJECT_FILES[0]).is_file():
+            continue
+        mesh = read_own_ply(objects / name / OBJECT_FILES[0])
+        floor = FloorFile.read_if_there(objects / name)
+        content = glb_bytes(mesh, np.eye(4) if floor is None else floor.T_floor_world)
+        if content is not None:
+            (objects / f"{name}{GLB}").write_bytes(content)
+
+
+def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64) -> bytes | None:
+    """The content of a GLB of at most 2 MB; the same bytes for the same mesh.
+
+    None where there is nothing to show: no triangle, or so many that share no corner that none of them can
+    be joined to fewer.
+
+    Args:
+        mesh: in the world, metres.
+        T_floor_world: (4, 4), z up, floor at z = 0.
+    """
+    T_gltf_world = T_GLTF_FLOOR @ T_floor_world
+    most = MOST_TRIANGLES
+    while most >= LEAST_TRIANGLES and len((shown := decimated(mesh, most)).faces):
+        content = _glb(mesh, shown, T_gltf_world)
+        if len(content) <= MOST_GLB_BYTES:
+            return content
+        most //= 2  # an open mesh has more vertices
+    return None
+
+
+def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64) -> bytes:
+    import trimesh
+
+    extras = {
+        "T_gltf_world": np.round(T_gltf_world, MATRIX_DECIMALS).tolist(),
+        "triangles": len(shown.faces),
+        "triangles_of_mesh_ply": len(whole.faces),
+        "from_mesh_ply_mm": _apart_mm(whole, shown),
+        "to_mesh_ply_mm": _apart_mm(shown, whole),
+    }
+    placed = shown.transformed(T_gltf_world)
+    shell = trimesh.Trimesh(placed.vertices, placed.faces, process=False, metadata=extras)
+    content: Any = trimesh.exchange.gltf.export_glb(shell, include_normals=True)
+    return bytes(content)
+
+
+def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
+    """Mean and largest distance of the vertices of one mesh from the surface of another, millimetres."""
+    if of is to:
+        return {"mean": 0.0, "max": 0.0}
+    found_mm = surface_distances_m(of.vertices, to).astype(np.float64) * MM_PER_M
+    return {
+        "mean": round(float(found_mm.mean()), MM_DECIMALS),
+        "max": round(float(found_mm.max()), MM_DECIMALS),
+    }
