@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from synthetic_release import synthetic_settings, write_build
@@ -63,20 +64,28 @@ def test_datacite(build: Path, tmp_path: Path, said: bool) -> None:
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
-        ('"version": "2"', "version '2' where benchmark.json has none"),
-        ('"rightsList": [{"rights": "MIT"}]', "licence 'MIT' where benchmark.json has 'CC0-1.0'"),
-        ('"rightsList": []', "no licence where benchmark.json has 'CC0-1.0'"),
-        ('"rightsList": 1', "does not have the keys that it should"),
+        ({"version": "2"}, "version '2' where benchmark.json has none"),
+        ({"rightsList": [{"rights": "MIT"}]}, "licence 'MIT' where benchmark.json has 'CC0-1.0'"),
+        ({"rightsList": []}, "no licence where benchmark.json has 'CC0-1.0'"),
+        ({"rightsList": 1}, "does not have the keys that it should"),
     ],
 )
 def test_a_datacite_that_says_otherwise_is_told(
-    release: Release, tmp_path: Path, damage: str, told: str
+    release: Release, tmp_path: Path, damage: dict[str, Any], told: str
 ) -> None:
     folder = Path(shutil.copytree(release.folder, tmp_path / "b"))
     path = folder / "datacite.json"
-    path.write_text(path.read_text().rstrip().removesuffix("}") + f", {damage}}}")
+    path.write_text(json.dumps(json.loads(path.read_text()) | damage))
     lines = verify(seal(folder))
     assert len(lines) == 1 and lines[0].startswith(f"datacite.json: {told}"), lines
+
+
+@pytest.mark.parametrize("name", ["datacite.json", "lineage.json", "views/chair_01/views.json"])
+def test_a_file_that_is_no_json_is_told_once(release: Release, tmp_path: Path, name: str) -> None:
+    folder = Path(shutil.copytree(release.folder, tmp_path / "b"))
+    (folder / name).write_text('{"name": 1, "name": 2}')
+    lines = [line for line in verify(seal(folder)) if line.startswith(f"{name}: ")]
+    assert len(lines) == 1 and "it has the key 'name' twice" in lines[0], lines
 
 
 def test_a_release_of_earlier_versions_is_whole(release: Release, tmp_path: Path) -> None:

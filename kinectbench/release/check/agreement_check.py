@@ -88,7 +88,11 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     whole = contents.entries.keys() - damaged.keys()
     for name in sorted(whole):
         if name.endswith(".json") and name != BENCHMARK_JSON:
-            yield from _json_problems(contents, name)
+            try:
+                yield from _schema_problems(contents, name)
+            except ReleaseError as error:
+                yield str(error)
+                whole.remove(name)
     checks: dict[str, Check] = {
         CARD: _card_problems,
         LICENSE: _license_problems,
@@ -114,14 +118,14 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     yield from _told_truth(contents, stated.metadata)
 
 
-def _json_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Whether a file is JSON, and as its schema says."""
-    try:
-        text = contents.text(name)
-        release_json(text, name)
-    except ReleaseError as error:
-        yield str(error)
-        return
+def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
+    """A line for each thing in which a JSON file is not as its schema says.
+
+    Raises:
+        ReleaseError: it is no JSON.
+    """
+    text = contents.text(name)
+    release_json(text, name)
     yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
 
 
