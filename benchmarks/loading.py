@@ -2,6 +2,10 @@
 
     python benchmarks/loading.py benchmark/ [--seconds 5] [--workers 0 1 2]
 
+For each number of worker processes: items a second, and milliseconds of the processor an item, in the process
+that trains and in the workers together. "unpacked here": workers hand packed grids over, and the process that
+trains unpacks them.
+
 Beside plain numpy, which opens a pair file and unpacks the same arrays. Worker processes are those of torch's
 DataLoader where torch is installed, else of `multiprocessing`, which copies each item once more.
 """
@@ -9,6 +13,7 @@ DataLoader where torch is installed, else of `multiprocessing`, which copies eac
 import argparse
 import itertools
 import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,8 +24,10 @@ import numpy as np
 import kinectbench
 
 GRIDS = ("partial", "full", "known")
+HERE = "unpacked here"
 WAYS: dict[str, dict[str, Any]] = {
     "packed": {"keys": GRIDS, "packed": True},
+    HERE: {"keys": GRIDS, "packed": True},
     "unpacked": {"keys": GRIDS},
     "default keys": {},
     "with images": {"keys": (*GRIDS, "depth", "mask")},
@@ -48,6 +55,7 @@ def cpu_ms(read: Callable[[int], object], count: int) -> float:
 def items(dataset: kinectbench.Dataset, workers: int) -> Iterator[Any]:
     """The items of a dataset over and over, read by so many processes; 0: by this one."""
     try:
+        import torch
         from torch.utils.data import DataLoader
     except ImportError:
         indices = itertools.cycle(range(len(dataset)))
@@ -56,21 +64,40 @@ def items(dataset: kinectbench.Dataset, workers: int) -> Iterator[Any]:
         with multiprocessing.get_context("fork").Pool(workers) as pool:
             yield from pool.imap(dataset.__getitem__, indices)
     # Batches of one, as images differ in size; a batch is put together in shared memory, whatever its size.
+    torch.set_num_threads(1)  # as in workers
     loader = DataLoader(dataset, num_workers=workers, persistent_workers=workers > 0)
     while True:
         yield from loader
 
 
-def items_a_second(dataset: kinectbench.Dataset, workers: int, seconds: float) -> float:
-    """How many items come in a second, from the third on: processes are started then."""
+def unpacked(item: Any) -> list[np.ndarray]:
+    """The grids of an item, or of a batch of tensors."""
+    return [np.unpackbits(np.asarray(item[name]), axis=-1).view(np.bool_) for name in GRIDS]
+
+
+def workers_cpu_s() -> float:
+    """Time of the processor that the processes started by this one have taken, seconds (Linux; proc(5))."""
+    took = 0.0
+    for child in multiprocessing.active_children():
+        user, system = Path(f"/proc/{child.pid}/stat").read_text("utf-8").rsplit(")", 1)[1].split()[11:13]
+        took += (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    return took
+
+
+def measured(dataset: kinectbench.Dataset, workers: int, seconds: float, unpack: bool) -> str:
+    """Items a second once the processes are started; processor ms an item, here and in the workers."""
     stream = items(dataset, workers)
     for _ in range(2 + workers):
         next(stream)
-    began, count = time.perf_counter(), 0
+    began, here_s, there_s, count = time.perf_counter(), time.process_time(), workers_cpu_s(), 0
     while time.perf_counter() - began < seconds:
-        next(stream)
+        item = next(stream)
+        if unpack:
+            unpacked(item)
         count += 1
-    return count / (time.perf_counter() - began)
+    rate = count / (time.perf_counter() - began)
+    here_ms = (time.process_time() - here_s) / count * 1e3
+    return f"{rate:10.1f}{here_ms:7.1f}{(workers_cpu_s() - there_s) / count * 1e3:7.1f}"
 
 
 def main() -> None:
@@ -80,13 +107,16 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="+", default=[0, 1, 2])
     options = parser.parse_args()
 
-    heads = "".join(f"{f'items/s, {count} workers':>20}" for count in options.workers)
-    print(f"{'':24}{'CPU ms':>8}{heads}")
+    print(f"{'':32}" + "".join(f"{f'{count} workers':>24}" for count in options.workers))
+    print(f"{'':24}{'CPU ms':>8}" + f"{'items/s':>10}{'here':>7}{'there':>7}" * len(options.workers))
     for name, how in WAYS.items():
         dataset = kinectbench.load(options.benchmark, **how)
-        row = f"{name:24}{cpu_ms(dataset.__getitem__, len(dataset)):8.1f}"
+        read = (
+            (lambda index, dataset=dataset: unpacked(dataset[index])) if name == HERE else dataset.__getitem__
+        )
+        row = f"{name:24}{cpu_ms(read, len(dataset)):8.1f}"
         for workers in options.workers:
-            row += f"{items_a_second(dataset, workers, options.seconds):20.1f}"
+            row += measured(dataset, workers, options.seconds, name == HERE)
         print(row, flush=True)
     paths = [dataset.release.pair_path(target) for target in dataset.targets]
     for packed in (True, False) if paths[0].is_file() else ():
