@@ -1,9 +1,10 @@
-"""The bytes of a published file, in a release's folder or in its archive, which is read in place.
+"""The bytes of a published file, in a release's folder, in its archive or at its URL, read in place.
 
-A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`.
-So whatever is given the path of a file, in this process or in another, reads both.
+A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`;
+or it may be a URL. So whatever is given the path of a file, in this process or in another, reads them all.
 """
 
+import errno
 import hashlib
 import os
 import weakref
@@ -14,6 +15,9 @@ from pathlib import Path
 from threading import Lock
 
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.store.address import url_of
+from kinectbench.core.store.attempts import MissingObjectError
+from kinectbench.core.store.store import Store
 from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
 from kinectbench.release.opening import open_contents
@@ -57,11 +61,16 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is a file, in a folder or in an archive.
+    """Whether there is a file, in a folder, in an archive or at a URL.
 
     Raises:
         ReleaseError: the archive cannot be read.
+        StorageError: the store fails.
     """
+    url = url_of(path)
+    if url is not None:
+        store, name = _store_of(url)
+        return store.head(name) is not None
     if path.is_file():
         return True
     archive = _archive_above(path)
@@ -69,6 +78,13 @@ def is_there(path: Path) -> bool:
 
 
 def _read(path: Path, limit: int) -> bytes:
+    url = url_of(path)
+    if url is not None:
+        store, name = _store_of(url)
+        try:
+            return store.read(name, limit)
+        except MissingObjectError as error:
+            raise FileNotFoundError(errno.ENOENT, "missing", store.place(name)) from error
     try:
         return read_plain(path, limit)
     except NotADirectoryError:  # a part of the way is a file
@@ -81,6 +97,12 @@ def _read(path: Path, limit: int) -> bytes:
             return opened.contents.read(_name_in(path, archive), limit)
         except ReleaseError as error:
             raise ReleaseError(f"{archive}: {error}") from error
+
+
+def _store_of(url: str) -> tuple[Store, str]:
+    """The bucket, host or machine of a URL, for whose files one client is made, and the name there."""
+    scheme, _, place, name = url.split("/", 3)
+    return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 
 
 def _archive_above(path: Path) -> Path | None:

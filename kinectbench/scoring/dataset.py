@@ -146,7 +146,7 @@ def load(
     """Open a release; where torch is installed the result is a `torch.utils.data.Dataset` too.
 
     Args:
-        path: its folder, or a .zip, .tar or .tar.gz of it, which is read in place.
+        path: its folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md), which are read in place.
         keys: what an item holds beside `pair_id`; nothing else is unpacked. Grids: `partial` (64, 64, 64),
             `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool. Matrices, float64, metres
             and pixels: `T_world_grid`, `T_world_camera` (4, 4), `K` (3, 3). Numbers: `voxel_size_m`,

@@ -187,6 +187,17 @@ def test_an_archive_is_read_in_place(release: Release, archive: Path) -> None:
         assert pool.map(first_full, [dataset] * 4) == [first_full(plain)] * 4
 
 
+def test_a_url_is_read_in_place(release: Release, tmp_path: Path) -> None:
+    pytest.importorskip("obstore")
+    keys = ("partial", "full", "depth")
+    dataset = pickle.loads(pickle.dumps(kinectbench.load(f"file://{release.folder}", keys=keys)))
+    for found, item in zip(dataset, kinectbench.load(release.folder, keys=keys), strict=True):
+        for key in keys:
+            np.testing.assert_array_equal(found[key], item[key])
+    with pytest.raises(ReleaseError, match=r"no release there \(benchmark\.json is missing\)"):
+        kinectbench.load(f"file://{tmp_path}")
+
+
 def test_what_scores_a_folder_scores_an_archive(release: Release, tmp_path: Path) -> None:
     archive = write_archive(release.folder, tmp_path)
     names = ("hull", "base-rate")
