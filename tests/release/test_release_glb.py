@@ -61,6 +61,20 @@ def test_a_large_mesh_is_made_smaller_and_says_by_how_much(monkeypatch: pytest.M
     assert 0 < told["from_mesh_ply_mm"]["mean"] < told["from_mesh_ply_mm"]["max"] < 0.01 * RADIUS_M * 1000
 
 
+def test_its_normals_are_those_of_the_surface(analytic: Path) -> None:
+    shown = loaded((analytic / "benchmark/objects/chair_01.glb").read_bytes())
+    outward = np.asarray(shown.vertices) - shown.centroid
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    # trimesh reads them with the file; a ball's point to its middle.
+    assert (np.asarray(shown.vertex_normals) * outward).sum(axis=1).min() > 0.999
+
+
+def test_a_vertex_without_a_triangle_has_no_normal() -> None:
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 3, 0], [5, 5, 5]])
+    mesh = TriangleMesh(corners, np.array([[0, 1, 2]], np.int32))
+    np.testing.assert_array_equal(mesh.vertex_normals, [[0, 0, 1]] * 3 + [[0, 0, 0]])
+
+
 def test_what_is_larger_than_the_bytes_is_made_smaller_again(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = true_mesh("chair", 0)
     monkeypatch.setattr(object_glb, "MOST_GLB_BYTES", 200_000)

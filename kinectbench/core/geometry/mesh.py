@@ -55,6 +55,17 @@ class TriangleMesh:
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         return float((a * np.cross(b, c)).sum() / 6.0)
 
+    @property
+    def vertex_normals(self) -> Float64:
+        """Unit normals (n, 3), means over the triangles around by their areas; 0 where there is none."""
+        a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
+        doubled, corners = np.cross(b - a, c - a), self.faces.ravel()
+        sums = [np.bincount(corners, along.repeat(3), len(self.vertices)) for along in doubled.T]
+        normals: Float64 = np.stack(sums, axis=-1)
+        lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals /= np.where(lengths > 0, lengths, 1)
+        return normals
+
     def keep_faces(self, mask: Bools) -> "TriangleMesh":
         """The mesh of the faces where mask (m,) is true, without vertices that no face uses."""
         faces = self.faces[mask]

@@ -21,6 +21,8 @@ MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
 # x stays, z becomes y.
 T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 MM_PER_M = 1000
+# Vertices whose distance is measured (own choice); of 60,000 triangles all of them took half the file's time.
+MEASURED = 5000
 # Of what the file says in words: matrices, and thousandths of a millimetre.
 MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
@@ -73,16 +75,26 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64) -> byt
         "to_mesh_ply_mm": _apart_mm(shown, whole),
     }
     placed = shown.transformed(T_gltf_world)
-    shell = trimesh.Trimesh(placed.vertices, placed.faces, process=False, metadata=extras)
+    shell = trimesh.Trimesh(
+        placed.vertices,
+        placed.faces,
+        vertex_normals=placed.vertex_normals,
+        process=False,
+        metadata=extras,
+    )
     content: Any = trimesh.exchange.gltf.export_glb(shell, include_normals=True)
     return bytes(content)
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
-    """Mean and largest distance of the vertices of one mesh from the surface of another, millimetres."""
+    """Mean and largest distance of vertices of one mesh from the surface of another, millimetres.
+
+    Of about `MEASURED` vertices, evenly over their order.
+    """
     if of is to:
         return {"mean": 0.0, "max": 0.0}
-    found_mm = surface_distances_m(of.vertices, to).astype(np.float64) * MM_PER_M
+    measured = of.vertices[:: max(1, len(of.vertices) // MEASURED)]
+    found_mm = surface_distances_m(measured, to).astype(np.float64) * MM_PER_M
     return {
         "mean": round(float(found_mm.mean()), MM_DECIMALS),
         "max": round(float(found_mm.max()), MM_DECIMALS),

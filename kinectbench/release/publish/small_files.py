@@ -55,7 +55,10 @@ from kinectbench.release.publish.object_glb import write_glbs
 from kinectbench.release.publish.schemas import write_schemas
 from kinectbench.settings.models import CitationSettings, PublishSettings
 
-PACKAGES = ("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "trimesh", "manifold3d", "zlib-ng")
+PACKAGES = (
+    *("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "trimesh", "manifold3d", "zlib-ng"),
+    "fast-simplification",
+)
 
 
 @dataclass(frozen=True)
