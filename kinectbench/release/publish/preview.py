@@ -145,7 +145,7 @@ def enlarged(picture: Rgb) -> Rgb:
 def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
     """(rows, columns, away from the viewer) as a shaded relief."""
     covered = np.asarray(cells.any(axis=2))
-    depth = np.where(covered, cells.argmax(axis=2), 0).astype(np.float64)
+    depth = _nearest(cells)
     smooth = _blurred(depth, covered)
     down, right = np.zeros_like(smooth), np.zeros_like(smooth)
     down[1:-1] = (smooth[2:] - smooth[:-2]) / 2
@@ -157,6 +157,20 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
     shade = np.clip((0.55 + 0.6 * np.clip(facing, 0, 1)) * (1.08 - 0.4 * far), 0, 1.2)[..., None]
     picture = np.where(covered[..., None], shade * np.array(color, np.float64), np.array(PAPER, np.float64))
     return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+def _nearest(cells: Bools) -> Float64:
+    """Index of the first filled cell along the last axis; 0 where there is none.
+
+    Where that axis is not the one that runs fastest in memory, argmax takes 14 times as long as going through
+    the layers (54 ms and 4 ms of 256^3 cells).
+    """
+    if cells.strides[2] == min(cells.strides, key=abs):
+        return np.where(cells.any(axis=2), cells.argmax(axis=2), 0).astype(np.float64)
+    nearest = np.zeros(cells.shape[:2])
+    for index in reversed(range(cells.shape[2])):
+        np.copyto(nearest, index, where=cells[..., index])
+    return nearest
 
 
 def _blurred(depth: Float64, covered: Bools) -> Float64:

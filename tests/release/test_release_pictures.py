@@ -1,0 +1,27 @@
+"""The pictures of a release's page: a shape looks the same however its grid lies in memory."""
+
+import numpy as np
+import pytest
+
+from kinectbench.release.publish.preview import CLAY, PAPER, seen_from_the_front, seen_from_the_right
+
+
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.3])
+def test_a_picture_does_not_depend_on_the_order_in_memory(share: float) -> None:
+    cells = np.random.default_rng(0).random((24, 20, 16)) < share
+    for seen in (seen_from_the_front, seen_from_the_right):
+        pictures = [
+            seen(np.ascontiguousarray(cells.transpose(axes)).transpose(np.argsort(axes)), CLAY)
+            for axes in ((0, 1, 2), (2, 1, 0), (1, 2, 0))
+        ]
+        assert all((picture == pictures[0]).all() for picture in pictures)
+        assert (pictures[0] == PAPER).all() == (not cells.any())
+
+
+def test_what_is_nearer_hides_what_is_behind() -> None:
+    near = np.zeros((16, 16, 16), bool)
+    near[12:, 4:12, 4:12] = True  # to the right
+    both = near.copy()
+    both[:4, 4:12, 4:12] = True
+    assert (seen_from_the_right(near, CLAY) == seen_from_the_right(both, CLAY)).all()
+    assert (seen_from_the_front(near, CLAY) != seen_from_the_front(both, CLAY)).any()
