@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.types import Bools, Float64, Rgb
-from kinectbench.core.voxels.pair_file import BLOCK, read_input, read_pair, unpack
+from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
 from kinectbench.release.contents import PREVIEW
 from kinectbench.release.publish.card import quality_words
 from kinectbench.settings.models import BenchmarkSettings
@@ -75,16 +75,15 @@ def _part(
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
     """Captions and `data:` addresses: depth with the mask, what was seen, the truth where it is published."""
-    pair_input = read_input(folder / target.file)
+    pair = (read_input if held_back else read_pair)(folder / target.file)
     # The input as it is, each of its cells as 4 x 4 pixels.
-    partial = unpack(pair_input.partial)
+    partial = unpack(pair.partial)
     pictures = [
         ("depth and mask", _depth(folder / "views" / target.recording, target.view)),
         ("partial, as seen", _png(enlarged(seen_from_the_front(partial, BLUE)))),
         ("partial, from the right", _png(enlarged(seen_from_the_right(partial, BLUE)))),
     ]
-    if not held_back:
-        pair = read_pair(folder / target.file)
+    if isinstance(pair, Pair):
         full, known = unpack(pair.full), unpack(pair.known)
         pictures[2:] = [
             ("full, as seen", _png(seen_from_the_front(full, CLAY))),
