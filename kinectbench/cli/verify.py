@@ -9,6 +9,7 @@ import typer
 
 from kinectbench.cli.build import build_jobs
 from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
+from kinectbench.core.errors import SettingsError
 from kinectbench.core.store.address import shown, url_of
 
 
@@ -22,6 +23,10 @@ def verify(
         Path | None,
         typer.Option(help="make the pairs again from here: a benchmark.yaml, or a folder of recordings"),
     ] = None,
+    checksums: Annotated[
+        bool,
+        typer.Option("--checksums", help="the bytes alone: every file is the published one"),
+    ] = False,
     work: Annotated[
         Path | None, typer.Option(help="with --rebuild: build here and keep it; default: a temporary folder")
     ] = None,
@@ -30,6 +35,10 @@ def verify(
     from kinectbench.cli import console
     from kinectbench.release.check.verify import verify as find_problems
 
+    if checksums and rebuild is not None:
+        raise SettingsError(
+            "verify: --checksums looks at the bytes alone, --rebuild at all: give one of them"
+        )
     url = url_of(release)
     with ExitStack() as stack:
         here, problems = release, list[str]()
@@ -37,7 +46,7 @@ def verify(
             here = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-verify-")))
             problems = _brought(url, here)
         with console.bar("verify") as progress:
-            problems += find_problems(here, progress)
+            problems += find_problems(here, progress, checksums_only=checksums)
         if rebuild is not None and not problems:
             problems = _rebuild(here, rebuild, work, common.workers)
     common.tell_problems(problems, f"{shown(release)}: all well")

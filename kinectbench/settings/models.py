@@ -333,9 +333,9 @@ class BenchmarkSettings(Settings):
                 raise _clash(index, earlier, problem)
         return self
 
-    def recording(self, recording_id: str) -> RecordingSettings:
-        """The recording of that id; KeyError if there is none."""
-        return {r.id: r for r in self.recordings}[recording_id]
+    def by_id(self) -> dict[str, RecordingSettings]:
+        """The recordings by their ids; made anew at each call, so keep it for many look-ups."""
+        return {recording.id: recording for recording in self.recordings}
 
     def license_of(self, recording: RecordingSettings) -> str:
         """The licence of a recording: its own, or else the benchmark's; "unspecified" if nobody said."""

@@ -242,3 +242,26 @@ def test_pair_problems(name: str) -> None:
     found = list(pair_problems(pair, min_containment=0.85, framing="object", partial_rule="any"))
     assert len(found) == len(expected)
     assert all(part in line for part, line in zip(expected, found, strict=True))
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_checksums_alone_find_every_changed_missing_or_new_file(name: str, copy: Path) -> None:
+    damage, expected = DAMAGE[name]
+    damage(copy)
+    of_bytes = ("(SHA-256 differs)", ": missing", "not part of the release")
+    assert verify(copy, checksums_only=True) == [line for line in expected if line.endswith(of_bytes)]
+
+
+def test_checksums_alone_look_into_no_file(copy: Path) -> None:
+    progress: list[tuple[int, int]] = []
+    path = copy / "pairs/chair_01/001.npz"
+    path.write_bytes(b"no pair")
+    resum(copy, "pairs/chair_01/001.npz")
+    found = verify(copy, lambda *done: progress.append(done), checksums_only=True)
+    assert found == ["SHA256SUMS: not the list that benchmark.json names"]
+    assert (
+        progress[-1][0]
+        == progress[-1][1]
+        == len(progress)
+        == len((copy / "SHA256SUMS").read_text().splitlines())
+    )

@@ -34,9 +34,9 @@ recordings:
 def test_put_in(text, recording):
     changed = with_box(text, "x.yaml", recording, BOX)
     box = BoxSettings.model_validate(BOX.json_value())
-    assert parse_benchmark(changed, "x.yaml").recording(recording).box == box
+    assert parse_benchmark(changed, "x.yaml").by_id()[recording].box == box
     other = "b" if recording == "a" else "a"
-    assert parse_benchmark(changed, "x.yaml").recording(other).box is None
+    assert parse_benchmark(changed, "x.yaml").by_id()[other].box is None
     # Taken away again, the file is as before.
     assert changed.replace(f", {LINE}", "").replace(f"\n    {LINE}", "") == text
 
@@ -52,7 +52,7 @@ def test_replaced(old):
     text = BLOCK.replace("    path: rec/a\n", "    path: rec/a\n" + old)
     once = with_box(text, "x.yaml", "a", BOX)
     assert "9" not in once and "# mine" in once
-    assert parse_benchmark(once, "x.yaml").recording("a").box == BoxSettings.model_validate(BOX.json_value())
+    assert parse_benchmark(once, "x.yaml").by_id()["a"].box == BoxSettings.model_validate(BOX.json_value())
     assert with_box(once, "x.yaml", "a", BOX) == once
     assert ("# by hand" in once) == ("# by hand" in old)
 

@@ -78,7 +78,7 @@ def test_recordings_of_one_object_share_a_split() -> None:
         return BenchmarkSettings.model_validate({"name": "x", "recordings": list(recordings)})
 
     again = {**CHAIR, "id": "chair_02", "object": "chair_01"}
-    assert benchmark(CHAIR, again).recording("chair_02").object_name == "chair_01"
+    assert benchmark(CHAIR, again).by_id()["chair_02"].object_name == "chair_01"
     with pytest.raises(
         ValidationError, match="in two splits: 'test' \\(chair_01\\) and 'train' \\(chair_02\\)"
     ):
@@ -86,7 +86,7 @@ def test_recordings_of_one_object_share_a_split() -> None:
     with pytest.raises(ValidationError, match="two recordings have the id 'chair_01'"):
         benchmark(CHAIR, CHAIR)
     with pytest.raises(KeyError):
-        benchmark(CHAIR).recording("nobody")
+        benchmark(CHAIR).by_id()["nobody"]
 
 
 def test_a_box_becomes_a_value() -> None:

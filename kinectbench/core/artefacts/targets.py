@@ -9,7 +9,7 @@ it: it names the published bytes whatever the version of the package that publis
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, get_args
 
@@ -127,6 +127,14 @@ def targets_text(targets: Sequence[Target], columns: Sequence[str] = tuple(COLUM
     writer.writerow(columns)
     writer.writerows([getattr(target, name) for name in columns] for target in targets)
     return buffer.getvalue()
+
+
+def by_recording(targets: Iterable[Target]) -> dict[str, list[Target]]:
+    """The targets of each recording, in their order."""
+    found: dict[str, list[Target]] = {}
+    for target in targets:
+        found.setdefault(target.recording, []).append(target)
+    return found
 
 
 def check_splits(targets: Sequence[Target], where: str) -> None:

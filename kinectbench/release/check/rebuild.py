@@ -15,7 +15,7 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
-from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, parse_targets
+from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording, parse_targets
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.untrusted import read_plain
@@ -174,8 +174,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
         plan: of the rebuild.
         build: holds a folder per recording that was built.
     """
-    for recording in sorted({target.recording for target in plan.targets}):
-        targets = [target for target in plan.targets if target.recording == recording]
+    for recording, targets in sorted(by_recording(plan.targets).items()):
         here = build / recording
         if not (here / "pairs" / "pairs.json").is_file():
             yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"

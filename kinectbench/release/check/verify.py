@@ -1,7 +1,7 @@
 """Check a release, every byte and every pair of it, in a folder or in an archive."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -30,7 +30,7 @@ from kinectbench.release.opening import open_contents
 from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
 
 
-def verify(path: Path, progress: Progress | None = None) -> list[str]:
+def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool = False) -> list[str]:
     """Say everything that is wrong with a release.
 
     One file at a time is in memory; an archive is not unpacked.
@@ -38,6 +38,7 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
     Args:
         path: the release's folder, or a .zip, .tar or .tar.gz of it.
         progress: called with (files and pairs done, files and pairs in all).
+        checksums_only: whether each file is the published one, and nothing of what is in it.
 
     Returns:
         One line per problem, each naming a file relative to the release; empty if all is well. A file that
@@ -52,8 +53,8 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
             sums = parse_sums(text, SHA256SUMS)
         except ReleaseError as error:
             return [*contents.problems, str(error)]
-        pairs = [name for name in sums if name.startswith("pairs/")]
-        total = len(sums) + len(pairs)
+        pairs = [] if checksums_only else [name for name in sums if name.startswith("pairs/")]
+        done, total = 0, len(sums) + len(pairs)
         damaged: dict[str, str] = {}
         for done, name in enumerate(sums, start=1):
             problem = _byte_problem(contents, name, sums[name])
@@ -62,15 +63,12 @@ def verify(path: Path, progress: Progress | None = None) -> list[str]:
             if progress:
                 progress(done, total)
         lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
+        if checksums_only:
+            return lines + _identity(contents, text, damaged)[1]
         metadata, targets, found = _small_file_problems(contents, text, sums, damaged)
         lines += found
+        lines += _object_lines(contents, sums.keys() - damaged.keys(), metadata)
         shares = _stated_shares(contents, metadata, targets)
-        for name in sums:
-            parts = name.split("/")
-            is_object = parts[0] == "objects" and (parts[-1] in OBJECT_FILES or name.endswith(GLB))
-            hidden = metadata is None or metadata.hides(recording_of(name))  # it must not be there at all
-            if is_object and name not in damaged and not hidden:
-                lines += object_problems(contents, name)
         for done, name in enumerate(pairs, start=len(sums) + 1):
             if metadata and name not in damaged:
                 lines += _pair_lines(contents, name, metadata, shares.get(name, {}))
@@ -99,6 +97,17 @@ def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
     for name in contents.entries:
         if name not in sums and name != SHA256SUMS:
             yield f"{printable(name, 200)}: not part of the release"
+
+
+def _object_lines(contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None) -> list[str]:
+    """What is wrong with the meshes and volumes of objects, of which those held back must not be there."""
+    lines: list[str] = []
+    for name in sorted(whole):
+        parts = name.split("/")
+        is_object = parts[0] == "objects" and (parts[-1] in OBJECT_FILES or name.endswith(GLB))
+        if is_object and metadata and not metadata.hides(recording_of(name)):
+            lines += object_problems(contents, name)
+    return lines
 
 
 def _stated_shares(
@@ -142,6 +151,19 @@ def _pair_lines(
         return [str(error)]
 
 
+def _identity(
+    contents: Contents, sums_text: str, damaged: Mapping[str, str]
+) -> tuple[ReleaseInfo | None, list[str]]:
+    """benchmark.json, None if it cannot be read; a line if it names another list of files, or cannot be."""
+    try:
+        metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+    except ReleaseError as error:
+        return None, [] if BENCHMARK_JSON in damaged else [str(error)]
+    if metadata.benchmark_sha256 != benchmark_sha256(sums_text) and BENCHMARK_JSON not in damaged:
+        return metadata, [f"{SHA256SUMS}: not the list that {BENCHMARK_JSON} names"]
+    return metadata, []
+
+
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
@@ -150,15 +172,8 @@ def _small_file_problems(
     Damaged files are still read if they can be, but their faults are not named a second time, except for the
     lines of targets.csv.
     """
-    lines: list[str] = []
-    metadata: ReleaseInfo | None = None
+    metadata, lines = _identity(contents, sums_text, damaged)
     targets: tuple[Target, ...] = ()
-    try:
-        metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
-        if metadata.benchmark_sha256 != benchmark_sha256(sums_text) and BENCHMARK_JSON not in damaged:
-            lines.append(f"{SHA256SUMS}: not the list that {BENCHMARK_JSON} names")
-    except ReleaseError as error:
-        lines += [] if BENCHMARK_JSON in damaged else [str(error)]
     try:
         targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
         check_splits(targets, TARGETS_CSV)

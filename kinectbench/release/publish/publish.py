@@ -116,7 +116,8 @@ def _refuse_empty_split(
     settings: BenchmarkSettings, recordings: Sequence[str], hold_back: Sequence[str]
 ) -> None:
     """Refuse to hold back a split that has no recording."""
-    there = {settings.recording(name).split for name in recordings}
+    by_id = settings.by_id()
+    there = {by_id[name].split for name in recordings}
     for split in hold_back:
         if split not in there:
             raise ReleaseError(f"--hold-back {split}: no recording of this split was built; check the splits")
@@ -131,9 +132,9 @@ def _write(
 ) -> PublishSummary:
     """Fill one folder."""
     found, made = list[Removed](), dict[str, Published]()
-    left_out = []
+    left_out, by_id = [], settings.by_id()
     for name in recordings:
-        recording = settings.recording(name)
+        recording = by_id[name]
         hidden = recording.split in options.hold_back
         published = publish_recording(Built(settings, recording, build / name, hidden), folder, found)
         if published is None:
