@@ -1,151 +1,224 @@
-"""What dies while a cluster builds: afterwards, is the benchmark the same to the byte?
+"""Ways of building, and what dies meanwhile: afterwards, is the benchmark the same to the byte?
 
-A scheduler and two workers are started for each fault; one of them, or `build` itself, is killed or stopped
-at a random moment, and `build` is said again where it ended. Every round ends with `publish`.
+Every row copies a small benchmark of two simulated recordings, builds it another way or disturbs it,
+publishes it, and holds it against one that was built in one process: the same benchmark_sha256 (and
+scores.json, of the ways), nothing left over, and no more than a line told. Some rows need root (a disk that
+fills up), `faketime`, `openssl` or a Slurm that answers `sinfo`; where these are missing they say so.
 """
 
-import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from figures import Figure, arguments, equals, run, told
-from small_runs import copied, leftovers, make_small, published, start
+from cluster_ways import WAYS
+from dask_parts import Parts, Worker, dask, kill_all_of, killed_in, worker_below, writing
+from fault_rows import Became, Bench, Row, ended, figures_of, held_against, make_bench
+from figures import Figure, arguments, run, told
+from full_disk import PAGE, ROOMY, mounted, pages_of, remount
+from small_runs import copied, start
+from store_faults import STORE_FAULTS
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.engine.stages import STAGES
 
-LONGEST_S = 600.0
-# A worker that is silent for so long is ended; the default is minutes.
-SILENT_S = 20
-
-
-@dataclass
-class Parts:
-    """The processes of a cluster, and of `build` on it.
-
-    Attributes:
-        file: of the scheduler.
-        scheduler: its process.
-        nannies: each watches over one worker.
-        client: `build`.
-    """
-
-    file: Path
-    scheduler: "subprocess.Popen[bytes]"
-    nannies: "list[subprocess.Popen[bytes]]"
-    client: "subprocess.Popen[str]"
-
-    def worker(self) -> int:
-        """The process of a worker that is at work, below its nanny."""
-        nanny = self.nannies[0].pid
-        children = Path(f"/proc/{nanny}/task/{nanny}/children").read_text(encoding="utf-8").split()
-        busiest = max(
-            children, key=lambda pid: Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1]
-        )
-        return int(busiest)
+FOLDERS = {stage.name: stage.folder for stage in STAGES}
+RECORDINGS = ("chair", "stool")
+MOMENTS = 20
+Build = subprocess.Popen[str]
 
 
-FAULTS: dict[str, Callable[[Parts], None]] = {
-    "nothing": lambda parts: None,
-    "SIGKILL of a worker": lambda parts: os.kill(parts.worker(), signal.SIGKILL),
-    "SIGSTOP of a worker": lambda parts: os.kill(parts.worker(), signal.SIGSTOP),
-    "SIGKILL of a worker's nanny": lambda parts: parts.nannies[0].kill(),
-    "SIGKILL of the scheduler": lambda parts: parts.scheduler.kill(),
-    "SIGKILL of build": lambda parts: os.killpg(parts.client.pid, signal.SIGKILL),
-    "SIGINT of build": lambda parts: os.killpg(parts.client.pid, signal.SIGINT),
+def begun(bench: Bench, stage: str) -> Path:
+    """A copy that is built as far as the stage before this one."""
+    before = [*FOLDERS.values()][: [*FOLDERS].index(stage)]
+    return copied(
+        bench.whole,
+        bench.folder / "b",
+        *(f"build/{recording}/{folder}" for recording in RECORDINGS for folder in before),
+    )
+
+
+def disturbed(fault: Callable[[Parts, Build], None], statuses: Sequence[int], stage: str = "fuse") -> Row:
+    """Something happens to a part of the cluster, or to `build`, while a stage is written."""
+
+    def row(bench: Bench) -> Became:
+        root = begun(bench, stage)
+        with dask(bench.folder) as parts:
+            build = start(root, "build", "--cluster", str(parts.file))
+            hit = writing(root, FOLDERS[stage], build) is not None
+            fault(parts, build)
+            run = ended(build)
+        became = held_against(bench, root, (run, statuses))
+        became.need(hit, f"{stage} was over before anything happened")
+        return became
+
+    return row
+
+
+def killed_in_stage(stage: str, bench: Bench) -> Became:
+    root = begun(bench, stage)
+    with dask(bench.folder) as parts:
+        build = start(root, "build", "--cluster", str(parts.file))
+        recording = killed_in(root, FOLDERS[stage], parts, build)
+        run = ended(build)
+    became = held_against(bench, root, (run, (0,)))
+    became.need(recording, f"no worker could be killed in {stage}")
+    return became
+
+
+def killed_at_random(bench: Bench) -> Became:
+    """One cluster, whose nannies start a worker again; one kill a build, drawn over as long as one lasts."""
+    moments, became, hits = random.Random(0), Became(), 0
+    with dask(bench.folder) as parts:
+        lasts_s = 0.0
+        while hits < MOMENTS and not became.wrong:
+            root = begun(bench, "ingest")
+            build = start(root, "build", "--cluster", str(parts.file))
+            recording = writing(root, FOLDERS["ingest"], build)
+            started = time.monotonic()
+            if lasts_s and recording:
+                time.sleep(moments.uniform(0, lasts_s))
+                hit = build.poll() is None
+                parts.worker_of(recording).kill()
+                hits += hit
+            run = ended(build)
+            lasts_s = lasts_s or time.monotonic() - started
+            became.add(held_against(bench, root, (run, (0,))))
+    became.notes.append(f"{hits} kills within the {lasts_s:.0f} s of a build")
+    return became
+
+
+def full_disk(bench: Bench) -> Became:
+    """There is room for half of what `fuse` writes."""
+    with mounted(bench.folder / "disk", ROOMY) as place, dask(bench.folder) as parts:
+        root = begun(Bench(bench.whole, bench.sha256, place), "fuse")
+        needed = sum(pages_of(bench.whole / "build" / each / FOLDERS["fuse"]) for each in RECORDINGS)
+        used = subprocess.check_output(["df", "--output=used", "-B", str(PAGE), str(place)], text=True)
+        remount(place, f"size={(int(used.split()[-1]) + needed // 2) * PAGE}")
+        run = ended(start(root, "build", "--cluster", str(parts.file)))
+        remount(place, ROOMY)
+        became = held_against(bench, root, (run, (1, 3)))
+    became.wrong += [f"told: {line}" for line in became.told if "the disk is full: free some" not in line]
+    return became
+
+
+def two_clients(bench: Bench) -> Became:
+    root = begun(bench, "ingest")
+    with dask(bench.folder) as parts:
+        both = [start(root, "build", "--cluster", str(parts.file)) for _ in range(2)]
+        runs = [ended(build) for build in both]
+    return held_against(bench, root, *((run, (0,)) for run in runs))
+
+
+# A worker that eats memory in `segment` of one recording, as an image of a billion pixels would, up to a
+# bound that spares the machine; it notes how much was handed out.
+EATS = """
+import time
+from kinectbench.engine import steps
+from kinectbench.engine.steps import _segment as plain
+def segment(job, folder, progress):
+    from distributed import get_worker
+    if job.recording.id == "stool":
+        worker = get_worker()
+        asked = worker.state.tasks[worker.get_current_task()].resource_restrictions or {{}}
+        with open({notes!r}, "a") as file:
+            print(asked.get("memory_gb", 0), file=file)
+        eaten = []
+        while len(eaten) < 60:
+            eaten.append(bytearray(b"x") * (32 << 20))
+            time.sleep(0.05)
+        time.sleep(600)
+    plain(job, folder, progress)
+steps.STEPS["segment"] = segment
+"""
+
+
+def poisoned(bench: Bench) -> Became:
+    """It must be tried alone, with twice the memory, and fail; the other one is done."""
+    root, notes = begun(bench, "segment"), bench.folder / "asked.txt"
+    notes.unlink(missing_ok=True)
+    eater = Worker(
+        ("--memory-limit", "1GB", "--resources", "memory_gb=16"), preload=EATS.format(notes=str(notes))
+    )
+    with dask(bench.folder, (eater, eater)) as parts:
+        run = ended(start(root, "build", "--cluster", str(parts.file)))
+    failed = Failed.read_if_there(root / "build" / "stool")
+    told_why = failed is not None and "its worker was killed" in failed.error
+    done = (root / "build" / "chair" / "pairs").is_dir()
+    asked_gb = [float(line) for line in (notes.read_text().split() if notes.is_file() else ())]
+    became = held_against(bench, root, (run, (3,)))
+    became.need(told_why, "no failed.json of it")
+    became.need(done, "the other recording is not done")
+    became.need(asked_gb and asked_gb[-1] == 2 * asked_gb[0] > 0, f"memory handed out: {asked_gb} GB")
+    became.notes.append(f"GB handed out, by try: {', '.join(f'{gb:g}' for gb in asked_gb)}")
+    return became
+
+
+OTHER_VERSION = 'import kinectbench._version as v; v.__version__ = "0.0.0"'
+
+
+def other_version(bench: Bench) -> Became:
+    root = begun(bench, "ingest")
+    with dask(bench.folder, (Worker(preload=OTHER_VERSION), Worker(preload=OTHER_VERSION))) as parts:
+        run = ended(start(root, "build", "--cluster", str(parts.file)))
+    became = held_against(bench, root, (run, (1,)))
+    became.need("has kinectbench 0.0.0 and not" in run.err, "its version was not told")
+    return became
+
+
+def clock_skew(bench: Bench) -> Became:
+    """The clock of one worker is an hour ahead, that of the other an hour behind."""
+    root = begun(bench, "ingest")
+    with dask(
+        bench.folder,
+        [Worker(before=("faketime", "-f", hour)) for hour in ("+1h", "-1h")],
+        {"FAKETIME_DONT_FAKE_MONOTONIC": "1"},
+    ) as parts:
+        run = ended(start(root, "build", "--cluster", str(parts.file)))
+    return held_against(bench, root, (run, (0,)))
+
+
+FAULTS: dict[str, Row] = {
+    **{f"SIGKILL of a worker in {stage}": partial(killed_in_stage, stage) for stage in FOLDERS},
+    f"SIGKILL of a worker at {MOMENTS} random moments": killed_at_random,
+    "SIGKILL of a worker's nanny": disturbed(lambda parts, build: parts.nannies[0].kill(), (0,)),
+    "SIGKILL of the scheduler": disturbed(lambda parts, build: parts.scheduler.kill(), (1,)),
+    "SIGKILL of build": disturbed(
+        lambda parts, build: kill_all_of(build, signal.SIGKILL), (-signal.SIGKILL,)
+    ),
+    "SIGINT of build": disturbed(lambda parts, build: kill_all_of(build, signal.SIGINT), (130,)),
+    "SIGSTOP of a worker": disturbed(
+        lambda parts, build: worker_below(parts.nannies[0].pid).send_signal(signal.SIGSTOP), (0,)
+    ),
+    "a full disk": full_disk,
+    "two clients at once": two_clients,
+    "a recording that eats memory": poisoned,
+    "a worker of another version": other_version,
+    "clocks that are an hour wrong": clock_skew,
 }
+ROWS = {**WAYS, **FAULTS, **STORE_FAULTS}
 
 
 def options() -> ArgumentParser:
     parser = arguments(__doc__)
-    parser.add_argument("--rounds", type=int, default=1, help="of each fault; default: 1")
-    parser.add_argument("--only", nargs="*", choices=list(FAULTS), default=list(FAULTS), help="default: all")
-    parser.add_argument("--seed", type=int, default=0, help="draws the moments")
+    parser.add_argument("--only", nargs="*", choices=list(ROWS), default=list(ROWS), help="default: all")
     return parser
 
 
-def measure(chosen: Namespace) -> Iterator[Figure]:
-    moments = random.Random(chosen.seed)
+def measure(chosen: Namespace) -> list[Figure]:
     with TemporaryDirectory(prefix="kinectbench-cluster-") as folder:
-        whole = make_small(Path(folder) / "whole", ("chair",))
-        wanted = published(whole)
-        yield told("benchmark_sha256, undisturbed", wanted)
-        for name in chosen.only:
-            for number in range(chosen.rounds):
-                started = time.monotonic()
-                root = copied(whole, Path(folder) / "b")
-                said = disturbed(root, Path(folder), FAULTS[name], moments.uniform(0, 20))
-                same = published(root) == wanted
-                seconds = time.monotonic() - started
-                problems = [*(["other bytes"] if not same else []), *map(str, leftovers(root)), *said]
-                print(f"{name}, {number + 1}: {problems or 'well'}, {seconds:.0f} s", file=sys.stderr)
-                yield equals(
-                    f"{name}, {number + 1}: what went wrong", "; ".join(problems) or "nothing", "nothing"
-                )
-
-
-def disturbed(root: Path, folder: Path, fault: Callable[[Parts], None], after_s: float) -> list[str]:
-    """Build on a cluster, let a fault happen, and build again if it ended; what was told wrongly."""
-    with ExitStack() as stack:
-        file = folder / "s.json"
-        file.unlink(missing_ok=True)
-        scheduler = stack.enter_context(
-            running("scheduler", "--no-dashboard", "--host", "127.0.0.1", file=file)
-        )
-        nannies = [stack.enter_context(running("worker", *OF_WORKER, file=file)) for _ in range(2)]
-        client = start(root, "build", "--cluster", str(file))
-        stack.callback(client.kill)
-        end = time.monotonic() + LONGEST_S
-        while client.poll() is None and not list((root / "build").glob("*/.*.part")):
-            if time.monotonic() > end:
-                raise KinectBenchError(f"build wrote nothing in {LONGEST_S:.0f} s")
-            time.sleep(0.05)
-        time.sleep(after_s)
-        fault(Parts(file, scheduler, nannies, client))
-        _, err = client.communicate(timeout=LONGEST_S)
-    return told_wrongly(client.returncode, err)
-
-
-OF_WORKER = ("--nthreads", "1", "--no-dashboard", "--memory-limit", "2GB")
-
-
-@contextmanager
-def running(part: str, *words: str, file: Path) -> Iterator["subprocess.Popen[bytes]"]:
-    """A part of the cluster as a process of its own; it is ended, however it is."""
-    command = [sys.executable, "-m", f"distributed.cli.dask_{part}", "--scheduler-file", str(file), *words]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    env = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": f"{SILENT_S} s"}
-    with subprocess.Popen(command, env=env, **quiet) as process:
-        try:
-            end = time.monotonic() + LONGEST_S
-            while not file.is_file() and process.poll() is None and time.monotonic() < end:
-                time.sleep(0.05)
-            yield process
-        finally:
-            process.terminate()
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-
-
-def told_wrongly(status: int, err: str) -> Sequence[str]:
-    """What is wrong with how `build` ended: well, killed, interrupted, or with one line about the cluster."""
-    problems = ["a traceback"] if "Traceback" in err or "internal error" in err else []
-    lines = [line for line in err.splitlines() if "error: " in line]
-    if status not in (0, 1, 130, -signal.SIGKILL) or (status == 1 and len(lines) != 1):
-        problems.append(f"status {status}: {lines}")
-    return problems
+        bench = make_bench(Path(folder))
+        return [
+            told("benchmark_sha256 of one process", bench.sha256),
+            *figures_of(ROWS, chosen.only, bench),
+        ]
 
 
 if __name__ == "__main__":
     chosen = options().parse_args()
-    run(chosen, lambda: list(measure(chosen)))
+    run(chosen, lambda: measure(chosen))

@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from figures import Figure, arguments, equals, run, told
-from small_runs import FAMILIES, copied, leftovers, make_small, published, start
+from small_runs import OBJECTS, copied, leftovers, make_small, published, start
 
 from kinectbench.core.errors import KinectBenchError
 
@@ -59,7 +59,7 @@ def options() -> ArgumentParser:
 
 def measure(chosen: Namespace) -> Iterator[Figure]:
     with TemporaryDirectory(prefix="kinectbench-kills-") as folder:
-        undisturbed = make_small(Path(folder) / "undisturbed", FAMILIES[: chosen.recordings])
+        undisturbed = make_small(Path(folder) / "undisturbed", [*OBJECTS][: chosen.recordings])
         wanted = published(undisturbed)
         rounds = list(
             kill_rounds(undisturbed, Path(folder) / "killed", chosen.rounds, random.Random(chosen.seed))

@@ -1,28 +1,29 @@
 """What a benchmark in a store costs in requests, and what becomes of it when the store or a client fails.
 
-    python benchmarks/store_faults.py [requests] [503] [cut] [lost] [killed] [clients] [gone]
-
-Two small simulated recordings lie in a bucket of moto's S3 server, behind a proxy that counts and fails. Each
-row of faults starts with the stages up to the views, builds the pairs and publishes; it is held against the
-release of an undisturbed run on this machine: the same benchmark_sha256, and no file that no manifest names.
+A small benchmark lies in a bucket of moto's S3 server, behind a proxy that counts and fails. Each row of
+faults starts with the stages up to the views, builds the pairs and publishes; it is held against an
+undisturbed build on this machine. `cluster_faults.py` has these rows, too.
 """
 
-import json
 import os
 import random
 import signal
-import sys
-import tempfile
+import subprocess
 import time
-from collections.abc import Callable
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
-
+from cluster_ways import held_against_there, store_variables
 from fault_proxy import Choose, FaultProxy, for_a_while
+from fault_rows import Became, Bench, Row, Run, check, ended, figures_of, make_bench, told_by
+from figures import Figure, arguments, at_most, run, told
 from s3_server import S3Server, start_s3
-from small_benchmark import Run, finish, make_benchmark, run, start
+from small_runs import start
 from stored_benchmark import put_benchmark
 
 from kinectbench.core.store.store import Store
@@ -32,82 +33,82 @@ from kinectbench.engine.unnamed import unnamed
 LATENCY_S = 0.02
 RECORDINGS = 2
 BEFORE = STAGE_NAMES[:-1]
+# Of answers that are lost one by one in a hundred there are to be some ten.
+MANY_REQUESTS = 1000
 
 
 @dataclass
 class Lab:
-    """The server, the proxy, and the benchmark as it is on this machine, built and published."""
+    """The server, the proxy before it, and the benchmark as it is on this machine.
+
+    Attributes:
+        work: folder where commands run.
+        scratch: for what they fetch.
+    """
 
     server: S3Server
     proxy: FaultProxy
-    small: Path
-    sha256: str
+    bench: Bench
     work: Path
+    scratch: Path
 
-    def url(self, stages: tuple[str, ...]) -> str:
-        """A bucket with the recordings and these stages, put past the proxy."""
-        os.environ |= self.server.variables()
+    def url(self, stages: Sequence[str], *, past: bool = True) -> str:
+        """A bucket with the recordings and these stages, put past the proxy, or through it."""
+        if past:
+            os.environ["AWS_ENDPOINT_URL"] = self.server.variables()["AWS_ENDPOINT_URL"]
         url = f"s3://{self.server.bucket()}/lab"
-        put_benchmark(self.small, url, stages)
+        put_benchmark(self.bench.whole, url, stages)
         os.environ["AWS_ENDPOINT_URL"] = self.proxy.url
-        self.proxy.requests.clear()
-        self.proxy.faults.clear()
-        self.proxy.choose = lambda number, method, path: ""
         return url
 
-    def command(self, *words: str) -> Run:
-        return run(self.work, *words)
+    def start(self, url: str, command: str = "build") -> "subprocess.Popen[str]":
+        return start(self.work, command, "--jobs", "2", "-c", f"{url}/benchmark.yaml")
 
-    def same(self, url: str) -> str:
-        """Publish there; whether that is what this machine published, and whether anything is left over."""
+    def became(self, url: str, *runs: tuple[Run, Sequence[int]]) -> Became:
+        """What became of it once the store is well again; what a killed run left is in the way of nobody."""
+        faults = sum(fault != "" for fault in self.proxy.faults)
+        became = Became(notes=[f"{faults} faults in {len(self.proxy.faults)} requests"] if faults else [])
         self.proxy.choose = lambda number, method, path: ""
-        told = self.command("publish", "--json", "--jobs", "2", "-c", f"{url}/benchmark.yaml")
-        if told.status:
-            return f"NOT PUBLISHED: {told.err.strip()[-200:]}"
-        same = json.loads(told.out)["benchmark_sha256"] == self.sha256
-        left = len(unnamed(Store(url), young=True))
-        return f"{'same bytes' if same else 'OTHER BYTES'}, {left} files that no manifest names"
+        for each, statuses in runs:
+            became.add(told_by(each, statuses))
+        became.add(held_against_there(self.bench, self.work, url, self.scratch))
+        became.wrong += [f"{each.name} is left over" for each in unnamed(Store(url), young=True)]
+        return became
 
 
-def counted(lab: Lab) -> None:
-    """A row for each command: requests in all, files read and put, and requests beyond these a recording."""
-    url = lab.url(())
-    lab.proxy.latency_s = LATENCY_S
-    config = ("-c", f"{url}/benchmark.yaml")
-    files = len([each for each in Store(url).objects("recordings") if ".truth" not in each.name])
-    print("command            requests   files   beyond, a recording   seconds")
-    for name, words in (
-        ("build", ("build", "--jobs", "2", *config)),
-        ("build again", ("build", "--jobs", "2", *config)),
-        ("publish", ("publish", "--jobs", "2", *config)),
-        ("publish again", ("publish", "--jobs", "2", *config)),
-        ("fetch", ("fetch", f"{url}/benchmark", "--out", "got")),
-        ("verify", ("verify", f"{url}/benchmark")),
-    ):
-        lab.proxy.requests.clear()
-        started = time.monotonic()
-        result = lab.command(*words)
-        assert result.status == 0, result
-        requests = list(lab.proxy.requests)
-        puts = sum(method == "PUT" for method, _ in requests)
-        gets = files if name == "build" else 0
-        if name in ("fetch", "verify"):
-            gets = len(Store(f"{url}/benchmark").objects())
-        beyond = (len(requests) - puts - gets) / RECORDINGS
-        seconds = time.monotonic() - started
-        print(f"{name:18} {len(requests):8} {puts + gets:7} {beyond:21.1f} {seconds:9.1f}", flush=True)
-    lab.proxy.latency_s = 0
+@contextmanager
+def laboratory(bench: Bench) -> Iterator[Lab]:
+    server = start_s3()
+    try:
+        with (
+            FaultProxy(server.port) as proxy,
+            store_variables(bench.folder, server.variables()) as scratch,
+            TemporaryDirectory() as work,
+        ):
+            yield Lab(server, proxy, bench, Path(work), scratch)
+    finally:
+        server.kill()
 
 
-def with_fault(choose: Callable[[], Choose]) -> Callable[[Lab], str]:
-    def row(lab: Lab) -> str:
+def in_lab(row: Callable[[Lab], Became]) -> Row:
+    """The row in a laboratory of its own."""
+
+    @wraps(row)
+    def whole_row(bench: Bench) -> Became:
+        with laboratory(bench) as lab:
+            return row(lab)
+
+    return whole_row
+
+
+def failing(choose: Callable[[], Choose]) -> Row:
+    """A build while the store fails in some way."""
+
+    @in_lab
+    def row(lab: Lab) -> Became:
         url = lab.url(BEFORE)
         lab.proxy.choose = choose()
-        result = lab.command("build", "--jobs", "2", "-c", f"{url}/benchmark.yaml")
-        faults = sum(fault != "" for fault in lab.proxy.faults)
-        if result.status:
-            print(result.err, flush=True)
-        return f"status {result.status}, {faults} faults of {len(lab.proxy.faults)}; {lab.same(url)}"
+        return lab.became(url, (ended(lab.start(url)), (0,)))
 
     return row
 
@@ -117,68 +118,111 @@ def some(fault: str, share: float) -> Choose:
     return lambda number, method, path: fault if draw.random() < share else ""
 
 
-def killed(lab: Lab) -> str:
-    """The client and its workers are killed at five random moments."""
-    url = lab.url(BEFORE)
-    moments = random.Random(0)
+@in_lab
+def one_in_a_hundred(lab: Lab) -> Became:
+    """Recordings and stages are put, again and again, and some are built, until there are many requests."""
+    lab.proxy.choose, runs = some("lose", 0.01), []
+    while len(lab.proxy.requests) < MANY_REQUESTS:
+        url = lab.url(BEFORE, past=False)
+    runs.append((ended(lab.start(url)), (0,)))
+    return lab.became(url, *runs)
+
+
+@in_lab
+def killed(lab: Lab) -> Became:
+    """`build` and its processes are killed at five random moments."""
+    url, moments, left = lab.url(BEFORE), random.Random(0), 0
     for _ in range(5):
-        process = start(lab.work, "build", "--jobs", "2", "-c", f"{url}/benchmark.yaml")
-        time.sleep(moments.uniform(3, 15))
+        process = lab.start(url)
+        time.sleep(moments.uniform(1, 8))
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-    left = len(unnamed(Store(url), young=True))
-    return f"5 kills, {left} files left by them; {lab.same(url)}"
+        left = max(left, len(unnamed(Store(url), young=True)))
+    became = lab.became(url)
+    became.notes.append(f"5 kills left {left} files at most that no manifest names")
+    return became
 
 
-def two_clients(lab: Lab) -> str:
+@in_lab
+def two_clients(lab: Lab) -> Became:
     url = lab.url(BEFORE)
-    both = [start(lab.work, "build", "--jobs", "2", "-c", f"{url}/benchmark.yaml") for _ in range(2)]
-    statuses = [finish(each).status for each in both]
-    return f"statuses {statuses}; {lab.same(url)}"
+    both = [lab.start(url) for _ in range(2)]
+    return lab.became(url, *((ended(each), (0,)) for each in both))
 
 
-def gone(lab: Lab) -> str:
-    """The server ends for good in the midst of it: the last row, as nothing comes after."""
+@in_lab
+def gone(lab: Lab) -> Became:
+    """The store ends for good in the midst of a build; then the same is built in another one."""
     url = lab.url(BEFORE)
     os.environ["KINECTBENCH_STORE_PATIENCE_S"] = "10"
-    process = start(lab.work, "build", "--jobs", "2", "-c", f"{url}/benchmark.yaml")
-    time.sleep(5)
+    build = lab.start(url)
+    while len(lab.proxy.requests) < 20 and build.poll() is None:
+        time.sleep(0.01)
     lab.server.kill()
-    result = finish(process)
-    lines = [line for line in result.err.splitlines() if "error: " in line]
-    first = lines[0][:160] if lines else result.err[-200:]
-    return f"status {result.status}, {len(lines)} lines, the first: {first}"
+    became = told_by(ended(build), (1, 3))
+    lab.server = start_s3()
+    os.environ["AWS_ENDPOINT_URL"] = lab.server.variables()["AWS_ENDPOINT_URL"]
+    try:
+        url = f"s3://{lab.server.bucket()}/lab"
+        put_benchmark(lab.bench.whole, url, BEFORE)
+        return became.add(lab.became(url))
+    finally:
+        lab.server.kill()
 
 
-ROWS: dict[str, Callable[[Lab], str]] = {
-    "503": with_fault(lambda: for_a_while(60)),
-    "cut": with_fault(lambda: some("cut", 0.1)),
-    "lost": with_fault(lambda: some("lose", 0.1)),
-    "killed": killed,
-    "clients": two_clients,
-    "gone": gone,
+STORE_FAULTS: dict[str, Row] = {
+    "store: 503 for a minute": failing(lambda: for_a_while(60)),
+    "store: 10 % of uploads cut": failing(lambda: some("cut", 0.1)),
+    "store: 10 % of answers lost": failing(lambda: some("lose", 0.1)),
+    "store: 1 % of answers lost": one_in_a_hundred,
+    "store: build killed at 5 random moments": killed,
+    "store: two clients at once": two_clients,
+    "store: gone for good": gone,
 }
 
 
-def main() -> None:
-    wanted = sys.argv[1:] or ["requests", *ROWS]
-    with tempfile.TemporaryDirectory() as folder:
-        small = make_benchmark(Path(folder) / "small")
-        published = run(small, "publish", "--json", "--jobs", "2")
-        assert published.status == 0, published.err
-        server = start_s3()
-        (Path(folder) / "work").mkdir()
-        with FaultProxy(server.port) as proxy:
-            sha256 = json.loads(published.out)["benchmark_sha256"]
-            lab = Lab(server, proxy, small, sha256, Path(folder) / "work")
-            if "requests" in wanted:
-                counted(lab)
-            for name, row in ROWS.items():
-                if name in wanted:
-                    started = time.monotonic()
-                    print(f"{name:8} {row(lab)} ({time.monotonic() - started:.0f} s)", flush=True)
-        server.kill()
+def requests(bench: Bench) -> Iterator[Figure]:
+    """Of each command: requests in all, and those beyond files read and put, a recording."""
+    with laboratory(bench) as lab:
+        url = lab.url(())
+        lab.proxy.latency_s = LATENCY_S
+        files = len([each for each in Store(url).objects("recordings") if ".truth" not in each.name])
+        config = ("--jobs", "2", "-c", f"{url}/benchmark.yaml")
+        of_release = (f"{url}/benchmark",)
+        for name, words in (
+            ("build", ("build", *config)),
+            ("build again", ("build", *config)),
+            ("publish", ("publish", *config)),
+            ("publish again", ("publish", *config)),
+            ("fetch", ("fetch", *of_release, "--out", "got")),
+            ("verify", ("verify", *of_release)),
+        ):
+            lab.proxy.requests.clear()
+            check(ended(start(lab.work, *words)), words)
+            asked = list(lab.proxy.requests)
+            moved = sum(method == "PUT" for method, _ in asked) + (files if name == "build" else 0)
+            if name in ("fetch", "verify"):
+                moved += len(Store(f"{url}/benchmark").objects())
+            beyond = (len(asked) - moved) / RECORDINGS
+            yield told(f"{name}: requests", len(asked))
+            yield at_most(f"{name}: requests beyond one a file, a recording", beyond, 30)
+
+
+def options() -> ArgumentParser:
+    parser = arguments(__doc__)
+    rows = ["requests", *STORE_FAULTS]
+    parser.add_argument("--only", nargs="*", choices=rows, default=rows, help="default: all")
+    return parser
+
+
+def measure(chosen: Namespace) -> list[Figure]:
+    with TemporaryDirectory(prefix="kinectbench-store-") as folder:
+        bench = make_bench(Path(folder))
+        counted = [*requests(bench)] if "requests" in chosen.only else []
+        faults = [name for name in chosen.only if name != "requests"]
+        return [*counted, *figures_of(STORE_FAULTS, faults, bench)]
 
 
 if __name__ == "__main__":
-    main()
+    chosen = options().parse_args()
+    run(chosen, lambda: measure(chosen))

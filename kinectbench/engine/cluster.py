@@ -37,6 +37,8 @@ KILLED_ALONE = (
 )
 # Seconds: between two looks at the workers; without a scheduler's answer; without any worker (own choices).
 LOOK_S, CONNECT_S, NO_WORKERS_S = 1.0, 20.0, 900.0
+# A worker that was killed is started again by its nanny within seconds; after this it is gone (own choice).
+RESTART_S = 60.0
 # Of a scheduler that is started here; docs/cluster.md says how others are given them. Three tries; a worker
 # that is silent for 20 minutes is dead: compiled code may hold the interpreter's lock for minutes. Tasks hold
 # their arrays themselves, so that Dask has nothing to spill.
@@ -116,7 +118,8 @@ class Cluster:
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client, self._address = client, address
-        self._slots, self._memory_gb, self._looked = 0, 0.0, float("-inf")
+        self._slots, self._looked = 0, float("-inf")
+        self._largest_gb, self._seen_largest = 0.0, float("-inf")
         self._last_worker = time.monotonic()
 
     @property
@@ -152,10 +155,12 @@ class Cluster:
         try:
             while run.waiting or run.running or run.killed:
                 slots = self.slots()
-                while run.waiting and len(run.running) <= slots:
+                while slots and run.waiting and len(run.running) <= slots:
                     run.submit(run.waiting.popleft())
-                if not run.waiting and not run.running:
+                if slots and not run.waiting and not run.running:
                     run.submit(run.killed.popleft(), alone=True)
+                if slots:
+                    run.ask_for_less()
                 if slowest_twice and not run.waiting and len(run.running) < slots:
                     run.submit_slowest()
                 yield from run.ended()
@@ -163,9 +168,9 @@ class Cluster:
             run.close()
 
     def largest_gb(self) -> float:
-        """The largest resource `memory_gb` of a worker; 0: none has such a resource."""
+        """The largest resource `memory_gb` of a worker there was in the last minute; 0: none has it."""
         self._look()
-        return self._memory_gb
+        return self._largest_gb
 
     def gone(self) -> ClusterError:
         """What is told when the scheduler does not answer any more."""
@@ -186,7 +191,9 @@ class Cluster:
             raise self.gone()
         self._looked = now
         self._slots = sum(worker["nthreads"] for worker in workers)
-        self._memory_gb = max((worker["resources"].get("memory_gb", 0) for worker in workers), default=0)
+        largest_gb = max((worker["resources"].get("memory_gb", 0) for worker in workers), default=0)
+        if largest_gb >= self._largest_gb or now - self._seen_largest > RESTART_S:
+            self._largest_gb, self._seen_largest = largest_gb, now
         if self._slots:
             self._last_worker = now
         elif now - self._last_worker > NO_WORKERS_S:
@@ -208,6 +215,7 @@ class _Run(Generic[Task, Result]):
     memory_gb: Callable[[Task], float] | None
     events: "SimpleQueue[Any]" = field(default_factory=SimpleQueue)
     running: "dict[Future, int]" = field(default_factory=dict)
+    asked_gb: dict[int, float] = field(default_factory=dict)
     begun: dict[int, float] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
     alone: set[int] = field(default_factory=set)
@@ -221,7 +229,9 @@ class _Run(Generic[Task, Result]):
 
     def submit(self, number: int, *, alone: bool = False) -> None:
         """Give a task to the scheduler."""
-        task = self.tasks[number]
+        task, largest_gb = self.tasks[number], self.cluster.largest_gb()
+        needed_gb = 0.0 if self.memory_gb is None else self.memory_gb(task) * (2 if alone else 1)
+        asked_gb = self.asked_gb[number] = min(needed_gb, largest_gb)
         future = self.client.submit(
             call,
             pickle.dumps((self.function, task)),  # only a worker may unpack it: it may be what kills one
@@ -229,7 +239,7 @@ class _Run(Generic[Task, Result]):
             self.versions,
             key=f"{self.topic}-{number}-{time.monotonic_ns()}",
             pure=False,
-            resources=self._resources(task, 2 if alone else 1),
+            resources={"memory_gb": asked_gb} if asked_gb else None,
         )
         self.running[future] = number
         self.begun.setdefault(number, time.monotonic())
@@ -237,12 +247,14 @@ class _Run(Generic[Task, Result]):
             self.alone.add(number)
         future.add_done_callback(self.events.put)
 
-    def _resources(self, task: Task, times: int) -> dict[str, float] | None:
-        """What a worker must have to spare; never more than the largest of them has in all."""
-        largest = self.cluster.largest_gb()
-        if self.memory_gb is None or not largest:
-            return None
-        return {"memory_gb": min(times * self.memory_gb(task), largest)}
+    def ask_for_less(self) -> None:
+        """Submit again what asks for more memory than any worker has since one went: nobody would do it."""
+        largest_gb = self.cluster.largest_gb()
+        for future, number in list(self.running.items()):
+            if self.asked_gb[number] > largest_gb:
+                del self.running[future]
+                future.cancel()
+                self.submit(number, alone=number in self.alone)
 
     def submit_slowest(self) -> None:
         """Give the task that has been running longest to a second worker, if it is slower than most were."""

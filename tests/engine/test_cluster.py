@@ -132,6 +132,28 @@ def test_memory_is_asked_for_as_far_as_there_is_any(threads: tuple[LocalCluster,
     assert found == {1: 1.0, 4: 4.0, 9: 6.0}
 
 
+def test_memory_is_asked_for_though_workers_come_late(
+    threads: tuple[LocalCluster, Cluster], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, where = threads
+    here.scale(0)
+    while where.slots():
+        time.sleep(0.1)
+    monkeypatch.setattr(where, "_largest_gb", 0.0)
+    threading.Timer(2.0, here.scale, [1]).start()
+    assert dict(where.outcomes(asked_gb, [4], Heard(), lambda task: float(task))) == {4: 4.0}
+
+
+def test_who_asks_for_the_memory_of_a_worker_that_went_is_not_waiting_for_ever(
+    threads: tuple[LocalCluster, Cluster], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, where = threads
+    monkeypatch.setattr(module, "RESTART_S", 3.0)
+    where.slots()
+    where._largest_gb, where._seen_largest = 9.0, time.monotonic()  # as if one of 9 GB had just gone
+    assert dict(where.outcomes(asked_gb, [9, 8], Heard(), lambda task: float(task))) == {9: 6.0, 8: 6.0}
+
+
 def test_a_result_that_is_lost_with_its_worker_is_waited_for(
     threads: tuple[LocalCluster, Cluster], monkeypatch: pytest.MonkeyPatch
 ) -> None:
