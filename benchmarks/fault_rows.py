@@ -184,7 +184,9 @@ def told_by(run: Run, statuses: Sequence[int]) -> Became:
     became.need(not strange, f"strange lines: {' / '.join(strange)[-400:]}")
     became.need("internal error" not in run.err, "an internal error")
     became.need(run.status in statuses, f"status {run.status}: {run.err.strip()[-200:]}")
-    became.need(run.status != 1 or len(errors) == 1, f"{len(errors)} lines for one error")
+    of_whom = [line.partition("error: ")[0] for line in errors]  # one line about all, or about a recording
+    became.need(len(of_whom) == len({*of_whom}), f"{len(errors)} lines for one error")
+    became.need(errors or run.status not in (1, 3), "no line for an error")
     return became
 
 

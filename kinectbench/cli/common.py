@@ -134,7 +134,8 @@ class Common:
         from kinectbench.engine.cluster import cluster
 
         with cluster(self.cluster) as found:
-            told = f"{found.slots()} workers at {self.cluster}; dashboard: {found.dashboard}"
+            slots = found.slots()
+            told = f"{slots} worker{'s' * (slots != 1)} at {self.cluster}; dashboard: {found.dashboard}"
             console.lines("cluster", [told], "green")
             yield found
 

@@ -7,11 +7,12 @@ dies, the same command goes on from there.
 import logging
 import pickle
 import re
+import ssl
 import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -30,6 +31,7 @@ WANTED = (
     "give tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the file that `dask scheduler --scheduler-file` "
     "wrote, or local:N for N processes here"
 )
+TLS_HINT = "; Dask's settings distributed.comm.tls name the files: ca-file, client.cert, client.key"
 MISSING = "--cluster needs Dask; install it by `pip install 'kinectbench[cluster]'`"
 KILLED_ALONE = (
     "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
@@ -70,35 +72,48 @@ def cluster(address: str) -> Iterator["Cluster"]:
         raise SettingsError(f"--cluster {address}: {WANTED}")
     try:
         import dask
-        from distributed import Client, LocalCluster
     except ImportError as error:
         raise SettingsError(MISSING) from error
     _be_quiet()
-    with dask.config.set(OF_LOCAL if local else {}):
-        here: Any = None
+    with dask.config.set(OF_LOCAL if local else {}), ExitStack() as stack:
         try:
             with interrupts_held():
-                if local:
-                    here = LocalCluster(
-                        n_workers=int(local[1]),
-                        threads_per_worker=1,
-                        memory_limit=0,  # as much as there is, like the pool's processes
-                        host="127.0.0.1",
-                        dashboard_address="127.0.0.1:0",
-                        silence_logs=logging.CRITICAL,
-                    )
-                where = (
-                    {"scheduler_file": address} if Path(address).is_file() else {"address": here or address}
-                )
-                client = Client(**where, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError, TypeError, KeyError, AssertionError) as error:
-            raise ClusterError(f"--cluster {address}: no scheduler answers there ({_line(error)})") from error
-        try:
-            yield Cluster(client, address)
-        finally:
-            client.close(timeout=CONNECT_S)
-            if here is not None:
-                here.close(timeout=CONNECT_S)
+                client = _connected(address, int(local[1]) if local else 0, stack)
+        except Exception as error:  # of Dask's many kinds
+            first: BaseException = error
+            while first.__cause__ is not None:
+                first = first.__cause__
+            why, of_files = _line(first), isinstance(first, ssl.SSLError | FileNotFoundError)
+            hint = TLS_HINT if of_files or re.search("TLS|encryption", why) else ""
+            raise ClusterError(f"--cluster {address}: no scheduler answers there ({why}){hint}") from error
+        yield Cluster(client, address)
+
+
+def _connected(address: str, local: int, stack: ExitStack) -> "Client":
+    """A client of the scheduler at an address, or of one with so many processes that is started here."""
+    from distributed import Client, LocalCluster
+
+    class OwnClient(Client):  # type: ignore[misc]
+        """Closed by us: at its own end one that never connected waits for 40 s and prints a traceback."""
+
+        def __del__(self) -> None:
+            pass
+
+    where = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
+    if local:
+        here = LocalCluster(
+            n_workers=local,
+            threads_per_worker=1,
+            memory_limit=0,  # as much as there is, like the pool's processes
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        )
+        stack.callback(here.close, timeout=CONNECT_S)
+        where = {"address": here}
+    client = OwnClient(**where, timeout=CONNECT_S, set_as_default=False)
+    stack.callback(client.close, timeout=CONNECT_S)
+    return client
 
 
 def _be_quiet() -> None:
@@ -185,7 +200,7 @@ class Cluster:
             return
         try:
             workers = self._client.scheduler_info()["workers"].values()
-        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        except Exception as error:  # of Dask's many kinds
             raise self.gone() from error
         if self._client.status != "running":
             raise self.gone()
@@ -232,15 +247,13 @@ class _Run(Generic[Task, Result]):
         task, largest_gb = self.tasks[number], self.cluster.largest_gb()
         needed_gb = 0.0 if self.memory_gb is None else self.memory_gb(task) * (2 if alone else 1)
         asked_gb = self.asked_gb[number] = min(needed_gb, largest_gb)
-        future = self.client.submit(
-            call,
-            pickle.dumps((self.function, task)),  # only a worker may unpack it: it may be what kills one
-            self.topic,
-            self.versions,
-            key=f"{self.topic}-{number}-{time.monotonic_ns()}",
-            pure=False,
-            resources={"memory_gb": asked_gb} if asked_gb else None,
-        )
+        packed = pickle.dumps((self.function, task))  # only a worker may unpack it: it may be what kills one
+        how = {"pure": False, "resources": {"memory_gb": asked_gb} if asked_gb else None}
+        key = f"{self.topic}-{number}-{time.monotonic_ns()}"
+        try:
+            future = self.client.submit(call, packed, self.topic, self.versions, key=key, **how)
+        except Exception as error:  # the scheduler went since it was looked at
+            raise self.cluster.gone() from error
         self.running[future] = number
         self.begun.setdefault(number, time.monotonic())
         if alone:

@@ -15,6 +15,7 @@ import pytest
 from command_lines import ONE, check_line
 from distributed import Client, Future, LocalCluster
 from small_benchmark import Run, copied, hashes
+from small_benchmark import run as separate
 from test_many_recordings import Deadly, Listener
 
 from kinectbench.core.errors import ClusterError, KinectBenchError, ReleaseError, SettingsError
@@ -252,9 +253,26 @@ def test_where_no_scheduler_answers(
     (tmp_path / "benchmark.yaml").write_text(ONE)
     monkeypatch.setattr(module, "CONNECT_S", 1.0)
     (tmp_path / "s.json").write_text("{}")
-    for address in ("tcp://127.0.0.1:9", str(tmp_path / "s.json")):
+    (tmp_path / "number.json").write_text('{"address": 3}')
+    files = [str(tmp_path / name) for name in ("s.json", "number.json")]
+    for address in ("tcp://127.0.0.1:9", "tcp://x:y", *files):
         run = command(tmp_path, "build", "--cluster", address)
         check_line(run, 1, f"--cluster {address}|no scheduler answers there")
+
+
+def test_tls_that_is_not_set_is_told_at_once(tmp_path: Path) -> None:
+    """In a process of its own: a traceback may come when its objects end, after a long wait."""
+    (tmp_path / "benchmark.yaml").write_text(ONE)
+    started = time.monotonic()
+    for address, variables in (
+        ("tls://127.0.0.1:9", {}),
+        ("tcp://127.0.0.1:9", {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true"}),
+        ("tls://127.0.0.1:9", {"DASK_DISTRIBUTED__COMM__TLS__CA_FILE": "missing.pem"}),
+        ("local:1", {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true"}),
+    ):
+        run = separate(tmp_path, "build", "--cluster", address, variables=variables)
+        check_line(run, 1, f"--cluster {address}|no scheduler answers there|distributed.comm.tls|ca-file")
+    assert time.monotonic() - started < 4 * module.CONNECT_S
 
 
 # --- recordings ---------------------------------------------------------------------------------------

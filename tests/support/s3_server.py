@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 
 def free_port() -> int:
@@ -18,17 +18,20 @@ def free_port() -> int:
         return port
 
 
+# No bucket has the name of one of another server: clients are kept by their URLs.
+_numbers = itertools.count()
+
+
 @dataclass
 class S3Server:
     """The server; what it holds is in its memory and goes with it."""
 
     port: int
     process: "subprocess.Popen[bytes]"
-    _numbers: "itertools.count[int]" = field(default_factory=itertools.count)
 
     def bucket(self) -> str:
         """Make a bucket; its name."""
-        name = f"bucket{next(self._numbers)}"
+        name = f"bucket{next(_numbers)}"
         url = f"http://127.0.0.1:{self.port}/{name}"
         with urllib.request.urlopen(urllib.request.Request(url, method="PUT"), timeout=30):
             return name
