@@ -7,6 +7,7 @@ fills up), `faketime`, `openssl` or a Slurm that answers `sinfo`; where these ar
 """
 
 import random
+import re
 import signal
 import subprocess
 import time
@@ -18,7 +19,17 @@ from tempfile import TemporaryDirectory
 
 from cluster_ways import WAYS
 from dask_parts import Parts, Worker, dask, kill_all_of, killed_in, worker_below, writing
-from fault_rows import Became, Bench, Row, ended, figures_of, held_against, make_bench
+from fault_rows import (
+    Became,
+    Bench,
+    NotHereError,
+    Row,
+    ended,
+    figures_of,
+    held_against,
+    make_bench,
+    variables_set,
+)
 from figures import Figure, arguments, run, told
 from full_disk import PAGE, ROOMY, mounted, pages_of, remount
 from small_runs import copied, start
@@ -183,6 +194,32 @@ def clock_skew(bench: Bench) -> Became:
     return held_against(bench, root, (run, (0,)))
 
 
+def tls(bench: Bench) -> Became:
+    """All parts prove who they are by one certificate; who has none gets a line."""
+    key, certificate = bench.folder / "key.pem", bench.folder / "certificate.pem"
+    words = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=kinectbench"]
+    try:
+        files = ["-keyout", str(key), "-out", str(certificate)]
+        subprocess.run(["openssl", *words, *files], check=True, capture_output=True)
+    except FileNotFoundError as error:
+        raise NotHereError("no openssl") from error
+    comm = "DASK_DISTRIBUTED__COMM"
+    variables = {f"{comm}__REQUIRE_ENCRYPTION": "true", f"{comm}__TLS__CA_FILE": str(certificate)}
+    for part in ("SCHEDULER", "WORKER", "CLIENT"):
+        variables[f"{comm}__TLS__{part}__CERT"] = str(certificate)
+        variables[f"{comm}__TLS__{part}__KEY"] = str(key)
+    root = begun(bench, "ingest")
+    with dask(bench.folder, variables=variables) as parts:
+        address = re.search(r"tls://[0-9.:]+", parts.file.read_text())
+        where = ("--cluster", address[0] if address else "no tls")
+        without = ended(start(root, "build", *where))
+        with variables_set(variables):
+            run = ended(start(root, "build", *where))
+    became = held_against(bench, root, (without, (1,)), (run, (0,)))
+    became.need("distributed.comm.tls" in without.err, "who has no certificate is not told of it")
+    return became
+
+
 FAULTS: dict[str, Row] = {
     **{f"SIGKILL of a worker in {stage}": partial(killed_in_stage, stage) for stage in FOLDERS},
     f"SIGKILL of a worker at {MOMENTS} random moments": killed_at_random,
@@ -200,6 +237,7 @@ FAULTS: dict[str, Row] = {
     "a recording that eats memory": poisoned,
     "a worker of another version": other_version,
     "clocks that are an hour wrong": clock_skew,
+    "TLS": tls,
 }
 ROWS = {**WAYS, **FAULTS, **STORE_FAULTS}
 

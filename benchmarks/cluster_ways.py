@@ -1,7 +1,6 @@
 """Ways of building and scoring that must give the same bytes as one process: rows of `cluster_faults.py`."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from fault_rows import (
     same_release,
     same_scores,
     told_by,
+    variables_set,
 )
 from s3_server import start_s3
 from small_runs import copied, start
@@ -75,16 +75,14 @@ def store_variables(folder: Path, variables: Mapping[str, str]) -> Iterator[Path
     """The environment of whoever uses a store; yields where what is fetched lies, for a while."""
     scratch = folder / "scratch"
     scratch.mkdir(exist_ok=True)
-    before = dict(os.environ)
     cache = str(folder / "cache")
-    os.environ.update(variables, KINECTBENCH_SCRATCH=str(scratch), KINECTBENCH_CACHE=cache)
-    try:
-        yield scratch
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
-        shutil.rmtree(scratch)
-        shutil.rmtree(cache, ignore_errors=True)
+    more = {"KINECTBENCH_SCRATCH": str(scratch), "KINECTBENCH_CACHE": cache}
+    with variables_set({**variables, **more}):
+        try:
+            yield scratch
+        finally:
+            shutil.rmtree(scratch)
+            shutil.rmtree(cache, ignore_errors=True)
 
 
 def held_against_there(bench: Bench, work: Path, url: str, scratch: Path) -> Became:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-from fault_rows import LONGEST_S, NotHereError, environment
+from fault_rows import LONGEST_S, NotHereError
 
 from kinectbench.core.errors import KinectBenchError
 
@@ -104,7 +104,7 @@ def running(
     command = [*before, sys.executable, "-m", f"distributed.cli.dask_{part}", "--scheduler-file", str(file)]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     try:
-        process = subprocess.Popen([*command, *words], env=environment(**variables), **quiet)
+        process = subprocess.Popen([*command, *words], env={**os.environ, **variables}, **quiet)
     except FileNotFoundError as error:
         raise NotHereError(f"no {before[0]}") from error
     with process:

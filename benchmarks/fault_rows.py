@@ -5,7 +5,8 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -206,6 +207,13 @@ def figures_of(rows: Mapping[str, Row], only: Sequence[str], bench: Bench) -> li
     return found
 
 
-def environment(**variables: str) -> dict[str, str]:
-    """This process's environment and more."""
-    return {**os.environ, **variables}
+@contextmanager
+def variables_set(variables: Mapping[str, str]) -> Iterator[None]:
+    """The environment has these, too, for as long as the block runs; then it is what it was."""
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
