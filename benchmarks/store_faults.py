@@ -20,8 +20,9 @@ from tempfile import TemporaryDirectory
 
 from cluster_ways import held_against_there, store_variables
 from fault_proxy import Choose, FaultProxy, for_a_while
-from fault_rows import Became, Bench, Row, Run, check, ended, figures_of, make_bench, told_by
+from fault_rows import Became, Bench, Row, Run, check, ended, figures_of, make_bench, told_by, variables_set
 from figures import Figure, arguments, at_most, run, told
+from full_disk import mounted
 from s3_server import S3Server, start_s3
 from small_runs import start
 from stored_benchmark import put_benchmark
@@ -144,6 +145,19 @@ def killed(lab: Lab) -> Became:
 
 
 @in_lab
+def full_scratch(lab: Lab) -> Became:
+    """The disk for what is fetched has room for a part of a recording."""
+    url = lab.url(BEFORE)
+    with mounted(lab.bench.folder / "disk", "size=200k") as disk:
+        with variables_set({"KINECTBENCH_SCRATCH": str(disk)}):
+            build = ended(lab.start(url))
+        became = Became(wrong=[f"{path.name} is left over" for path in disk.iterdir()])
+    became.add(lab.became(url, (build, (1, 3))))
+    became.need(f"KINECTBENCH_SCRATCH={disk}" in build.err, "it is not told which disk is full")
+    return became
+
+
+@in_lab
 def two_clients(lab: Lab) -> Became:
     url = lab.url(BEFORE)
     both = [lab.start(url) for _ in range(2)]
@@ -177,6 +191,7 @@ STORE_FAULTS: dict[str, Row] = {
     "store: 1 % of answers lost": one_in_a_hundred,
     "store: build killed at 5 random moments": killed,
     "store: two clients at once": two_clients,
+    "store: a full disk for what is fetched": full_scratch,
     "store: gone for good": gone,
 }
 

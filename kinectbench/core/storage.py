@@ -67,6 +67,10 @@ def write_below(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
+# How every line about a disk that cannot be written ends.
+UNTOUCHED = "; what was there before is untouched"
+
+
 @contextlib.contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
     """Turn the operating system's complaints about a full or read-only disk into one clear line."""
@@ -85,7 +89,7 @@ def storage_errors(path: Path) -> Iterator[None]:
         }.get(error.errno or 0)
         if not advice:
             raise
-        raise StorageError(f"{path}: {advice}; what was there before is untouched") from error
+        raise StorageError(f"{path}: {advice}{UNTOUCHED}") from error
 
 
 @contextlib.contextmanager

@@ -12,13 +12,13 @@ from pathlib import Path, PurePosixPath
 
 from kinectbench.core.artefacts.manifest import Failed, SourceFile, Sources
 from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError
-from kinectbench.core.storage import canonical_json, sha256_text, storage_errors, write_below
+from kinectbench.core.storage import UNTOUCHED, canonical_json, sha256_text, storage_errors, write_below
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import Store, StoredObject, fetch_all, in_parallel
 from kinectbench.core.untrusted import below, printable
 from kinectbench.engine.artefact import VERSIONS, Artefact
 from kinectbench.engine.pipeline import artefacts_upto
-from kinectbench.engine.scratch import scratch_folder
+from kinectbench.engine.scratch import SCRATCH_VARIABLE, scratch_folder
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.engine.stored_stage import is_stored
 from kinectbench.stages.ingest.readers.seven_scenes import names_beside
@@ -221,5 +221,9 @@ def named_as_there(store: Store, root: Path) -> Iterator[None]:
 
 
 def as_there(store: Store, root: Path, text: str) -> str:
-    """A message with the store's names in the place of those of a folder here."""
-    return text.replace(str(root), store.place())
+    """A message with the store's names in the place of those of a folder here.
+
+    A disk of this machine that cannot be written keeps its own name.
+    """
+    own = f"{SCRATCH_VARIABLE}={root}" if text.endswith(UNTOUCHED) else store.place()
+    return text.replace(str(root), own)

@@ -1,5 +1,6 @@
 """Recordings of a benchmark in a store: built there, the same bytes, also by two at once."""
 
+import errno
 import json
 import shutil
 import tarfile
@@ -16,10 +17,11 @@ from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import proxied, s3, s3_server
 
 from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import storage_errors
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
 from kinectbench.core.store.packed import pack, unpack
 from kinectbench.core.store.store import Store
-from kinectbench.engine.checkout import checkout, files_of_recording
+from kinectbench.engine.checkout import checkout, files_of_recording, named_as_there
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.engine.stored_stage import ARCHIVE, fetch_stage, put_stage, stored_folder
@@ -202,6 +204,22 @@ def test_a_store_that_is_gone(
     assert "the store did not answer well for 2 s" in result.err and "Traceback" not in result.err
     proxied.choose = lambda number, method, path: ""
     assert command(tmp_path, "build", "chair", *config(s3)).status == 0
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES])
+def test_a_full_disk_of_this_machine_is_not_called_the_stores(tmp_path: Path, number: int) -> None:
+    file, store = tmp_path / "recordings" / "chair" / "depth.png", Store("s3://bucket/lab")
+    with (
+        pytest.raises(StorageError, match=f"^KINECTBENCH_SCRATCH={file}: .* untouched$"),
+        named_as_there(store, tmp_path),
+        storage_errors(file),
+    ):
+        raise OSError(number, "fails")
+    with (
+        pytest.raises(StorageError, match=r"^s3://bucket/lab/recordings/chair/depth\.png: is damaged"),
+        named_as_there(store, tmp_path),
+    ):
+        raise StorageError(f"{file}: is damaged")
 
 
 def test_two_clients_at_once(small: Path, tmp_path: Path, s3: str, s3_server: S3Server) -> None:
