@@ -245,8 +245,10 @@ class _Run(Generic[Task, Result]):
     def submit(self, number: int, *, alone: bool = False) -> None:
         """Give a task to the scheduler."""
         task, largest_gb = self.tasks[number], self.cluster.largest_gb()
-        needed_gb = 0.0 if self.memory_gb is None else self.memory_gb(task) * (2 if alone else 1)
-        asked_gb = self.asked_gb[number] = min(needed_gb, largest_gb)
+        asked_gb = 0.0
+        if self.memory_gb is not None and largest_gb:
+            asked_gb = min(self.memory_gb(task) * (2 if alone else 1), largest_gb)
+        self.asked_gb[number] = asked_gb
         packed = pickle.dumps((self.function, task))  # only a worker may unpack it: it may be what kills one
         how = {"pure": False, "resources": {"memory_gb": asked_gb} if asked_gb else None}
         key = f"{self.topic}-{number}-{time.monotonic_ns()}"

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from kinectbench.core.threads import using_threads
 from kinectbench.engine.executor import Executor, Here, Lost, Say
+from kinectbench.engine.memory import expected_gb
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.place import (
     build_at_its_place,
@@ -23,9 +24,6 @@ from kinectbench.engine.stages import Job
 # of a phone: 274 MiB with one, 301 with two, 340 with 4, 415 with 8, 504 with 16. Time was measured on two
 # cores only.
 MOST_THREADS = 8
-# What a recording is expected to need where memory is handed out: 2.2 GB at most were measured, in `segment`,
-# on 150 frames of 640 x 480 of a kitchen (7-Scenes).
-RECORDING_GB = 2.5
 
 
 class Watcher(Protocol):
@@ -95,7 +93,7 @@ def build(
         partial(_build, build_one),
         tasks,
         outcomes,
-        lambda job: RECORDING_GB,
+        expected_gb,
         slowest_twice=not any(map(waits_for_others, jobs)),
     )
     try:
