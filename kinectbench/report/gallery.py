@@ -17,6 +17,7 @@ from markupsafe import Markup
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density
 from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
@@ -263,7 +264,7 @@ def gallery_json(
         "pairs": {name: kept[name] for name in sorted(kept)},
         "methods": methods,
     }
-    return _inert(json.dumps(content, separators=(",", ":"), allow_nan=False)), len(holders) - len(kept)
+    return inert_json(content), len(holders) - len(kept)
 
 
 def _truth(truth: PairTruth) -> dict[str, Any]:
@@ -274,10 +275,3 @@ def _truth(truth: PairTruth) -> dict[str, Any]:
 
 def _text(packed: Packed) -> str:
     return base64.b64encode(zlib.compress(packed.tobytes(), DEFLATE_LEVEL)).decode()
-
-
-def _inert(text: str) -> Markup:
-    """JSON without a character that could end the element it stands in."""
-    for character in "<>&":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return Markup(text)

@@ -63,7 +63,9 @@ class RecordingInfo(Part):
     split: Split = Field(description="train, validation or test")
     pairs: int = Field(description="number of pairs published")
     refused: int = Field(description="frames that were refused as views, and views whose pair was refused")
-    quality: QualityFile = Field(description="quality.json of the recording's object; empty if held back")
+    quality: QualityFile = Field(
+        description="quality.json of its object, without `method`; empty if held back"
+    )
     license: str = Field(UNSPECIFIED, description="of the recording's data")
     source: str = Field(UNSPECIFIED, description="who recorded it, or where it is from")
 

@@ -1,4 +1,8 @@
-"""index.html of a release: every object with pictures, quality and warnings, in one file without scripts."""
+"""index.html of a release, one file: every object with pictures, quality and warnings; of a large one some.
+
+A large release's page lists all recordings, and shows some of them, spread evenly, with the pictures of one
+view. It has a script, for the list; that of a small one has none.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +15,8 @@ from scipy import ndimage
 from kinectbench._version import __version__
 from kinectbench.core import images
 from kinectbench.core.artefacts.benchmark import RecordingInfo
-from kinectbench.core.artefacts.targets import SPLITS, Target
+from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
+from kinectbench.core.listing import Listing
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
@@ -20,6 +25,12 @@ from kinectbench.release.publish.card import quality_words
 from kinectbench.settings.models import BenchmarkSettings
 
 VIEWS = 3
+# Recordings that are all shown, and of more so many (own choice): 24 views take 2 to 4 MB.
+SHOWN = 24
+# Lines of warnings at the page's head; a large release has one for each recording.
+MOST_WARNINGS = 8
+LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "refused")
+FILTERS = (2, 3, 4)
 DEPTH_WIDTH_PX = 320
 PAPER = (243, 242, 238)
 CLAY = (205, 186, 160)
@@ -44,26 +55,59 @@ def write_preview(
         PairError: a pair is damaged.
         StorageError: a picture is damaged.
     """
-    parts = [_part(folder, name, info, targets, info.split in held_back) for name, info in infos.items()]
+    of_recording = by_recording(targets)
+    large = len(infos) > SHOWN
+    names, views = _spread(list(infos), SHOWN), 1 if large else VIEWS
+    parts = [
+        _part(folder, name, infos[name], of_recording[name], infos[name].split in held_back, views)
+        for name in names
+    ]
+    told = warnings[:MOST_WARNINGS] if large else warnings
     counts = [(split, sum(target.split == split for target in targets)) for split in SPLITS]
     shown = {
         "settings": settings,
+        "recordings": len(infos),
+        "listed": _listed(infos, names) if large else None,
         "parts": parts,
         "counts": [(split, count) for split, count in counts if count],
         "pairs": len(targets),
-        "warnings": warnings,
+        "warnings": told,
+        "more_warnings": len(warnings) - len(told),
         "held_back": ", ".join(held_back),
         "package_version": __version__,
     }
     (folder / PREVIEW).write_text(render_page("release/publish/preview.html", shown), encoding="utf-8")
 
 
+def _spread(names: Sequence[str], most: int) -> list[str]:
+    """The names, or of more than `most` so many, evenly spread from the first to the last."""
+    return [names[int(i)] for i in np.linspace(0, len(names) - 1, min(most, len(names))).round()]
+
+
+def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
+    """All recordings as a table; those shown below it are links."""
+    rows = [
+        (
+            name,
+            info.object,
+            info.category,
+            info.split,
+            info.quality.verdict or "",
+            info.quality.estimated_iou_words(2) or "",
+            str(info.pairs),
+            str(info.refused),
+        )
+        for name, info in infos.items()
+    ]
+    links = {name: f"#r{number}" for number, name in enumerate(shown, start=1)}
+    return Listing(LISTED, FILTERS, rows, links, "all of them are in README.md")
+
+
 def _part(
-    folder: Path, name: str, info: RecordingInfo, targets: Sequence[Target], held_back: bool
+    folder: Path, name: str, info: RecordingInfo, here: Sequence[Target], held_back: bool, views: int
 ) -> dict[str, Any]:
-    """One recording as the page shows it."""
-    here = [target for target in targets if target.recording == name]
-    chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, VIEWS).round()})
+    """One recording as the page shows it, by so many of its pairs, spread evenly."""
+    chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,
         "info": info,

@@ -175,7 +175,7 @@ def _with_pairs(views: ViewsFile, sequence: Path, targets: Sequence[Target]) -> 
 def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
     """What benchmark.json says of a recording."""
     recording, folder = built.recording, built.folder
-    quality = QualityFile() if built.hidden else QualityFile.read(folder / "object")
+    quality = QualityFile() if built.hidden else _without_method(QualityFile.read(folder / "object"))
     refused = (*ViewsFile.read(folder / "views").refused, *PairsFile.read(folder / "pairs").refused)
     return RecordingInfo(
         object=recording.object_name,
@@ -187,6 +187,12 @@ def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
         license=built.settings.license_of(recording),
         source=built.settings.source_of(recording),
     )
+
+
+def _without_method(quality: QualityFile) -> QualityFile:
+    """What benchmark.json has of quality.json: the method is alike everywhere, and more than all the rest."""
+    kept = quality.model_fields_set - {"method"}
+    return QualityFile.model_construct(kept, **{key: getattr(quality, key) for key in kept})
 
 
 def _write(stored: Stored, folder: Path, name: str, found: list[Removed]) -> None:
