@@ -186,7 +186,7 @@ def gone(lab: Lab) -> Became:
 
 STORE_FAULTS: dict[str, Row] = {
     "store: 503 for a minute": failing(lambda: for_a_while(60)),
-    "store: 10 % of uploads cut": failing(lambda: some("cut", 0.1)),
+    "store: 10 % of requests cut": failing(lambda: some("cut", 0.1)),
     "store: 10 % of answers lost": failing(lambda: some("lose", 0.1)),
     "store: 1 % of answers lost": one_in_a_hundred,
     "store: build killed at 5 random moments": killed,
