@@ -32,14 +32,14 @@ from fault_rows import (
 )
 from figures import Figure, arguments, run, told
 from full_disk import PAGE, ROOMY, mounted, pages_of, remount
-from small_runs import copied, start
+from small_runs import OBJECTS, copied, start
 from store_faults import STORE_FAULTS
 
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.engine.stages import STAGES
 
 FOLDERS = {stage.name: stage.folder for stage in STAGES}
-RECORDINGS = ("chair", "stool")
+RECORDINGS = tuple(OBJECTS)
 MOMENTS = 20
 Build = subprocess.Popen[str]
 
@@ -166,7 +166,7 @@ def poisoned(bench: Bench) -> Became:
     became.need(told_why, "no failed.json of it")
     became.need(done, "the other recording is not done")
     became.need(asked_gb and asked_gb[-1] == 2 * asked_gb[0] > 0, f"memory handed out: {asked_gb} GB")
-    became.notes.append(f"GB handed out, by try: {', '.join(f'{gb:g}' for gb in asked_gb)}")
+    became.notes.append(f"GB handed out, by try: {', '.join(f'{gb:.2g}' for gb in asked_gb)}")
     return became
 
 
