@@ -1,7 +1,8 @@
 """The real scheduler with 200 workers that sleep: what ten thousand recordings cost beside their own work.
 
-Times are drawn as those of recordings are spread (log-normal), and slept a hundred times faster; of a hundred
-tasks one fails. All workers are threads of this process: its memory is that of scheduler, client and workers.
+Times are drawn as those of recordings are spread (log-normal), and slept twenty times faster; of a hundred
+tasks one fails. The workers are threads of one process, which costs more than their sleep: it is not counted.
+What the scheduler and the client cost, each in a process of its own, is.
 """
 
 import random
@@ -9,26 +10,23 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
-from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import psutil
+from dask_parts import dask
+from distributed import Client
 from figures import Figure, arguments, at_most, equals, run, told
 from memory import peak_mb
+from sleeping import Sleep, run_workers, sleep
 
 from kinectbench.engine.cluster import Cluster
-from kinectbench.engine.executor import Lost, Say
+from kinectbench.engine.executor import Lost
+from kinectbench.engine.processes import CONTEXT
 
-# Of recordings that take 40 s and a few minutes, a hundred times faster (own choice).
-MEDIAN_S, SPREAD = 0.4, 0.5
-
-
-@dataclass(frozen=True)
-class Sleep:
-    """A task: so many seconds, and whether it fails at its end."""
-
-    number: int
-    seconds: float
-    fails: bool
+# Of recordings that take 40 s and a few minutes, twenty times faster (own choice).
+MEDIAN_S, SPREAD = 2.0, 0.5
 
 
 class Nobody:
@@ -41,12 +39,6 @@ class Nobody:
         print(message, file=sys.stderr)
 
 
-def sleep(task: Sleep, say: Say) -> str:
-    say((str(task.number), "sleeping", 0, 1))
-    time.sleep(task.seconds)
-    return "failed" if task.fails else "done"
-
-
 def options() -> ArgumentParser:
     parser = arguments(__doc__)
     parser.add_argument("--tasks", type=int, default=10_000)
@@ -55,27 +47,37 @@ def options() -> ArgumentParser:
 
 
 def measure(chosen: Namespace) -> Iterator[Figure]:
-    from distributed import Client, LocalCluster
-
     drawn = random.Random(0)
     tasks = [
         Sleep(number, MEDIAN_S * drawn.lognormvariate(0, SPREAD), drawn.random() < 0.01)
         for number in range(chosen.tasks)
     ]
-    where: dict[str, Any] = {"processes": False, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
     with (
-        LocalCluster(n_workers=chosen.workers, threads_per_worker=1, **where) as here,
-        Client(here) as client,
+        TemporaryDirectory() as folder,
+        dask(Path(folder), workers=()) as parts,
+        Client(scheduler_file=str(parts.file)) as client,
     ):
-        cluster, audience = Cluster(client, "here"), Nobody()
-        started, cpu_s = time.monotonic(), time.process_time()
-        found = dict(cluster.outcomes(sleep, tasks, audience, slowest_twice=True))
-        makespan_s = time.monotonic() - started
-        cpu_ms = 1000 * (time.process_time() - cpu_s) / len(tasks)
+        where = (client.scheduler.address, chosen.workers)
+        workers = CONTEXT.Process(target=run_workers, args=where, daemon=True)
+        workers.start()
+        client.wait_for_workers(chosen.workers)
+        yield from timed(client, tasks, psutil.Process(parts.scheduler.pid), chosen.workers)
+        workers.terminate()
+
+
+def timed(client: Client, tasks: list[Sleep], scheduler: psutil.Process, workers: int) -> Iterator[Figure]:
+    """Carry the tasks out, and hold what that took against their own time."""
+    cluster, audience = Cluster(client, "here"), Nobody()
+    started, here_s, there_s = time.monotonic(), time.process_time(), sum(scheduler.cpu_times()[:2])
+    found = dict(cluster.outcomes(sleep, tasks, audience, slowest_twice=True))
+    makespan_s = time.monotonic() - started
+    client_ms = 1000 * (time.process_time() - here_s) / len(tasks)
+    scheduler_ms = 1000 * (sum(scheduler.cpu_times()[:2]) - there_s) / len(tasks)
     slept = [task.seconds for task in tasks]
-    bound_s = max(sum(slept) / chosen.workers, *slept)
+    bound_s = max(sum(slept) / workers, *slept)
+    memory_mb = peak_mb() + scheduler.memory_info().rss / 1e6
     yield told("tasks", len(tasks))
-    yield told("workers", chosen.workers)
+    yield told("workers", workers)
     yield equals("tasks with a result", sum(not isinstance(r, Lost) for r in found.values()), len(tasks))
     failed = sum(task.fails for task in tasks)
     yield equals("tasks that failed", sum(result == "failed" for result in found.values()), failed)
@@ -83,8 +85,10 @@ def measure(chosen: Namespace) -> Iterator[Figure]:
     yield told("max(sum / workers, longest), s", round(bound_s, 1))
     yield told("makespan, s", round(makespan_s, 1))
     yield at_most("makespan over that", round(makespan_s / bound_s, 3), 1.1)
-    yield at_most("CPU of scheduler, client and workers a task, ms", round(cpu_ms, 2), 2.0)
-    yield at_most("peak memory of them all, MB", round(peak_mb()), 500)
+    yield told("CPU of the scheduler a task, ms", round(scheduler_ms, 2))
+    yield told("CPU of the client a task, ms", round(client_ms, 2))
+    yield at_most("CPU of both a task, ms", round(scheduler_ms + client_ms, 2), 2.0)
+    yield at_most("memory of both, MB", round(memory_mb), 500)
 
 
 if __name__ == "__main__":
