@@ -8,6 +8,7 @@ import dask
 from distributed import Worker
 
 from kinectbench.engine.executor import Say
+from kinectbench.engine.on_worker import package_versions
 
 # Every worker looks after its own process, a hundred times a second: two hundred in one process need not.
 OF_MANY_IN_ONE = {
@@ -45,5 +46,6 @@ def run_workers(address: str, number: int) -> None:
         await asyncio.gather(*workers)
         await asyncio.gather(*(worker.finished() for worker in workers))
 
+    package_versions()  # which each process asks for once, and two hundred threads would at the same time
     with dask.config.set(OF_MANY_IN_ONE):
         asyncio.run(until_ended())
