@@ -3,13 +3,16 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinectbench.core.untrusted import STEERING
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
+T = TypeVar("T")
+# Recordings that a page shows with all there is of them, and of more so many (own choice): two to four MB.
+SHOWN = 24
 # Rows at a time (own choice): a screen or three, which a browser lays out at once.
 PAGE_ROWS = 100
 # Values that a column may have to be offered as a choice (own choice): more are searched for.
@@ -50,6 +53,12 @@ class Listing:
         """All rows for the script; texts of strangers neither end its element nor steer the page."""
         rows = [[STEERING.sub("?", cell) for cell in row] for row in self.rows]
         return inert_json({"size": PAGE_ROWS, "links": dict(self.links), "rows": rows})
+
+
+def spread(items: Sequence[T], most: int) -> list[T]:
+    """The items, or of more than `most` so many, evenly spread from the first to the last."""
+    count = min(most, len(items))
+    return [items[round(at * (len(items) - 1) / max(1, count - 1))] for at in range(count)]
 
 
 def inert_json(content: Any) -> "Markup":

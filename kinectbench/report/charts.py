@@ -8,6 +8,7 @@ from markupsafe import Markup
 
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
+from kinectbench.core.listing import spread
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
 from kinectbench.report.plan import svg_path
@@ -20,6 +21,8 @@ COLORS = 8  # of the style sheet; methods beyond are told apart by dashes
 TICKS = (0.05, 0.1, 0.2, 0.25, 0.5)
 # Pairs are sorted by visible share and averaged in groups, so that a line shows through the points.
 GROUP_PAIRS, MAX_GROUPS = 6, 8
+# Of a method in a chart, of 13 bytes each (own choice): more hide each other.
+MOST_DOTS = 500
 
 
 @dataclass(frozen=True)
@@ -215,8 +218,9 @@ def _scatter_words(method: str, points: Float64) -> str:
 
 
 def _scatter(axes: Axes, index: int, points: Float64, method: str) -> Series:
-    """Points, and the means of groups of as many pairs each."""
-    dots = "".join("M{:.1f},{:.1f}h0".format(*axes.at(*point)) for point in points.tolist())
+    """Points, of very many some, and the means of groups of as many pairs each."""
+    drawn = spread(points.tolist(), MOST_DOTS)
+    dots = "".join("M{:.1f},{:.1f}h0".format(*axes.at(*point)) for point in drawn)
     groups = np.array_split(points, min(MAX_GROUPS, max(1, len(points) // GROUP_PAIRS)))
     means = [axes.at(*group.mean(axis=0).tolist()) for group in groups]
     return Series(index, _scatter_words(method, points), dots, svg_path(means) if len(means) > 1 else "")

@@ -31,8 +31,8 @@ from kinectbench.scoring.predictions import find_predictions
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 from kinectbench.scoring.workers import run_tasks
 
-# Of the text; the rest of a page is its pictures.
-MAX_BYTES = 4 << 20
+# Of the text; the rest of a page is its pictures. And of a page of many recordings, which has 5 MB in all.
+MAX_BYTES, MAX_BYTES_OF_MANY = 4 << 20, 1 << 20
 DEFLATE_LEVEL = 6
 # Pairs of a method: the best, the worst, and some that are the same for every method.
 EXTREME, SHARED = 6, 12
@@ -223,6 +223,8 @@ def gallery_json(
     galleries: Sequence[Gallery | None],
     truths: Mapping[str, PairTruth],
     protocol: str,
+    *,
+    many: bool = False,
 ) -> tuple[Markup | None, int]:
     """The gallery's data as JSON that can stand in a page, bounded in size.
 
@@ -231,6 +233,7 @@ def gallery_json(
         galleries: of each of them, or None.
         truths: pairs by name; what is not there is not shown.
         protocol: whose IoU is shown.
+        many: whether the page is one of many recordings.
 
     Returns:
         The text, or None if there is nothing to show; and how many pairs were left out for its size.
@@ -240,7 +243,7 @@ def gallery_json(
         for gallery in galleries
     ]
     holders = Counter(name for of in shown_by for name in of)
-    room, kept = MAX_BYTES, {}
+    room, kept = MAX_BYTES_OF_MANY if many else MAX_BYTES, {}
     for name in sorted(holders, key=lambda name: (-holders[name], name)):
         truth = _truth(truths[name])
         size = len(json.dumps({"truth": truth, "by": [of.get(name) for of in shown_by]}))

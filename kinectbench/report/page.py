@@ -11,11 +11,12 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.gallery import Gallery
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import NamedProgress
 from kinectbench.engine.stages import Job
-from kinectbench.report import charts, tables
+from kinectbench.report import charts, many, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.scoring.compare import method_names
@@ -86,18 +87,25 @@ def write_report(
         PairError: a pair file is missing or damaged.
     """
     recordings = [] if build is None else _recordings(settings, build, progress)
-    plain = (released.settings if released else settings).model_dump(mode="json", exclude_none=True)
-    pairs = (
-        [r.pairs for r in released.recordings.values()] if released else [len(r.tiles) for r in recordings]
+    listed = None if build is None else _listed(settings, build, recordings)
+    plain, left_out = many.shortened(
+        (released.settings if released else settings).model_dump(mode="json", exclude_none=True)
     )
+    pairs = [len(r.tiles) for r in recordings]
+    if released:
+        pairs = [r.pairs for r in released.recordings.values()]
+    elif listed:
+        pairs = [int(row[many.PAIRS]) for row in listed.rows]
     published = published_beside({row.recording for table in scores for row in table.rows})
     shown = {
         "settings": settings,
+        "recordings_left_out": left_out,
         "settings_yaml": yaml.safe_dump(plain, sort_keys=False, allow_unicode=True),
         "package_version": __version__,
         "n_pairs": sum(pairs),
         "recordings": recordings,
-        "scores": _scores(scores, beside),
+        "listed": listed,
+        "scores": _scores(scores, beside, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
         "published": [tables.published_table(of) for of in published],
         "synthetic": published[0].views is not None,
         "published_source": PUBLISHED_IN,
@@ -113,26 +121,35 @@ def _recordings(
     settings: BenchmarkSettings, build: Path, progress: NamedProgress | None
 ) -> list[RecordingPart]:
     report = progress or (lambda _recording, _done, _total: None)
-    total = len(settings.recordings)
-    parts = []
-    for done, recording in enumerate(settings.recordings):
+    chosen = spread(settings.recordings, SHOWN)
+    total, parts = len(chosen), []
+    for done, recording in enumerate(chosen):
         report(recording.id, done, total)
         parts.append(collect(Job(settings, recording, build.parent), build / recording.id))
     report("", total, total)
     return parts
 
 
-def _scores(scores: Sequence[ScoreTable], beside: Beside) -> dict[str, Any]:
+def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingPart]) -> Listing | None:
+    """A list of all recordings, if there are more than are shown."""
+    if len(shown) == len(settings.recordings):
+        return None
+    rows = [many.recording_row(Job(settings, r, build.parent), build / r.id) for r in settings.recordings]
+    return many.listing(rows, [part.settings.id for part in shown])
+
+
+def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, Any]:
     """The scores' section of the page."""
     names = method_names(scores)
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]
     protocols = tables.protocols(parsed)
     # The protocol that the charts and the gallery show; "" without scores.
     primary = protocols[0] if protocols else next((r.protocol for t in parsed for r in t.rows), "")
+    objects = tables.truth_of_objects(parsed, primary)
     ordered = tables.best_first(parsed, primary)
     galleries = {table.method: gallery for table, gallery in zip(parsed, beside.galleries, strict=False)}
     in_order = [galleries.get(table.method) for table in ordered]
-    gallery, left_out = gallery_json(ordered, in_order, beside.truths, primary)
+    gallery, left_out = gallery_json(ordered, in_order, beside.truths, primary, many=many_recordings)
     groups = {
         protocol: {names[index]: letters for index, letters in of.items()}
         for protocol, of in beside.groups.letters.items()
@@ -144,7 +161,8 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside) -> dict[str, Any]:
         "groups": beside.groups,
         "details": tables.details(ordered),
         "detail_names": list(tables.DETAILS),
-        "objects": tables.truth_of_objects(parsed, primary),
+        "objects": objects,
+        "listed_objects": many.object_listing(objects),
         "methods": ordered,
         "protocol": primary,
         "legend": [(charts.series_class(i), table.method) for i, table in enumerate(ordered)],

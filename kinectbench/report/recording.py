@@ -1,6 +1,5 @@
 """Everything the page shows of one recording, collected from its build folder."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -23,6 +22,7 @@ from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.report import looks
 from kinectbench.report.figures import Figures, health_figures, per_cent, quality_figures, text_of
+from kinectbench.report.many import median, millimetres
 from kinectbench.report.plan import draw_plan
 from kinectbench.report.unseen import ObjectPicture, object_pictures, unseen_faces
 from kinectbench.settings.models import RecordingSettings
@@ -129,8 +129,8 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         frames=frames,
         tiles=tuple(_tile(folder / "pairs", row, T_floor_world) for row in rows),
         refused=tuple((row.view or "", text_of(row.frame), row.reason) for row in refused),
-        containment=per_cent(_median(row.containment for row in rows)),
-        residual=_millimetres(_median(row.residual_m for row in rows)),
+        containment=per_cent(median(row.containment for row in rows)),
+        residual=millimetres(median(row.residual_m for row in rows)),
         missing=tuple(name for name, stage, is_absent in absent if is_absent and stage not in old),
         outdated=tuple(name for name, stage, is_absent in absent if is_absent and stage in old),
         failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",
@@ -171,15 +171,6 @@ def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
         frame=text_of(row.frame),
         picture=images.data_uri(picture),
         containment=per_cent(row.containment),
-        residual=_millimetres(row.residual_m),
+        residual=millimetres(row.residual_m),
         unknown=per_cent(pair.unknown_share),
     )
-
-
-def _median(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
-
-
-def _millimetres(value_m: float | None) -> str:
-    return "–" if value_m is None else f"{1000 * value_m:.1f} mm"

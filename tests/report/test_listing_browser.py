@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from headless import Browser, find_chromium
 
-from kinectbench.core.listing import PAGE_ROWS, Listing, inert_json
+from kinectbench.core.listing import PAGE_ROWS, SHOWN, Listing, inert_json, spread
 from kinectbench.core.pages import environment
 from kinectbench.release.publish import preview
 from kinectbench.release.release import Release
@@ -33,7 +33,7 @@ def written(release: Release, folder: Path, count: int) -> str:
     targets = [replace(first, recording=each) for each in names]
     (folder / "views").mkdir()
     (folder / "pairs").symlink_to(release.folder / "pairs")
-    for each in names if count < 100 else preview._spread(names, preview.SHOWN):
+    for each in names if count < 100 else spread(names, SHOWN):
         (folder / "views" / each).symlink_to(release.folder / "views" / name)
     warnings = [f"{each}: doubtful" for each in names]
     settings = parse_benchmark("{name: many, recordings: [{id: a, path: a, category: c}]}", "settings")
@@ -42,15 +42,15 @@ def written(release: Release, folder: Path, count: int) -> str:
 
 
 def test_few_recordings_have_no_script_and_no_list(release: Release, tmp_path: Path) -> None:
-    page = written(release, tmp_path, preview.SHOWN)
+    page = written(release, tmp_path, SHOWN)
     assert "<script" not in page and "script-src" not in page and 'class="listing"' not in page
-    assert page.count('<section class="recording"') == page.count(": doubtful") == preview.SHOWN
+    assert page.count('<section class="recording"') == page.count(": doubtful") == SHOWN
 
 
 def test_of_many_some_are_shown_and_all_are_listed(release: Release, tmp_path: Path) -> None:
     page = written(release, tmp_path, RECORDINGS)
     assert len(page.encode()) <= MOST_BYTES
-    assert page.count('<section class="recording"') == preview.SHOWN
+    assert page.count('<section class="recording"') == SHOWN
     assert page.count('<tr><th class="name" scope="row">') == PAGE_ROWS
     assert page.count(": doubtful") == preview.MOST_WARNINGS and "9992 more such lines" in page
     assert all(f'"thing_{number:05d}"' in page for number in (0, 1, 5000, 9999))

@@ -16,7 +16,7 @@ from kinectbench._version import __version__
 from kinectbench.core import images
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
-from kinectbench.core.listing import Listing
+from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
@@ -25,8 +25,6 @@ from kinectbench.release.publish.card import quality_words
 from kinectbench.settings.models import BenchmarkSettings
 
 VIEWS = 3
-# Recordings that are all shown, and of more so many (own choice): 24 views take 2 to 4 MB.
-SHOWN = 24
 # Lines of warnings at the page's head; a large release has one for each recording.
 MOST_WARNINGS = 8
 LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "refused")
@@ -57,7 +55,7 @@ def write_preview(
     """
     of_recording = by_recording(targets)
     large = len(infos) > SHOWN
-    names, views = _spread(list(infos), SHOWN), 1 if large else VIEWS
+    names, views = spread(list(infos), SHOWN), 1 if large else VIEWS
     parts = [
         _part(folder, name, infos[name], of_recording[name], infos[name].split in held_back, views)
         for name in names
@@ -77,11 +75,6 @@ def write_preview(
         "package_version": __version__,
     }
     (folder / PREVIEW).write_text(render_page("release/publish/preview.html", shown), encoding="utf-8")
-
-
-def _spread(names: Sequence[str], most: int) -> list[str]:
-    """The names, or of more than `most` so many, evenly spread from the first to the last."""
-    return [names[int(i)] for i in np.linspace(0, len(names) - 1, min(most, len(names))).round()]
 
 
 def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
