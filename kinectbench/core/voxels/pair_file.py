@@ -7,6 +7,7 @@ and what a public part publishes.
 import io
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -84,7 +85,7 @@ class Pair:
         """The 256-grid in the world."""
         return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
 
-    @property
+    @cached_property
     def unknown_share(self) -> float:
         """Share of the cells of `full` that are not `known`; 0 of an empty shape."""
         return unknown_share(self.full, self.known)
