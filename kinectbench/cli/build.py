@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import RecordingSummary
     from kinectbench.release.release import Release
 
-# Rows of `build --status`: more of them nobody reads (own choice).
-SHOWN_STATUSES = 100
+# Rows of the table of `build` and of `build --status`: more of them nobody reads (own choice).
+SHOWN_RECORDINGS = 100
 STILL_FAILS = (
     "left out: it failed before, and nothing it depends on has changed since; `kinectbench build {id}` says "
     "why, and `kinectbench build {id} --force` tries again"
@@ -110,10 +110,10 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
     else:
         if left:
             columns = {"recording": "recording", "state": "status", "next": "next stage", "error": "why"}
-            shown = [row.json_value() for row in left[:SHOWN_STATUSES]]
+            shown = [row.json_value() for row in left[:SHOWN_RECORDINGS]]
             console.out.print(console.table(shown, columns, {}))
-        if len(left) > SHOWN_STATUSES:
-            console.say(f"and {len(left) - SHOWN_STATUSES} more; --json lists all")
+        if len(left) > SHOWN_RECORDINGS:
+            console.say(f"and {len(left) - SHOWN_RECORDINGS} more; --json lists all")
         console.say(in_words(rows))
     return SOME_FAILED if left else 0
 
@@ -124,9 +124,19 @@ def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
-    console.out.print(console.summary_table(rows, stages))
+    shown = rows
+    if (
+        len(rows) > SHOWN_RECORDINGS
+    ):  # what this run has done first: to draw all takes longer than to check all
+        news = [row for row in rows if row.made or row.error]
+        shown = [*news, *(row for row in rows if not (row.made or row.error))][:SHOWN_RECORDINGS]
+    console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
-        console.object_lines(rows)
+        console.object_lines(shown)
+    if len(rows) > len(shown):
+        current = sum(row.error is None and not row.made for row in rows)
+        more = len(rows) - len(shown)
+        console.say(f"and {more} more; {current} of all {len(rows)} were up to date; --json lists all")
 
 
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":

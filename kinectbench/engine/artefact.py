@@ -108,7 +108,8 @@ def whole_manifest(folder: Path) -> Manifest | None:
         return None
     try:
         manifest = Manifest.read(folder)
-        sizes = {name: (folder / name).stat().st_size for name in manifest.files}
+        # By texts: to join paths takes longer than to look at the files.
+        sizes = {name: os.stat(f"{folder}{os.sep}{name}").st_size for name in manifest.files}  # noqa: PTH116
     except (OSError, StorageError):
         return None
     return manifest if sizes == manifest.files else None

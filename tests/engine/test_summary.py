@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from kinectbench.cli import console
+from kinectbench.cli.build import SHOWN_RECORDINGS, show_rows
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
 from kinectbench.engine.summary import RecordingSummary, summary
@@ -89,3 +90,20 @@ def test_the_table_shows_the_interval(tmp_path: Path, quality: dict, words: str)
     shown = Console(width=160, record=True, file=io.StringIO())
     shown.print(console.summary_table([row(tmp_path, quality)], ("segment",)))
     assert words in shown.export_text()
+
+
+def test_of_many_the_table_shows_what_was_done_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = console.SafeConsole(width=160, record=True, file=io.StringIO())
+    monkeypatch.setattr(console, "out", shown)
+    plain = row(tmp_path, {})
+    rows = [plain.model_copy(update={"recording": f"r{number}_"}) for number in range(SHOWN_RECORDINGS + 50)]
+    rows[-1] = rows[-1].model_copy(update={"made": ("segment",), "recording": "made"})
+    rows[-2] = rows[-2].model_copy(update={"error": "too dark", "recording": "failed"})
+    show_rows(rows, "segment")
+    text = shown.export_text()
+    assert text.index("failed") < text.index("made") < text.index("r0_")
+    assert sum(text.count(each.recording) for each in rows) == SHOWN_RECORDINGS
+    last = f"and 50 more; {SHOWN_RECORDINGS + 48} of all {SHOWN_RECORDINGS + 50} were up to date; --json lists all"
+    assert capsys.readouterr().out.splitlines() == [last]
