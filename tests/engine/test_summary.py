@@ -105,5 +105,6 @@ def test_of_many_the_table_shows_what_was_done_first(
     text = shown.export_text()
     assert text.index("failed") < text.index("made") < text.index("r0_")
     assert sum(text.count(each.recording) for each in rows) == SHOWN_RECORDINGS
-    last = f"and 50 more; {SHOWN_RECORDINGS + 48} of all {SHOWN_RECORDINGS + 50} were up to date; --json lists all"
+    counts = f"{SHOWN_RECORDINGS + 48} of all {SHOWN_RECORDINGS + 50}"
+    last = f"and 50 more; {counts} were up to date; --json lists all"
     assert capsys.readouterr().out.splitlines() == [last]
