@@ -9,16 +9,18 @@ from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import Common, takes
 
 # Each is a room `release/exchange/<layout>.py` with a function `export_<layout>`.
-Layout = Literal["recgan", "bop", "webdataset"]
+Layout = Literal["recgan", "bop", "webdataset", "parquet"]
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def export(
     common: Common,
     out: Annotated[Path, typer.Argument(help="a new folder, or an earlier export")],
-    layout: Annotated[Layout, typer.Option(help="the paper's authors', BOP's, or WebDataset's")] = "recgan",
+    layout: Annotated[
+        Layout, typer.Option(help="the paper's authors', BOP's, WebDataset's, or the targets as Parquet")
+    ] = "recgan",
 ) -> int:
-    """Write a release in another layout: `recgan`, the paper authors' files and axes; `bop`; `webdataset`."""
+    """Write a release in another layout: of the paper's authors (`recgan`), BOP, WebDataset; Parquet."""
     from importlib import import_module
 
     from kinectbench.cli import console

@@ -1,0 +1,57 @@
+"""The targets of a release as a Parquet table, for who has millions of them: typed, and read by columns.
+
+It is no file of a release: pyarrow takes 170 MB, and a release's bytes must not depend on what is installed.
+"""
+
+from dataclasses import fields
+from pathlib import Path
+
+from kinectbench.core.artefacts.targets import NUMBER_COLUMNS, Target
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.types import Progress
+from kinectbench.release.exchange.layouts import new_folder, write_export_json
+from kinectbench.release.release import Release
+
+TARGETS_PARQUET = "targets.parquet"
+# Targets that are held as columns at a time, and that a reader of some gets at once (own choice).
+ROWS_PER_GROUP = 100_000
+
+
+def export_parquet(release: Release, out: Path, progress: Progress | None = None) -> int:
+    """Write targets.parquet: the columns and rows of targets.csv, `unknown_share` as a number or null.
+
+    Args:
+        release: opened.
+        out: a new folder, or an earlier export, which is replaced.
+        progress: called with (pairs done, pairs in all).
+
+    Returns:
+        The number of pairs.
+
+    Raises:
+        SettingsError: `out` holds something else, or pyarrow is not there.
+        StorageError: the disk is full or read-only.
+    """
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError as error:
+        advice = "pip install 'kinectbench[tables]'"
+        raise SettingsError(f"export: Parquet needs the package pyarrow; run `{advice}`") from error
+    names = [column.name for column in fields(Target)]
+    schema = arrow.schema(
+        [(name, arrow.float64() if name in NUMBER_COLUMNS else arrow.string()) for name in names]
+    )
+    done = 0
+    with new_folder(out) as folder:
+        with parquet.ParquetWriter(folder / TARGETS_PARQUET, schema, compression="zstd") as file:
+            for start in range(0, len(release.targets), ROWS_PER_GROUP):
+                group = release.targets[start : start + ROWS_PER_GROUP]
+                file.write_table(
+                    arrow.table({name: [getattr(target, name) for target in group] for name in names}, schema)
+                )
+                done += len(group)
+                if progress:
+                    progress(done, len(release.targets))
+        write_export_json(folder, release, {"targets": TARGETS_PARQUET})
+    return done
