@@ -125,11 +125,8 @@ def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
 
     stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
     shown = rows
-    if (
-        len(rows) > SHOWN_RECORDINGS
-    ):  # what this run has done first: to draw all takes longer than to check all
-        news = [row for row in rows if row.made or row.error]
-        shown = [*news, *(row for row in rows if not (row.made or row.error))][:SHOWN_RECORDINGS]
+    if len(rows) > SHOWN_RECORDINGS:  # to draw all takes longer than to find that they are up to date
+        shown = sorted(rows, key=lambda row: 0 if row.error else 1 if row.made else 2)[:SHOWN_RECORDINGS]
     console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
         console.object_lines(shown)
