@@ -151,6 +151,8 @@ def _recheck(
     ]
     if given:
         raise SettingsError(f"{', '.join(given)}: not with --recheck, which takes it from the table")
+    if elsewhere := [f"--{name}" for name in ("shard", "cluster") if getattr(common, name) is not None]:
+        raise SettingsError(f"{', '.join(elsewhere)}: not with --recheck, which counts all pairs here")
     if predictions is None:
         raise SettingsError(f"--recheck {scores}: name the folder of the predictions, too")
     paths = find_scores([scores])

@@ -10,7 +10,7 @@ import re
 import ssl
 import time
 import warnings
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -199,7 +199,7 @@ class Cluster:
         if now - self._looked < LOOK_S:
             return
         try:
-            workers = self._client.scheduler_info()["workers"].values()
+            workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         except Exception as error:  # of Dask's many kinds
             raise self.gone() from error
         if self._client.status != "running":
@@ -273,8 +273,8 @@ class _Run(Generic[Task, Result]):
 
     def submit_slowest(self) -> None:
         """Give the task that has been running longest to a second worker, if it is slower than most were."""
-        copies = list(self.running.values())
-        single = [number for number in copies if copies.count(number) == 1 and number not in self.alone]
+        copies = Counter(self.running.values())
+        single = [number for number, count in copies.items() if count == 1 and number not in self.alone]
         slowest = min(single, key=self.begun.__getitem__, default=None)
         usual_s = median(self.seconds) if self.seconds else float("inf")
         if slowest is not None and time.monotonic() - self.begun[slowest] > 2 * usual_s:

@@ -26,7 +26,8 @@ class Pool:
     """So many processes of this machine, which end with this one.
 
     Where one is killed (by the system, for lack of memory), the tasks that were not done are carried out on
-    half as many, and in the end one at a time: then it is known which one cannot be.
+    half as many, and in the end one at a time: then it is known which one cannot be, and the others are
+    carried out by all processes again.
     """
 
     processes: int
@@ -52,6 +53,7 @@ class Pool:
             if left and at_once == 1:
                 # A single process takes them in their order: the first that is left killed it.
                 culprit, *left = left
+                at_once = self.processes
                 yield culprit, Lost(KILLED_ALONE)
             elif left:
                 at_once = max(at_once // 2, 1)

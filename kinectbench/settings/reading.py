@@ -89,7 +89,8 @@ def matching(folder: Path, pattern: str) -> list[Path]:
     found = [folder]
     for part in parts:
         found = [way for above in found for way in _inside(above, part)]
-    return [way for way in sorted(found) if way == path or way.is_file()]
+    found.sort(key=lambda way: way.parts)  # in a store, too
+    return [way for way in found if way == path or way.is_file()]
 
 
 def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path]:
@@ -100,7 +101,8 @@ def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path
     if is_web(url):
         raise ValueError("a web server does not list its files; name each of them")
     names = (each.name.split("/") for each in Store(url).objects("/".join(known)))
-    return [folder.joinpath(*name) for name in names if len(name) == len(parts) and _all_match(name, parts)]
+    found = sorted(name for name in names if len(name) == len(parts) and _all_match(name, parts))
+    return [folder.joinpath(*name) for name in found]
 
 
 def _all_match(name: Sequence[str], parts: Sequence[str]) -> bool:

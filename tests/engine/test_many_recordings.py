@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import signal
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path, PosixPath
@@ -17,9 +18,11 @@ from test_resume import group, wait_for, wait_until_all_ended
 
 from kinectbench.core.storage import replaced_folder
 from kinectbench.engine import parallel, pool
+from kinectbench.engine.executor import Lost, Say
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.parallel import build
 from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.pool import Pool
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark, parse_benchmark
 
@@ -44,6 +47,8 @@ class Listener:
         self.warnings: list[str] = []
 
     def __call__(self, recording: str, stage: str, done: int, total: int) -> None: ...
+
+    def heard(self, message: object) -> None: ...
 
     def ended(self, outcome: Outcome) -> None:
         self.ends.append(outcome.recording)
@@ -155,6 +160,20 @@ def test_a_recording_that_kills_its_process_fails_alone(small: Path, tmp_path: P
     assert sorted(listener.ends) == ["chair", "table"]
     (warning,) = listener.warnings
     assert "a worker process was killed" in warning and "going on with 1 recording at a time" in warning
+
+
+def once_killed(task: int, say: Say) -> int:
+    """The first task kills its process; the others tell it."""
+    if task == 0:
+        os._exit(1)
+    time.sleep(0.3)  # so that none takes the next task, too
+    return os.getpid()
+
+
+def test_once_the_culprit_is_known_all_processes_are_at_work_again() -> None:
+    found = dict(Pool(2).outcomes(once_killed, list(range(6)), Listener()))
+    assert isinstance(found.pop(0), Lost)
+    assert len(set(found.values())) == 2
 
 
 def test_a_killed_worker_costs_nothing(small: Path, tmp_path: Path) -> None:

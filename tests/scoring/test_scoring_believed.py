@@ -270,6 +270,8 @@ def test_what_cannot_be_rechecked_is_one_line(
     for arguments, words in (
         ([str(path), "--benchmark", str(release.folder)], "name the folder of the predictions"),
         ([str(path), *rest, "--method", "a"], "--method: not with --recheck"),
+        ([str(path), *rest, "--shard", "1/3"], "--shard: not with --recheck"),
+        ([str(path), *rest, "--cluster", "local:2"], "--cluster: not with --recheck"),
         ([str(path), *rest, "--missing", "error", "--no-surface"], "--missing, --no-surface: not with"),
         ([str(path), *rest, "--upsampling", "half-pixel"], "--upsampling: not with --recheck"),
         ([str(before), *rest], "counted by score version 3"),

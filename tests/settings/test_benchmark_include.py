@@ -219,6 +219,21 @@ def test_files_in_a_store_are_included_likewise(s3: str, tmp_path: Path) -> None
     there = load_benchmark(Path(s3) / "benchmark.yaml")
     assert [recording.id for recording in there.recordings] == ["own", "a", "b", "007", "8"]
     assert there == loaded(tmp_path, files)
+
+
+def test_files_come_in_one_order_wherever_they_lie(s3: str, tmp_path: Path) -> None:
+    # "-" and "." stand before "/" among signs.
+    folders = ("rooms", "rooms-2", "rooms.b")
+    files = main('["rooms*/*.yaml"]', OWN) | {f"{name}/a.yaml": ONE % (name, name) for name in folders}
+    for name, content in files.items():
+        Store(s3).put(name, content if isinstance(content, bytes) else content.encode())
+    there = load_benchmark(Path(s3) / "benchmark.yaml")
+    assert [recording.id for recording in there.recordings] == ["own", *folders]
+    assert there == loaded(tmp_path, files)
+
+
+def test_faults_of_included_files_in_a_store_are_told(s3: str) -> None:
+    Store(s3).put("benchmark.yaml", b"name: a\ninclude: ['rooms/*.yaml']\n")
     Store(s3).put("rooms/a.yaml", b"recordings: [{}]")
     with pytest.raises(SettingsError, match=rf"^{s3}/rooms/a.yaml:1: recordings"):
         load_benchmark(Path(s3) / "benchmark.yaml")
