@@ -22,6 +22,10 @@ from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import Missing, Rounds, plan
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
 
+# Rows of a table, one for each test pair and protocol. A row has 44 values and a kilobyte; a JSON file may
+# have two million values and 64 MB.
+MOST_ROWS = 45_000
+
 
 def score(
     release: Release,
@@ -64,6 +68,7 @@ def score(
     """
     check_words(protocols, upsampling)
     asked = plan(release, predictions, thresholds_file, missing)
+    _refuse_many_rows(len(release.split("test")), protocols)
     counting, journal = Counting(tuple(protocols), upsampling, surface), Journal(resume_in)
     rounds = Rounds(release, counting, journal, jobs, progress)
     outcomes, thresholds = rounds.count(asked.files, asked.fixed)
@@ -78,6 +83,16 @@ def score(
         journal.remove()
     stray = stray_lines(asked.found.stray, asked.found.missing)
     return table.model_copy(update={"warnings": (*table.warnings, *stray)})
+
+
+def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
+    """Refuse what would become a table that nobody could read, before it is counted."""
+    if pairs * len(protocols) > MOST_ROWS:
+        most = MOST_ROWS // len(protocols)
+        raise SettingsError(
+            f"{pairs} pairs under {len(protocols)} protocols are more rows than the {MOST_ROWS} that a score "
+            f"table may have: ask for one --protocol, or score a release of at most {most} pairs"
+        )
 
 
 def check_words(protocols: Sequence[str], upsampling: str) -> None:
@@ -181,6 +196,7 @@ def count_methods(
     methods = _methods(release, predictions, method, None)
     failed = 0
     for name, folder in methods.items():
+        _refuse_many_rows(len(release.split("test")), protocols or tuple(PROTOCOLS))
         asked = plan(release, folder, thresholds_file, rule)
         counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
         journal = Journal(out if len(methods) == 1 else out / name, shard)

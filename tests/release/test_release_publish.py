@@ -29,6 +29,7 @@ from kinectbench.release import contents
 from kinectbench.release.check import object_check
 from kinectbench.release.check.verify import verify
 from kinectbench.release.contents import most_bytes
+from kinectbench.release.publish import publish as publish_module
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release, open_release
 
@@ -319,3 +320,22 @@ def test_object_in_two_splits() -> None:
 def test_bad_sums(line: str) -> None:
     with pytest.raises(ReleaseError, match="line 1: malformed, repeated or unsafe"):
         parse_sums(line + "\n", "SHA256SUMS")
+
+
+def test_too_many_files_are_refused_before_any_is_written(
+    build: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(publish_module, "MOST_FILES", 50)
+    with pytest.raises(
+        ReleaseError, match=r"pairs of 5 recordings would be .* a release may have 50: publish"
+    ):
+        publish(synthetic_settings(RECORDINGS), build, tmp_path / "b", NAMES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_files_that_are_counted_beforehand_are_those_of_a_release(analytic: Path) -> None:
+    release = analytic / "benchmark"
+    written = [path for part in ("pairs", "views", "objects") for path in (release / part).rglob("*")]
+    pairs = sum(path.suffix == ".npz" and path.is_relative_to(release / "pairs") for path in written)
+    counted = 3 * pairs + publish_module.FILES_OF_RECORDING * len(RECORDINGS)
+    assert len(written) <= counted <= 1.1 * len(written)

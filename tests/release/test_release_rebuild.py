@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_benchmark import Run, copied
-from synthetic_release import RECORDINGS
+from synthetic_release import RECORDINGS, synthetic_settings
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
@@ -25,8 +25,10 @@ from kinectbench.release.check.rebuild import (
     rebuild_plan,
     version_notes,
 )
+from kinectbench.release.check.verify import verify
 from kinectbench.release.contents import Entry, most_bytes
 from kinectbench.release.opening import open_contents
+from kinectbench.release.publish import publish
 
 
 @pytest.fixture
@@ -105,6 +107,27 @@ def test_a_recording_that_failed_and_other_packing(
         "table_01: could not be built again, so none of its 1 pairs was compared",
         "pairs/table_02/000.npz: differs when made again: the same values, but packed otherwise",
     ]
+
+
+def test_of_very_many_files_one_hash_is_kept(
+    analytic: Path, sources: dict[str, Source], again: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(publish, "MOST_NAMED_FILES", 2 * len(RECORDINGS))
+    root = tmp_path / "many"
+    shutil.copytree(analytic / "build", root / "build")
+    path = root / "build" / "chair_02" / "sources.json"
+    files = json.loads(path.read_text()) | {f"{number}.png": [1, 1, "1" * 64] for number in range(3)}
+    path.write_text(json.dumps(files))
+    names = [recording[0] for recording in RECORDINGS]
+    publish.publish(synthetic_settings(RECORDINGS), root / "build", root / "benchmark", names)
+    lineage = json.loads((root / "benchmark" / "lineage.json").read_text())["recordings"]
+    assert lineage["chair_02"]["files"] == {} and len(lineage["chair_02"]["files_sha256"]) == 64
+    assert lineage["table_01"]["files"] and "files_sha256" not in lineage["table_01"]
+    assert verify(root / "benchmark") == []
+    said = "chair_02: not the recording that was published: its 1 files are others"
+    assert said in compare(root, sources, again)
+    shutil.copyfile(path, again / "chair_02" / "sources.json")
+    assert compare(root, sources, again) == []
 
 
 def test_another_recording(analytic: Path, sources: dict[str, Source], again: Path) -> None:

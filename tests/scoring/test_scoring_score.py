@@ -16,6 +16,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target, open_release
+from kinectbench.scoring import score as score_module
 from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import score
@@ -217,3 +218,12 @@ def test_published_scores() -> None:
 
 def test_opened_release_is_the_published_one(release: Release) -> None:
     assert open_release(release.folder) == release
+
+
+def test_more_rows_than_a_table_may_have_are_refused_before_they_are_counted(
+    release: Release, method: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(score_module, "MOST_ROWS", 2)
+    with pytest.raises(SettingsError, match=r"under 3 protocols are more rows than the 2 .* ask for one"):
+        score(release, method, method="a", resume_in=tmp_path)
+    assert list(tmp_path.iterdir()) == []

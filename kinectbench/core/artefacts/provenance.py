@@ -1,11 +1,13 @@
 """What a release says of its own making: lineage.json, privacy.json and thresholds.json."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from kinectbench.core.artefacts.benchmark import ReleaseFile
 from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.storage import canonical_json, sha256_text
 
 LINEAGE_JSON = "lineage.json"
 PRIVACY_JSON = "privacy.json"
@@ -39,9 +41,19 @@ class LineageRecording(Part):
 
     source: str = Field(description="who recorded it, or where it is from")
     license: str = Field(description="of the data")
-    files: dict[str, str] = Field(description="file of the recording, relative to it → SHA-256")
+    files: dict[str, str] = Field(
+        description="file of the recording, relative to it → SHA-256; empty where `files_sha256` is"
+    )
+    files_sha256: str | None = Field(
+        None, description="of very many files: SHA-256 over the JSON of what `files` would hold"
+    )
     stages: dict[str, LineageStage] = Field(description="by name, in the order of the pipeline")
     views: tuple[LineageView, ...] | None = Field(None, description="those with a pair; held back: missing")
+
+
+def files_hash(files: Mapping[str, str]) -> str:
+    """SHA-256 over names and hashes of files, as `files_sha256` has it: of their JSON with sorted keys."""
+    return sha256_text(canonical_json(dict(files)))
 
 
 class Lineage(ReleaseFile):

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Sources
-from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording, files_hash
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording, parse_targets
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
@@ -174,13 +174,15 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
         plan: of the rebuild.
         build: holds a folder per recording that was built.
     """
+    lineage = _lineage(contents)
     for recording, targets in sorted(by_recording(plan.targets).items()):
         here = build / recording
         if not (here / "pairs" / "pairs.json").is_file():
             yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"
             continue
         # In the order they were made: the first tells where the difference begins.
-        yield from _source_difference(contents, recording, here)
+        if recording in lineage:
+            yield from _source_difference(lineage[recording], recording, here)
         for file in OBJECT_FILES:
             yield from _file_difference(contents, f"objects/{recording}/{file}", here / "object" / file)
         for target in targets:
@@ -194,20 +196,20 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
                 yield f"{recording}/{made.stem}: made again, but there is no such pair in the release"
 
 
-def _source_difference(contents: Contents, recording: str, build: Path) -> Iterator[str]:
+def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
     """Whether the recording is the one that lineage.json knows by the hashes of its files."""
     made = Sources.read_if_there(build)
-    rows = _lineage(contents)
-    if recording not in rows or made is None:
+    if made is None:
         return
-    published = rows[recording].files
-    here = made.sha256
+    published, here = row.files, made.sha256
     if set(here) == {""}:  # a recording that is one file, whatever it is called here
         here = dict.fromkeys(published, here[""])
     names = [name for name in {**published, **here} if published.get(name) != here.get(name)]
     if published and names:
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         yield f"{recording}: not the recording that was published: {', '.join(names[:SHOWN])}{more} differ"
+    if row.files_sha256 not in (None, files_hash(here)):
+        yield f"{recording}: not the recording that was published: its {len(here)} files are others"
 
 
 def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]:

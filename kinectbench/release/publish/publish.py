@@ -16,9 +16,10 @@ from kinectbench.core.artefacts.provenance import (
     ThresholdsFile,
 )
 from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.artefacts.views import PairsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_folder
-from kinectbench.release.contents import CHANGELOG, DATASHEET, refuse_large
+from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.preview import write_preview
@@ -63,6 +64,12 @@ class PublishSummary:
         return self.private or self.folder
 
 
+# Files of recordings that lineage.json names one by one: 100,000 take 11 MB of it, and the memory of as many
+# keys, of which a JSON file may have three times as many.
+MOST_NAMED_FILES = 100_000
+# Files and folders of a recording in a release beside those of its pairs: three folders, mesh, volume, GLB,
+# floor, quality and views.json.
+FILES_OF_RECORDING = 9
 NO_OPTIONS = PublishOptions(hold_back=(), thresholds=None)
 
 
@@ -92,6 +99,7 @@ def publish(
     for folder in (out, private) if options.hold_back else (out,):
         _refuse_other(folder)
     _refuse_empty_split(settings, recordings, options.hold_back)
+    _refuse_many_files(settings, build, recordings)
     complete = options.model_copy(update={"hold_back": ()})
     if not options.hold_back:
         with replaced_folder(out) as folder:
@@ -110,6 +118,18 @@ def _refuse_other(out: Path) -> None:
     """Refuse to replace a folder that is not a release."""
     if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
         raise ReleaseError(f"{out}: holds something else than a release; move it away, then publish again")
+
+
+def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> None:
+    """Refuse a release of more files than one may have, before hours are spent on it."""
+    pairs = sum(len(PairsFile.read(build / name / "pairs").pairs) for name in recordings)
+    of_pair = 1 + len(VIEW_IMAGES) + settings.publish.color
+    total = of_pair * pairs + FILES_OF_RECORDING * len(recordings)
+    if total > MOST_FILES:
+        raise ReleaseError(
+            f"{pairs} pairs of {len(recordings)} recordings would be {total} files, and a release may have "
+            f"{MOST_FILES}: publish the recordings as several benchmarks, or set a smaller views.count"
+        )
 
 
 def _refuse_empty_split(
@@ -133,10 +153,12 @@ def _write(
     """Fill one folder."""
     found, made = list[Removed](), dict[str, Published]()
     left_out, by_id = [], settings.by_id()
+    most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
     for name in recordings:
         recording = by_id[name]
         hidden = recording.split in options.hold_back
-        published = publish_recording(Built(settings, recording, build / name, hidden), folder, found)
+        built = Built(settings, recording, build / name, hidden, most_named)
+        published = publish_recording(built, folder, found)
         if published is None:
             left_out.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
         else:

@@ -9,7 +9,13 @@ from typing import Any
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.manifest import Manifest, Sources
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
-from kinectbench.core.artefacts.provenance import LineageRecording, LineageStage, LineageView, Removed
+from kinectbench.core.artefacts.provenance import (
+    LineageRecording,
+    LineageStage,
+    LineageView,
+    Removed,
+    files_hash,
+)
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
@@ -34,12 +40,14 @@ class Built:
         recording: one of them.
         folder: `build/<recording>/`.
         hidden: whether its truth is held back.
+        most_named: of its files that lineage.json names one by one; of more it has one hash over all.
     """
 
     settings: BenchmarkSettings
     recording: RecordingSettings
     folder: Path
     hidden: bool
+    most_named: int
 
 
 @dataclass(frozen=True)
@@ -207,12 +215,15 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
         name or Path(built.recording.path).name: digest
         for name, digest in sorted(Sources.read(built.folder).sha256.items())
     }
+    named = len(files) <= built.most_named
     content = LineageRecording(
         source=built.settings.source_of(built.recording),
         license=built.settings.license_of(built.recording),
-        files=files,
+        files=files if named else {},
         stages={stage.name: _stage(built.folder / stage.folder, built.hidden) for stage in STAGES},
     )
+    if not named:
+        content = content.model_copy(update={"files_sha256": files_hash(files)})
     if built.hidden:
         return content
     rows = {row.view: row for row in ViewsFile.read(built.folder / "views").views}
