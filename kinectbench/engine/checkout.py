@@ -38,6 +38,7 @@ class Checkout:
         job: the recording, below a scratch folder of this machine.
         artefacts: of the stages in question, by their names.
         current: names of those stages that the store holds.
+        built: names of all that the store has below `build/<recording>/`.
         failed: whether the store holds a failed.json.
     """
 
@@ -45,6 +46,7 @@ class Checkout:
     job: Job
     artefacts: Mapping[str, Artefact]
     current: tuple[str, ...]
+    built: frozenset[str]
     failed: bool
 
 
@@ -134,7 +136,7 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
     failed = f"build/{name}/{Failed.FILE}"
     if failed in listing.built:
         store.fetch(failed, job.build / Failed.FILE, MOST_FAILED_BYTES)
-    return Checkout(store, job, artefacts, current, failed in listing.built)
+    return Checkout(store, job, artefacts, current, listing.built, failed in listing.built)
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], str | None]:

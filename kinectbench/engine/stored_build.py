@@ -1,7 +1,7 @@
 """A recording whose benchmark lies in a store: checked out and built here, its stages put back.
 
-In the store nothing is locked or renamed: what a stage makes lies under its fingerprint, and whoever makes
-it again makes the same.
+In the store nothing is locked or renamed: what a stage makes lies under its fingerprint. Whoever makes it
+again makes the same; a machine that makes other bytes goes on from those that were there first.
 """
 
 import contextlib
@@ -65,9 +65,9 @@ def build_stored(
     report = progress or nobody
     started = time.monotonic()
     try:
-        with checked_out(job, upto, report) as found:
-            build = partial(build_recording, found.job, upto, force, report, limit_s=limit_s)
-            outcome = _built(found, upto, force, build, report)
+        outcome = _once(job, upto, force, report, limit_s)
+        while outcome is None:  # each time a stage more is there already
+            outcome = _once(job, upto, (), report, limit_s)
     except Exception as failure:
         outcome = Outcome(job.recording.id, (), (), told(failure), 0.0)
         if isinstance(failure, RecordingError):
@@ -76,9 +76,16 @@ def build_stored(
     return replace(outcome, seconds=time.monotonic() - started)
 
 
+def _once(job: Job, upto: str, force: Sequence[str], report: Report, limit_s: float | None) -> Outcome | None:
+    with checked_out(job, upto, report) as found:
+        build = partial(build_recording, found.job, upto, force, report, limit_s=limit_s)
+        return _built(found, upto, force, build, report)
+
+
 def _built(
     found: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
-) -> Outcome:
+) -> Outcome | None:
+    """The outcome; None if a stage was there first with other bytes, from which the next are to be made."""
     missing = [each for each in stages_upto(upto) if each.name not in found.current or each.name in force]
     if not missing:
         return _nothing_made(found, None)
@@ -93,7 +100,8 @@ def _built(
     outcome = replace(outcome, row=summary(found.job, outcome))
     for number, name in enumerate(outcome.made):
         report("put", number, len(outcome.made))
-        put_stage(found.store, found.job.recording.id, found.artefacts[name])
+        if not put_stage(found.store, found.job.recording.id, found.artefacts[name]):
+            return None
     _put_failure(found)
     return outcome
 
@@ -101,7 +109,9 @@ def _built(
 def _nothing_made(found: Checkout, error: str | None) -> Outcome:
     """Of a recording that is up to date, or failed before: only what the table shows is fetched."""
     in_parallel(
-        partial(fetch_file, found.store, found.job.recording.id, found.artefacts[name], SHOWN[name])
+        partial(
+            fetch_file, found.store, found.job.recording.id, found.artefacts[name], SHOWN[name], found.built
+        )
         for name in found.current
         if name in SHOWN
     )

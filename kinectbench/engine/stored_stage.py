@@ -1,7 +1,9 @@
 """A stage's artefact in a store: `build/<recording>/<stage>/<fingerprint>/`, written once and never changed.
 
-Its manifest is written last: a folder without one is nothing yet. Two that make the same write the same. The
-many small files of a sequence, of views and of pairs travel as one tar, JSON apart.
+Its manifest is written last: a folder without one is nothing yet. The files lie beside it in a folder that is
+named by their content: where two machines make other bytes of one stage, the first manifest names the folder
+that counts, and nothing is mixed. The many small files of a sequence, of views and of pairs travel as one
+tar, JSON apart.
 """
 
 import tempfile
@@ -11,6 +13,8 @@ from pathlib import Path
 
 from kinectbench.core.artefacts.manifest import Manifest, Timing
 from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import canonical_json, sha256_file, sha256_text
+from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.packed import pack, unpack
 from kinectbench.core.store.store import MOST_OBJECT_BYTES, Store, fetch_all, in_parallel
 from kinectbench.core.untrusted import below
@@ -20,6 +24,7 @@ ARCHIVE = "files.tar"
 PACKED = ("ingest", "sample-views", "pairs")
 # A tar's share beyond its files: two blocks of 512 bytes a file, and its end.
 TAR_BYTES = 1024
+ANEW = "remove the folder and build again"
 
 
 def stored_folder(recording: str, artefact: Artefact) -> str:
@@ -32,13 +37,28 @@ def is_stored(names: Collection[str], recording: str, artefact: Artefact) -> boo
     return f"{stored_folder(recording, artefact)}/{Manifest.FILE}" in names
 
 
-def put_stage(store: Store, recording: str, artefact: Artefact) -> None:
-    """Put an artefact that was made here; finding the same there is success.
+def put_stage(store: Store, recording: str, artefact: Artefact) -> bool:
+    """Put an artefact that was made here, unless there is one: what is finished is believed and stays.
+
+    Returns:
+        Whether what lies there holds the same bytes; False: another run was first, and made other ones.
 
     Raises:
-        StorageError: the store fails, or holds another artefact under the same fingerprint.
+        StorageError: the store fails, or what lies there is damaged.
     """
     manifest, where = Manifest.read(artefact.folder), stored_folder(recording, artefact)
+    ours = manifest.model_copy(update={"content": _content(artefact.folder, manifest)})
+    place = f"{where}/{Manifest.FILE}"
+    there = store.read_if_there(place)
+    if there is None:
+        _put_files(store, f"{where}/{ours.content}", artefact, manifest)
+        if store.put_new(place, ours.text().encode(), same=lambda there, ours: True):
+            return True
+        there = store.read(place)
+    return _parsed(there, store.place(place), artefact).content == ours.content
+
+
+def _put_files(store: Store, where: str, artefact: Artefact, manifest: Manifest) -> None:
     packed, loose = _parts(manifest)
     with tempfile.TemporaryDirectory(prefix="kinectbench-", dir=artefact.folder.parent) as scratch:
         files = {name: artefact.folder / name for name in loose}
@@ -48,7 +68,6 @@ def put_stage(store: Store, recording: str, artefact: Artefact) -> None:
             files[ARCHIVE] = Path(scratch) / ARCHIVE
             pack(artefact.folder, packed, files[ARCHIVE])
         in_parallel(partial(store.put, f"{where}/{name}", path) for name, path in files.items())
-    store.put_new(f"{where}/{Manifest.FILE}", manifest.text().encode(), same=_same)
 
 
 def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
@@ -60,38 +79,78 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
     where = stored_folder(recording, artefact)
     manifest = _manifest(store, where, artefact)
     packed, loose = _parts(manifest)
-    folder = artefact.folder
-    files = [(f"{where}/{name}", below(folder, name), manifest.files[name]) for name in loose]
+    folder, data = artefact.folder, files_folder(where, manifest)
+    files = [(f"{data}/{name}", below(folder, name), manifest.files[name]) for name in loose]
     with tempfile.TemporaryDirectory(prefix="kinectbench-", dir=_made(folder).parent) as scratch:
         archive = Path(scratch) / ARCHIVE
         if packed:
             sizes = {name: manifest.files[name] for name in packed}
             most = min(MOST_OBJECT_BYTES, sum(sizes.values()) + TAR_BYTES * (10 + 2 * len(sizes)))
-            files.append((f"{where}/{ARCHIVE}", archive, most))
-        fetch_all(store, files)
+            files.append((f"{data}/{ARCHIVE}", archive, most))
+        try:
+            fetch_all(store, files)
+        except MissingObjectError as error:
+            raise StorageError(f"{store.place(where)}: a file is missing; {ANEW}") from error
         if packed:
             unpack(archive, folder, sizes)
-    manifest.write(folder)
+    if any((folder / name).stat().st_size != size for name, size in manifest.files.items()) or (
+        manifest.content is not None and manifest.content != _content(folder, manifest)
+    ):
+        raise StorageError(f"{store.place(where)}: its files are not those of its {Manifest.FILE}; {ANEW}")
+    _written(manifest, folder)
 
 
-def fetch_file(store: Store, recording: str, artefact: Artefact, name: str) -> None:
-    """Fetch one JSON file of a stored artefact, without the others."""
-    store.fetch(f"{stored_folder(recording, artefact)}/{name}", _made(artefact.folder) / name, 100 << 20)
+def fetch_file(
+    store: Store, recording: str, artefact: Artefact, name: str, names: Collection[str] = ()
+) -> None:
+    """Fetch one JSON file of a stored artefact, without the others.
+
+    Args:
+        store: of the benchmark's root.
+        recording: its id.
+        artefact: that the store holds.
+        name: of the file.
+        names: a listing of `build/<recording>/`; where it shows one such file, no manifest is read for it.
+    """
+    where, folder = stored_folder(recording, artefact), _made(artefact.folder)
+    if name == Manifest.FILE:
+        _written(_manifest(store, where, artefact), folder)
+        return
+    found = [each for each in names if each.startswith(f"{where}/") and each.endswith(f"/{name}")]
+    if len(found) != 1:
+        found = [f"{files_folder(where, _manifest(store, where, artefact))}/{name}"]
+    store.fetch(found[0], folder / name, 100 << 20)
+
+
+def files_folder(where: str, manifest: Manifest) -> str:
+    """The folder that holds an artefact's files; earlier versions put them beside its manifest."""
+    return where if manifest.content is None else f"{where}/{manifest.content}"
+
+
+def _content(folder: Path, manifest: Manifest) -> str:
+    """One hash over the names and bytes of an artefact's files."""
+    return sha256_text(canonical_json({name: sha256_file(folder / name) for name in manifest.files}))
 
 
 def _manifest(store: Store, where: str, artefact: Artefact) -> Manifest:
-    place, here = f"{where}/{Manifest.FILE}", artefact.folder / Manifest.FILE
-    if here.is_file():  # it was fetched before the files
-        manifest = Manifest.read_file(here)
-    else:
-        manifest = Manifest.parse(store.read(place).decode("utf-8", errors="replace"), store.place(place))
+    place = f"{where}/{Manifest.FILE}"
+    return _parsed(store.read(place), store.place(place), artefact)
+
+
+def _written(manifest: Manifest, folder: Path) -> None:
+    """Write a manifest as it was made, without what is of the store alone."""
+    Manifest.model_validate(manifest.model_dump(exclude={"content"})).write(folder)
+
+
+def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
+    manifest = Manifest.parse(text.decode("utf-8", errors="replace"), place)
     if (manifest.stage, manifest.fingerprint) != (artefact.stage, artefact.fingerprint):
-        raise StorageError(f"{store.place(place)}: is of another artefact; remove the folder and build again")
+        raise StorageError(f"{place}: is of another artefact; {ANEW}")
     try:
         for name in manifest.files:
             below(artefact.folder, name)
     except ValueError as error:
-        raise StorageError(f"{store.place(place)}: {error}") from error
+        raise StorageError(f"{place}: {error}") from error
     return manifest
 
 
@@ -106,12 +165,3 @@ def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def _same(there: bytes, ours: bytes) -> bool:
-    """Whether two manifests are of the same artefact, whichever version of the package made it."""
-    try:
-        one, other = (Manifest.parse(text.decode(), Manifest.FILE) for text in (there, ours))
-    except (StorageError, UnicodeDecodeError):
-        return False
-    return (one.fingerprint, one.files) == (other.fingerprint, other.files)

@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.manifest import Manifest, Timing
 from kinectbench.core.errors import StorageError
 from kinectbench.core.store.store import Store, StoredObject, in_parallel
 from kinectbench.engine.stages import STAGES, SUGGEST
-from kinectbench.engine.stored_stage import ARCHIVE
+from kinectbench.engine.stored_stage import ARCHIVE, files_folder
 
 # What is younger may be of a run that goes on, on a machine whose clock is wrong by hours (own choice).
 YOUNG_S = 86_400.0
@@ -74,5 +74,6 @@ def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[St
         raise StorageError(
             f"{store.place(place)}: is of another artefact; look at it before anything is removed"
         )
-    names = {f"{folder}/{name}" for name in (*manifest.files, Manifest.FILE, Timing.FILE, ARCHIVE)}
+    data = files_folder(folder, manifest)
+    names = {place, *(f"{data}/{name}" for name in (*manifest.files, Timing.FILE, ARCHIVE))}
     return [each for each in files if each.name not in names]

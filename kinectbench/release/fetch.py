@@ -79,7 +79,7 @@ def release_url(name: str | Path) -> str:
         return url
     path = Path(name)
     if path.is_dir():
-        return f"file://{path.resolve()}"
+        return path.resolve().as_uri()
     base = url_of(os.environ.get(RELEASES_VARIABLE, ""))
     if base is None or len(path.parts) != 1:
         raise SettingsError(

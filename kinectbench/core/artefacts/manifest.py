@@ -23,6 +23,11 @@ class Manifest(Stored):
     settings: dict[str, JsonValue] = Field(description="the settings that the stage depends on")
     inputs: dict[str, str] = Field(description="fingerprint of everything that it was made from")
     files: dict[str, int] = Field(description="size of each file in bytes, by its name below the folder")
+    content: str | None = Field(
+        None,
+        pattern="^[0-9a-f]{64}$",
+        description="in a store: SHA-256 over the files' SHA-256, and the name of the folder that holds them",
+    )
 
 
 class Timing(Stored):
