@@ -1,6 +1,5 @@
 """The command `verify`."""
 
-import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -33,7 +32,9 @@ def verify(
 ) -> int:
     """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
     from kinectbench.cli import console
+    from kinectbench.engine.scratch import scratch_folder
     from kinectbench.release.check.verify import verify as find_problems
+    from kinectbench.release.check.verify import verify_checksums
 
     if checksums and rebuild is not None:
         raise SettingsError(
@@ -43,10 +44,14 @@ def verify(
     with ExitStack() as stack:
         here, problems = release, list[str]()
         if url is not None:
-            here = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-verify-")))
-            problems = _brought(url, here)
+            # The folder itself holds the lock by which it is known to be in use.
+            here = stack.enter_context(scratch_folder()) / "release"
+            problems = [] if checksums else _brought(url, here)
         with console.bar("verify") as progress:
-            problems += find_problems(here, progress, checksums_only=checksums)
+            if url is not None and checksums:
+                problems = verify_checksums(url, here, progress)
+            else:
+                problems += find_problems(here, progress, checksums_only=checksums)
         if rebuild is not None and not problems:
             problems = _rebuild(here, rebuild, work, common.workers)
     common.tell_problems(problems, f"{shown(release)}: all well")
@@ -67,6 +72,7 @@ def _brought(url: str, folder: Path) -> list[str]:
 def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int) -> list[str]:
     """Build the release's recordings anew and say what differs; only a sound release comes here."""
     from kinectbench.cli import console
+    from kinectbench.engine.scratch import scratch_folder
     from kinectbench.engine.stages import Job
     from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan
     from kinectbench.release.opening import open_contents
@@ -76,7 +82,7 @@ def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int)
         contents = stack.enter_context(open_contents(release))
         plan = rebuild_plan(contents, sources)
         console.lines("note", plan.notes, "yellow")
-        root = work or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kinectbench-rebuild-")))
+        root = work or stack.enter_context(scratch_folder())
         chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]
         build_jobs(chosen, "pairs", processes)
         return list(differences(contents, plan, root / "build"))

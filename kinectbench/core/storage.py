@@ -4,7 +4,6 @@ import contextlib
 import errno
 import hashlib
 import json
-import os
 import re
 import secrets
 import shutil
@@ -137,7 +136,8 @@ def replaced_file(path: Path) -> Iterator[Path]:
     Raises:
         StorageError: a folder, a pipe or a device is there, or no file can be made or written there.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    # Not the process id: containers that share a disk have the same ones.
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     if path.exists() and not path.is_file():
         raise StorageError(f"{path}: is no file that could be replaced; name another")
     try:

@@ -18,14 +18,15 @@ from kinectbench.core.artefacts.targets import (
     parse_targets,
 )
 from kinectbench.core.errors import ReleaseError, SettingsError
-from kinectbench.core.storage import sha256_file, write_below
-from kinectbench.core.store.address import joined, url_of
+from kinectbench.core.storage import replaced_file, sha256_file, write_below
+from kinectbench.core.store.address import joined, shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import TEXT_BYTES, printable
 from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, most_bytes
-from kinectbench.release.published import release_text
+from kinectbench.release.own_folder import is_ours, owned, remains
+from kinectbench.release.published import release_store, release_text
 
 # Where a plain NAME is looked for: a URL that holds releases by their names.
 RELEASES_VARIABLE = "KINECTBENCH_RELEASES"
@@ -57,8 +58,8 @@ class Fetched:
         folder: the release here.
         benchmark_sha256: its identity.
         pairs: number of pairs of the part.
-        fetched: number of files that were copied now.
-        kept: number of files that were here already.
+        fetched: number of files that were copied now, of those that SHA256SUMS lists.
+        kept: number of them that were here already.
     """
 
     folder: Path
@@ -83,7 +84,7 @@ def release_url(name: str | Path) -> str:
     base = url_of(os.environ.get(RELEASES_VARIABLE, ""))
     if base is None or len(path.parts) != 1:
         raise SettingsError(
-            f"{printable(str(name))}: no such folder and no URL; name a release's URL or folder, or set "
+            f"{printable(shown(name))}: no such folder and no URL; name a release's URL or folder, or set "
             f"{RELEASES_VARIABLE} to the URL of a place that holds releases by their names"
         )
     return joined(base, str(name))
@@ -93,6 +94,7 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
     """Bring a release, or part of it, into a folder; a fetch that was stopped goes on from there.
 
     The small files are always those of the whole release. Another part may be added to the same folder.
+    Of several fetches into one folder one works, and the others find what it brought.
 
     Args:
         url: of the release.
@@ -106,10 +108,12 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
         SettingsError: the part has no pair.
         StorageError: the store fails.
     """
-    store = Store(url)
+    store = release_store(url)
     text, info = _head(store)
     sums = parse_sums(text, store.place(SHA256SUMS))
     _refuse_many(store, sums)
+    if BENCHMARK_JSON not in sums:
+        raise ReleaseError(_changed(store, BENCHMARK_JSON))
     _refuse_other(out, info.benchmark_sha256)
     table = _checked_text(store, TARGETS_CSV, sums.get(TARGETS_CSV))
     targets = chosen(parse_targets(table, store.place(TARGETS_CSV)), part or Part())
@@ -117,14 +121,32 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
         raise SettingsError(
             f"{store.place()}: no pair of that split and category; its {TARGETS_CSV} lists all"
         )
+    names = wanted_names(sums, targets, part)
+    # Whoever finds all of it waits for nobody: many read one folder.
+    here = in_parallel(partial(_is_here, out / name, sums[name]) for name in names)
+    missing = [name for name, found in zip(names, here, strict=True) if not found]
+    fetched = 0
+    if missing or remains(out):
+        with owned(out):
+            _refuse_other(out, info.benchmark_sha256)
+            fetched = _bring_all(store, out, text, missing, _counter(progress, len(names)))
+    if progress:
+        progress(len(names), len(names))
+    return Fetched(out, info.benchmark_sha256, len(targets), fetched, len(names) - fetched)
+
+
+def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
+    """Fetch files, by their list `text`, into a folder that is ours; returns how many were not here."""
     # The list comes first: by it a fetch that was stopped is known; benchmark.json comes last.
-    write_below(out / SHA256SUMS, text.encode())
-    names = [name for name in wanted_names(sums, targets, part) if name != BENCHMARK_JSON]
-    done = _counter(progress, len(names) + 1)
-    results = in_parallel((partial(_bring, store, out, name, sums[name]) for name in names), done)
-    _bring(store, out, BENCHMARK_JSON, sums.get(BENCHMARK_JSON, ""))
-    done(len(names) + 1)
-    return Fetched(out, info.benchmark_sha256, len(targets), sum(results), len(results) - sum(results))
+    if not _is_here(out / SHA256SUMS, hashlib.sha256(text.encode()).hexdigest()):
+        with replaced_file(out / SHA256SUMS) as temporary:
+            temporary.write_bytes(text.encode())
+    sums = parse_sums(text, store.place(SHA256SUMS))
+    last = [name for name in names if name == BENCHMARK_JSON]
+    found = in_parallel(
+        (partial(_bring, store, out, name, sums[name]) for name in names if name != BENCHMARK_JSON), done
+    )
+    return sum(found) + sum(_bring(store, out, name, sums[name]) for name in last)
 
 
 def mirror_release(url: str, out: Path, progress: Progress | None = None) -> list[str]:
@@ -137,22 +159,34 @@ def mirror_release(url: str, out: Path, progress: Progress | None = None) -> lis
         ReleaseError: there is no release at all, or its list of files cannot be read.
         StorageError: the store fails.
     """
-    store = Store(url)
-    try:
-        text = store.read(SHA256SUMS, TEXT_BYTES)
-        sums = parse_sums(text.decode("utf-8", errors="replace"), store.place(SHA256SUMS))
-    except MissingObjectError:
-        raise ReleaseError(f"{store.place()}: no release there ({SHA256SUMS} is missing)") from None
-    _refuse_many(store, sums)
-    write_below(out / SHA256SUMS, text)
+    store, sums = _mirror_list(url, out)
     in_parallel((partial(_mirror, store, out, name) for name in sums), _counter(progress, len(sums)))
-    listed = store.objects(most=2 * MOST_FILES) if store.can_list else []
-    return [each.name for each in listed if each.name not in sums and each.name != SHA256SUMS]
+    return _others(store, sums)
+
+
+def stored_hashes(
+    url: str, out: Path, progress: Progress | None = None
+) -> tuple[dict[str, str | None], list[str]]:
+    """SHA-256 of each file of a release, which is copied into an empty folder and removed at once.
+
+    `SHA256SUMS` and `benchmark.json` stay there.
+
+    Returns:
+        {name: hash; None if it is missing}, in the list's order; and names as of `mirror_release`.
+
+    Raises:
+        ReleaseError: as `mirror_release`.
+        StorageError: the store fails.
+    """
+    store, sums = _mirror_list(url, out)
+    calls = (partial(_mirrored_hash, store, out, name) for name in sums)
+    hashes = in_parallel(calls, _counter(progress, len(sums)))
+    return dict(zip(sums, hashes, strict=True)), _others(store, sums)
 
 
 def cached_release(url: str, progress: Progress | None = None) -> Path:
     """The folder of this machine's cache that holds a release, fetched if it is not there."""
-    _, info = _head(Store(url))
+    _, info = _head(release_store(url))
     base = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "kinectbench")
     return fetch_release(url, base / "releases" / info.benchmark_sha256, progress=progress).folder
 
@@ -224,16 +258,49 @@ def _changed(store: Store, name: str) -> str:
     return f"{store.place(name)}: changed since it was published (SHA-256 differs); ask whoever published it"
 
 
+def _is_here(path: Path, sha256: str) -> bool:
+    return path.is_file() and sha256_file(path) == sha256
+
+
 def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
     """Fetch a file that is not here yet; whether it was fetched. The name is safe: `parse_sums` saw it."""
     path = out / name
-    if path.is_file() and sha256_file(path) == sha256:
+    if _is_here(path, sha256):
         return False
     store.fetch(name, path, most_bytes(name))
     if sha256_file(path) != sha256:
         path.unlink()
         raise ReleaseError(_changed(store, name))
     return True
+
+
+def _mirror_list(url: str, out: Path) -> tuple[Store, dict[str, str]]:
+    """Copy SHA256SUMS as it is; the store and what the list says."""
+    store = release_store(url)
+    try:
+        text = store.read(SHA256SUMS, TEXT_BYTES)
+        sums = parse_sums(text.decode("utf-8", errors="replace"), store.place(SHA256SUMS))
+    except MissingObjectError:
+        raise ReleaseError(f"{store.place()}: no release there ({SHA256SUMS} is missing)") from None
+    _refuse_many(store, sums)
+    write_below(out / SHA256SUMS, text)
+    return store, sums
+
+
+def _others(store: Store, sums: Collection[str]) -> list[str]:
+    listed = store.objects(most=2 * MOST_FILES) if store.can_list else []
+    return [each.name for each in listed if each.name not in sums and each.name != SHA256SUMS]
+
+
+def _mirrored_hash(store: Store, out: Path, name: str) -> str | None:
+    path = out / name
+    _mirror(store, out, name)
+    if not path.is_file():
+        return None
+    found = sha256_file(path)
+    if name != BENCHMARK_JSON:
+        path.unlink()
+    return found
 
 
 def _mirror(store: Store, out: Path, name: str) -> None:
@@ -252,7 +319,7 @@ def _refuse_other(out: Path, sha256: str) -> None:
         if benchmark_sha256(release_text(out / SHA256SUMS)) == sha256:
             return
         raise ReleaseError(f"{out}: holds another release; name another folder by --out, or remove it")
-    if any(out.iterdir()):
+    if any(not is_ours(path.name) for path in out.iterdir()):
         raise ReleaseError(f"{out}: holds something else than a release; name another folder by --out")
 
 

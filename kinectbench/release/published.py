@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Lock
 
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.store.address import url_of
+from kinectbench.core.store.address import shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
 from kinectbench.core.untrusted import decoded, read_plain
@@ -33,11 +33,11 @@ def release_text(path: Path) -> str:
         ReleaseError: it cannot be read.
     """
     try:
-        return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, str(path))
+        return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, shown(path))
     except FileNotFoundError:
-        raise ReleaseError(f"{path}: missing; make or download it again") from None
+        raise ReleaseError(f"{shown(path)}: missing; make or download it again") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise ReleaseError(f"{path}: cannot be read ({error}); make or download it again") from error
+        raise ReleaseError(f"{shown(path)}: cannot be read ({error}); make or download it again") from error
 
 
 def published_bytes(path: Path, sha256: str | None) -> bytes:
@@ -54,10 +54,26 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
         content = _read(path, most_bytes(str(path)))
     except OSError as error:
         reason = error.strerror or error
-        raise ReleaseError(f"{path}: cannot be read ({reason}); download the release again") from error
+        raise ReleaseError(f"{shown(path)}: cannot be read ({reason}); download the release again") from error
     if hashlib.sha256(content).hexdigest() != sha256:
-        raise ReleaseError(f"{path}: changed since it was published (SHA-256 differs); download it again")
+        raise ReleaseError(
+            f"{shown(path)}: changed since it was published (SHA-256 differs); download it again"
+        )
     return content
+
+
+def release_store(url: str) -> Store:
+    """The store of a release, or of whatever lies at its URL.
+
+    Raises:
+        ReleaseError: the URL has a query, to which no name of a file can be joined.
+    """
+    if "?" in url and not url.startswith(("file:", "memory:")):
+        raise ReleaseError(
+            f"{shown(url)}: a URL with a query, such as a presigned one, leads to one file alone; "
+            "name the URL of the release's folder"
+        )
+    return Store(url)
 
 
 def is_there(path: Path) -> bool:
@@ -100,7 +116,12 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _store_of(url: str) -> tuple[Store, str]:
-    """The bucket, host or machine of a URL, for whose files one client is made, and the name there."""
+    """The bucket, host or machine of a URL, for whose files one client is made, and the name there.
+
+    Raises:
+        ReleaseError: as `release_store`.
+    """
+    release_store(url)
     scheme, _, place, name = url.split("/", 3)
     return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 

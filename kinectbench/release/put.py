@@ -1,11 +1,16 @@
-"""A release is put into a store, benchmark.json last: none is taken for whole before it is."""
+"""A release is put into a store, benchmark.json last: none is taken for whole before it is.
+
+A put that was stopped goes on: whatever lies beside a `SHA256SUMS` without `benchmark.json` is of that list.
+For what is not of the new list is removed before the new `SHA256SUMS` is put, and that before any file of it.
+"""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
-from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, parse_sums
+from kinectbench.core.artefacts.targets import SHA256SUMS, TARGETS_CSV, benchmark_sha256, parse_sums
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
@@ -13,73 +18,148 @@ from kinectbench.core.untrusted import TEXT_BYTES
 from kinectbench.release.published import release_text
 
 
-def put_release(folder: Path, store: Store, progress: Progress | None = None) -> int:
+@dataclass(frozen=True)
+class PutSummary:
+    """What was done to a place.
+
+    Attributes:
+        put: number of files that were put.
+        kept: number of files that lay there already.
+        removed: number of files that were removed, for they are not of the release.
+    """
+
+    put: int
+    kept: int
+    removed: int
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What lies at a place.
+
+    Attributes:
+        sizes: bytes of every file by its name.
+        text: `SHA256SUMS` of a release; empty if there is none.
+        sums: what it says: the hash of every file by its name.
+        info: `benchmark.json` of a release; None if there is none.
+    """
+
+    sizes: Mapping[str, int]
+    text: str
+    sums: Mapping[str, str]
+    info: ReleaseInfo | None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is a release to whoever fetches it."""
+        return self.info is not None and self.info.benchmark_sha256 == benchmark_sha256(self.text)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the files are those of the list: it is a release, or what a put that was stopped left.
+
+        With a benchmark.json that names another list somebody else has written there.
+        """
+        return self.is_whole or BENCHMARK_JSON not in self.sizes
+
+
+def put_release(folder: Path, store: Store, progress: Progress | None = None) -> PutSummary:
     """Bring what lies at a URL to be this release; what lies there already of it is not put again.
 
-    While it is put, the place holds no benchmark.json, and nobody takes it for a release.
+    A file is there already if the list there has its hash, and the store its size. While files are put, the
+    place holds no benchmark.json, and nobody takes it for a release.
 
     Args:
         folder: a release on this machine.
         store: its URL. Files of an earlier release that are not of this one are removed.
         progress: called with (files put, files to be put).
 
-    Returns:
-        The number of files that were put.
-
     Raises:
-        ReleaseError: the place holds something else than a release.
+        ReleaseError: the place holds something else than a release, or the beginning of one.
         StorageError: the store fails.
     """
     text = release_text(folder / SHA256SUMS)
     sums = parse_sums(text, str(folder / SHA256SUMS))
-    listed = {each.name: each.size for each in store.objects()}
-    there, whole = _released(store, listed)
-    _refuse_other(store, listed, sums, there)
-    changed = [
+    there = _look(store)
+    _refuse_other(store, there)
+    same = {
         name
         for name, sha256 in sums.items()
-        if not (whole and there.get(name) == sha256 and listed.get(name) == (folder / name).stat().st_size)
-    ]
-    extra = [name for name in listed if name not in sums and name != SHA256SUMS]
-    if not changed and not extra:
-        return 0
-    store.delete([BENCHMARK_JSON] if BENCHMARK_JSON in listed else [])
-    data = [name for name in changed if name != BENCHMARK_JSON]
-    total = len(data) + 2
-    in_parallel(
-        (partial(store.put, name, folder / name) for name in data),
-        lambda done: progress(done, total) if progress else None,
-    )
-    store.delete(extra)
-    for name in (SHA256SUMS, BENCHMARK_JSON):
+        if there.is_known
+        and there.sums.get(name) == sha256
+        and there.sizes.get(name) == (folder / name).stat().st_size
+    }
+    if there.text == text:
+        same.add(SHA256SUMS)
+    wanted = [name for name in (SHA256SUMS, *sums) if name not in same]
+    _clear(store, there, same, begins=bool(wanted))
+    if wanted:
+        _put(folder, store, [name for name in wanted if name != BENCHMARK_JSON], progress)
+    removed = sum(name not in sums and name != SHA256SUMS for name in there.sizes)
+    put = {*wanted, BENCHMARK_JSON} if wanted else set[str]()
+    return PutSummary(len(put), len(sums) + 1 - len(put), removed)
+
+
+def _put(folder: Path, store: Store, names: list[str], progress: Progress | None) -> None:
+    """Put files, the list before all others and benchmark.json after them."""
+    total, first = len(names) + 1, [name for name in names if name == SHA256SUMS]
+    for name in first:
         store.put(name, folder / name)
+    in_parallel(
+        (partial(store.put, name, folder / name) for name in names if name != SHA256SUMS),
+        lambda done: progress(len(first) + done, total) if progress else None,
+    )
+    store.put(BENCHMARK_JSON, folder / BENCHMARK_JSON)
     if progress:
         progress(total, total)
-    return total
 
 
-def _released(store: Store, listed: Mapping[str, int]) -> tuple[dict[str, str], bool]:
-    """The hashes of the release that lies there, none if there is none; and whether it is whole."""
-    if SHA256SUMS not in listed:
-        return {}, False
+def _clear(store: Store, there: _Place, same: set[str], begins: bool) -> None:
+    """Remove what is not of the new release; wherever this is stopped, the place can still be put to.
+
+    Files that the list there does not have go while benchmark.json still says that this is a release's place.
+    Those that it has go after benchmark.json, if it is a release to anybody until then.
+
+    Args:
+        store: the place.
+        there: what lies there.
+        same: what stays.
+        begins: whether files will be put.
+    """
+    kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if there.text else set())
+    unlisted = [name for name in there.sizes if name not in kept and name not in there.sums]
+    listed = [name for name in there.sizes if name not in kept and name in there.sums]
+    store.delete(unlisted if there.is_whole else unlisted + listed)
+    if begins:
+        store.delete([BENCHMARK_JSON] if BENCHMARK_JSON in there.sizes else [])
+        store.delete(listed if there.is_whole else [])
+
+
+def _look(store: Store) -> _Place:
+    """What lies at a place. SHA256SUMS and benchmark.json are names that others use, too: they are read."""
+    sizes = {each.name: each.size for each in store.objects()}
+    text, sums, info = "", dict[str, str](), None
     try:
-        text = store.read(SHA256SUMS, TEXT_BYTES).decode()
-        sums = parse_sums(text, SHA256SUMS)
-        if BENCHMARK_JSON not in listed:
-            return sums, False
-        info = ReleaseInfo.parse(store.read(BENCHMARK_JSON).decode(), BENCHMARK_JSON)
+        if SHA256SUMS in sizes:
+            found = store.read(SHA256SUMS, TEXT_BYTES).decode()
+            parsed = parse_sums(found, SHA256SUMS)
+            if BENCHMARK_JSON in parsed and TARGETS_CSV in parsed:
+                text, sums = found, parsed
     except (ReleaseError, UnicodeDecodeError):
-        return {}, False
-    return sums, info.benchmark_sha256 == benchmark_sha256(text)
+        pass
+    try:
+        if BENCHMARK_JSON in sizes:
+            info = ReleaseInfo.parse(store.read(BENCHMARK_JSON).decode(), BENCHMARK_JSON)
+    except (ReleaseError, UnicodeDecodeError):
+        pass
+    return _Place(sizes, text, sums, info)
 
 
-def _refuse_other(
-    store: Store, listed: Mapping[str, int], sums: Mapping[str, str], there: Mapping[str, str]
-) -> None:
-    """Refuse a place that holds what is neither a release nor the beginning of this one."""
-    known = {BENCHMARK_JSON, SHA256SUMS, *sums, *there}
-    others = [name for name in listed if name not in known]
-    if others and BENCHMARK_JSON not in listed:
+def _refuse_other(store: Store, there: _Place) -> None:
+    """Refuse a place that holds what is neither a release nor the beginning of one."""
+    known = {BENCHMARK_JSON, SHA256SUMS, *there.sums} if there.text else set(there.sums)
+    others = [name for name in there.sizes if name not in known]
+    if others and there.info is None:
         raise ReleaseError(
             f"{store.place(others[0])}: not of a release; publish to a place that is empty or holds a release"
         )

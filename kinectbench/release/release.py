@@ -19,6 +19,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.errors import ReleaseError, StorageError
+from kinectbench.core.store.address import shown
 from kinectbench.core.untrusted import decoded, printable
 from kinectbench.release.contents import MAX_READ_BYTES
 from kinectbench.release.published import is_there, published_bytes, release_text
@@ -67,7 +68,7 @@ class Release:
         hidden = [split for split in splits if split in self.metadata.held_back and self.split(split)]
         if hidden:
             raise ReleaseError(
-                f"{self.folder}: the truth of the {' and '.join(hidden)} split is held back; have the "
+                f"{shown(self.folder)}: the truth of the {' and '.join(hidden)} split is held back; have the "
                 "predictions scored by whoever published it, or use the private part "
                 f"(benchmark_sha256 {str(self.metadata.private_benchmark_sha256)[:8]}…)"
             )
@@ -80,7 +81,7 @@ class Release:
     def sums(self) -> dict[str, str]:
         """SHA256SUMS: the hash of every file by its path."""
         path = self.folder / SHA256SUMS
-        return parse_sums(release_text(path), str(path))
+        return parse_sums(release_text(path), shown(path))
 
     def content(self, name: str) -> bytes:
         """The bytes of a file of the release.
@@ -102,7 +103,7 @@ class Release:
         try:
             return decoded(self.content(name), MAX_READ_BYTES, name)
         except (OSError, UnicodeDecodeError) as error:
-            raise ReleaseError(f"{self.folder / name}: not a readable text ({error})") from error
+            raise ReleaseError(f"{shown(self.folder / name)}: not a readable text ({error})") from error
 
     def floor(self, recording: str) -> FloorFile | None:
         """The floor of a recording; None where the release has none, as of synthesised models.
@@ -114,7 +115,7 @@ class Release:
         if not is_there(path):
             return None
         try:
-            return FloorFile.parse(release_text(path), str(path))
+            return FloorFile.parse(release_text(path), shown(path))
         except StorageError as error:
             raise ReleaseError(f"{error}, or download the release again") from error
 
@@ -147,26 +148,26 @@ def open_release(path: Path) -> Release:
     """
     if not is_there(path / BENCHMARK_JSON):
         raise ReleaseError(
-            f"{path}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
+            f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
         )
     stated = release_text(path / BENCHMARK_JSON)
-    metadata = ReleaseInfo.parse(stated, str(path / BENCHMARK_JSON))
+    metadata = ReleaseInfo.parse(stated, shown(path / BENCHMARK_JSON))
     sums_text = release_text(path / SHA256SUMS)
     if benchmark_sha256(sums_text) != metadata.benchmark_sha256:
-        raise ReleaseError(f"{path / SHA256SUMS}: not the published list; download the release again")
-    sums = parse_sums(sums_text, str(path / SHA256SUMS))
+        raise ReleaseError(f"{shown(path / SHA256SUMS)}: not the published list; download the release again")
+    sums = parse_sums(sums_text, shown(path / SHA256SUMS))
     # What is parsed is what was hashed: a file may change between two looks at it.
     published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}
     for name in published:
         if not is_there(path / name):
-            raise ReleaseError(f"{path / name}: missing; download the release again")
+            raise ReleaseError(f"{shown(path / name)}: missing; download the release again")
         published[name] = published_bytes(path / name, sums.get(name))
     if published[BENCHMARK_JSON] != stated.encode():
-        raise ReleaseError(f"{path / BENCHMARK_JSON}: changed while it was read; try again")
-    targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), str(path / TARGETS_CSV))
-    check_splits(targets, str(path / TARGETS_CSV))
+        raise ReleaseError(f"{shown(path / BENCHMARK_JSON)}: changed while it was read; try again")
+    targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), shown(path / TARGETS_CSV))
+    check_splits(targets, shown(path / TARGETS_CSV))
     for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):
-        raise ReleaseError(f"{path}: {problem}; download the release again, `verify` says more")
+        raise ReleaseError(f"{shown(path)}: {problem}; download the release again, `verify` says more")
     return Release(path, targets, metadata)
 
 
@@ -177,9 +178,9 @@ def _text(path: Path, content: bytes) -> str:
         ReleaseError: they are no UTF-8, or take too much memory as a text.
     """
     try:
-        return decoded(content, MAX_READ_BYTES, str(path))
+        return decoded(content, MAX_READ_BYTES, shown(path))
     except (OSError, UnicodeDecodeError) as error:
-        raise ReleaseError(f"{path}: cannot be read ({error}); download the release again") from error
+        raise ReleaseError(f"{shown(path)}: cannot be read ({error}); download the release again") from error
 
 
 def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iterator[str]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.store.address import shown
 from kinectbench.core.types import Bools, Float32, Rgb
 from kinectbench.release.contents import VIEW_IMAGES
 from kinectbench.release.release import Release, Target
@@ -71,7 +72,7 @@ def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
 def _pixels(release: Release, target: Target, kind: Kind) -> NDArray[Any]:
     name = f"views/{target.recording}/{target.view}{kind.suffix}"
     if name not in release.sums:
-        raise ReleaseError(f"{release.folder / name}: the release has no such image")
+        raise ReleaseError(f"{shown(release.folder / name)}: the release has no such image")
     return _decoded(release.content(name), name, kind)
 
 

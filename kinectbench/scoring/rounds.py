@@ -9,6 +9,7 @@ from typing import Any, Literal
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.targets import check_splits
 from kinectbench.core.errors import KinectBenchError, ReleaseError
+from kinectbench.core.store.address import shown
 from kinectbench.core.types import Progress
 from kinectbench.engine.executor import Executor, Lost, Say
 from kinectbench.engine.shards import Shard
@@ -84,7 +85,7 @@ def pairs_to_score(release: Release, thresholds_file: Path | None) -> tuple[Targ
     """
     test = release.split("test")
     if not test:
-        raise ReleaseError(f"{release.folder}: no pair in the test split; nothing to score")
+        raise ReleaseError(f"{shown(release.folder)}: no pair in the test split; nothing to score")
     release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
     return test
 

@@ -193,6 +193,16 @@ def test_replaced_file_is_whole_or_old(tmp_path: Path) -> None:
     assert leftovers(path.parent) == []
 
 
+def test_two_who_replace_one_file_write_two_temporary_ones(tmp_path: Path) -> None:
+    """Containers that share a disk may have the same process id, as two threads have."""
+    with replaced_file(tmp_path / "a") as first, replaced_file(tmp_path / "a") as second:
+        first.write_text("first")
+        second.write_text("second")
+        assert first.read_text() == "first"
+    assert (tmp_path / "a").read_text() == "first"
+    assert leftovers(tmp_path) == []
+
+
 def test_replacing_a_folder_leaves_none_of_the_old_files(tmp_path: Path) -> None:
     for name in ("a", "b"):
         with replaced_folder(tmp_path / "views") as folder:

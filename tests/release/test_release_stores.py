@@ -4,23 +4,25 @@ import functools
 import http.server
 import json
 import shutil
+import subprocess
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
-from fault_proxy import FaultProxy
+from fault_proxy import Fault, FaultProxy
 from small_benchmark import Run, hashes, leftovers
-from stores import proxied, s3, s3_server, url
+from stores import copy_to, proxied, s3, s3_server, url
 
+import kinectbench
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsError
-from kinectbench.core.store.store import Store, in_parallel
+from kinectbench.core.storage import sha256_file
+from kinectbench.core.store.address import shown
 from kinectbench.release.fetch import Part, cached_release, chosen, fetch_release, mirror_release, release_url
-from kinectbench.release.put import put_release
 from kinectbench.release.release import Release, open_release
 
 __all__ = ["proxied", "s3", "s3_server", "url"]
@@ -39,65 +41,6 @@ def web(release: Release) -> Iterator[str]:
         yield f"http://127.0.0.1:{server.server_port}"
         server.shutdown()
         thread.join()
-
-
-def copy_to(release: Release, url: str) -> Store:
-    """Put a release's files there as they are."""
-    store = Store(url)
-    files = [path for path in release.folder.rglob("*") if path.is_file()]
-    in_parallel(partial(store.put, path.relative_to(release.folder).as_posix(), path) for path in files)
-    return store
-
-
-# --- put ----------------------------------------------------------------------------------------------
-
-
-def test_what_is_put_is_fetched(release: Release, url: str, tmp_path: Path) -> None:
-    count = put_release(release.folder, Store(url))
-    assert count == len(release.sums) + 1  # SHA256SUMS has a line for every file but itself
-    found = fetch_release(url, tmp_path / "got")
-    assert hashes(tmp_path / "got") == hashes(release.folder)
-    assert found.pairs == len(release.targets) and found.kept == 0
-    assert put_release(release.folder, Store(url)) == 0
-
-
-def test_another_release_takes_its_place(release: Release, analytic: Path, s3: str, tmp_path: Path) -> None:
-    put_release(release.folder, Store(s3))
-    put_release(analytic / "benchmark", Store(s3))
-    fetch_release(s3, tmp_path / "got")
-    assert hashes(tmp_path / "got") == hashes(analytic / "benchmark")
-    assert {each.name for each in Store(s3).objects()} == set(hashes(analytic / "benchmark"))
-
-
-def test_a_put_that_was_stopped_is_no_release(
-    release: Release, proxied: FaultProxy, s3: str, tmp_path: Path
-) -> None:
-    proxied.choose = lambda number, method, path: "drop" if method == "PUT" and number > 20 else ""
-    with pytest.raises(KinectBenchError, match="the store did not answer well for 2 s"):
-        put_release(release.folder, Store(s3))
-    proxied.choose = lambda number, method, path: ""
-    for call in (lambda: fetch_release(s3, tmp_path / "no"), lambda: mirror_release(s3, tmp_path / "no")):
-        with pytest.raises(ReleaseError, match="no release there"):
-            call()
-    assert not (tmp_path / "no").exists()
-    put_release(release.folder, Store(s3))
-    fetch_release(s3, tmp_path / "got")
-    assert hashes(tmp_path / "got") == hashes(release.folder)
-
-
-def test_a_damaged_release_is_mended(release: Release, s3: str, tmp_path: Path) -> None:
-    store = copy_to(release, s3)
-    name = release.targets[0].file
-    store.delete([name])
-    assert put_release(release.folder, store) > 0
-    assert fetch_release(s3, tmp_path / "got").fetched == len(release.sums) - 1
-
-
-def test_what_is_no_release_is_not_replaced(release: Release, s3: str) -> None:
-    Store(s3).put("thesis.txt", b"years of work")
-    with pytest.raises(ReleaseError, match=r"thesis\.txt: not of a release; publish to a place that"):
-        put_release(release.folder, Store(s3))
-    assert [each.name for each in Store(s3).objects()] == ["thesis.txt"]
 
 
 # --- fetched in part ----------------------------------------------------------------------------------
@@ -145,6 +88,52 @@ def test_a_fetch_that_was_stopped_goes_on(
     assert found.kept >= 10 and hashes(tmp_path / "got") == hashes(release.folder)
 
 
+def test_what_a_killed_fetch_left_goes(release: Release, web: str, tmp_path: Path) -> None:
+    out = tmp_path / "got"
+    for left in (".lock", ".SHA256SUMS.1f2e3d4c.part"):  # before the first file was there
+        out.mkdir(exist_ok=True)
+        (out / left).write_bytes(b"x")
+    fetch_release(web, out)
+    assert hashes(out) == hashes(release.folder)
+    pair = out / release.targets[0].file
+    for path in (pair.with_name(".000.npz.12345.part"), out / ".index.html.1f2e3d4c.part"):
+        path.write_bytes(b"half")
+    assert fetch_release(web, out).fetched == 0
+    assert hashes(out) == hashes(release.folder)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_fetches_into_one_folder_share_the_work(
+    release: Release, proxied: FaultProxy, s3: str, tmp_path: Path, fails: bool
+) -> None:
+    """Four at once bring each file once; if some of them fail, the others still bring all of it."""
+    copy_to(release, s3)
+    asked: Counter[str] = Counter()
+
+    def choose(number: int, method: str, path: str) -> Fault:
+        asked[path] += 1
+        return "503" if fails and path.endswith(".npz") and asked[path] == 1 else ""
+
+    proxied.choose = choose
+    script = (
+        "import sys; from pathlib import Path\n"
+        "from kinectbench.core.store import attempts\n"
+        "if sys.argv[3] == 'True': attempts.patience_s = lambda: -1.0\n"
+        "from kinectbench.release.fetch import fetch_release\n"
+        "print(fetch_release(sys.argv[1], Path(sys.argv[2])).fetched)"
+    )
+    words = [sys.executable, "-c", script, s3, str(tmp_path / "got"), str(fails)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    runs = [subprocess.Popen(words, text=True, **pipes) for _ in range(4)]
+    told = [(*run.communicate(timeout=100), run.returncode) for run in runs]
+    if fails:
+        assert all("did not answer well" in err for _, err, status in told if status)
+        fetch_release(s3, tmp_path / "got")
+    else:
+        assert sorted(int(out) for out, _, _ in told) == [0, 0, 0, len(release.sums)]
+    assert hashes(tmp_path / "got") == hashes(release.folder)
+
+
 def test_one_request_a_file(release: Release, proxied: FaultProxy, s3: str, tmp_path: Path) -> None:
     copy_to(release, s3)
     proxied.requests.clear()
@@ -161,6 +150,9 @@ def test_releases_by_name(release: Release, monkeypatch: pytest.MonkeyPatch, tmp
     for name in ("../chairs", "a/b"):
         with pytest.raises(SettingsError, match="no such folder and no URL"):
             release_url(name)
+    odd = tmp_path / "100%25 chairs"
+    shutil.copytree(release.folder, odd)
+    assert fetch_release(release_url(str(odd)), tmp_path / "got").kept == 0
     monkeypatch.delenv("KINECTBENCH_RELEASES")
     with pytest.raises(SettingsError, match="set KINECTBENCH_RELEASES"):
         release_url("chairs")
@@ -235,6 +227,83 @@ def test_verify_says_of_a_url_what_it_says_of_a_folder(
     assert result.status == 1
     assert f"{first}: changed since it was published (SHA-256 differs)" in problems
     assert f"{second}: missing" in problems and "extra.txt: not part of the release" in problems
+
+
+def test_checksums_of_a_url_need_little_room(
+    command: Command, release: Release, s3: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scratch").mkdir()
+    monkeypatch.setenv("KINECTBENCH_SCRATCH", str(tmp_path / "scratch"))
+    store, (first, second) = copy_to(release, s3), [target.file for target in release.targets[:2]]
+    most, hashed = [0], sha256_file
+
+    def counted(path: Path) -> str:
+        most[0] = max(most[0], sum(each.is_file() for each in (tmp_path / "scratch").rglob("*")))
+        return hashed(path)
+
+    monkeypatch.setattr("kinectbench.release.fetch.sha256_file", counted)
+    assert command(tmp_path, "verify", "--checksums", s3).out == f"{s3}: all well\n"
+    assert 0 < most[0] <= 2 * 8 + 3 < len(release.sums)  # with what is being written; the lock, two that stay
+    store.put(first, b"changed")
+    store.delete([second])
+    store.put("extra.txt", b"1")
+    of_url = command(tmp_path, "verify", "--checksums", "--json", s3)
+    shutil.copytree(release.folder, tmp_path / "same")
+    (tmp_path / "same" / first).write_bytes(b"changed")
+    (tmp_path / "same" / second).unlink()
+    (tmp_path / "same" / "extra.txt").write_bytes(b"1")
+    of_folder = command(tmp_path, "verify", "--checksums", "--json", "same")
+    assert of_url.status == of_folder.status == 1
+    assert sorted(json.loads(of_url.out)) == sorted(json.loads(of_folder.out))
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+def test_verify_of_a_url_uses_the_scratch_folder(
+    command: Command, web: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("KINECTBENCH_SCRATCH", str(tmp_path / "none"))
+    for words in (("verify", web), ("verify", "--checksums", web)):
+        result = command(tmp_path, *words)
+        assert result.status != 0
+        assert "none: no such folder; make it, or correct KINECTBENCH_SCRATCH" in result.err
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("https://me:a@b@host/rel", "https://host/rel"),
+        ("https:/host/rel?X-Amz-Signature=b/pairs/000.npz", "https://host/rel?…"),
+        ("https://host/me@home/rel", "https://host/me@home/rel"),
+        ("file:///what?/rel", "file:///what?/rel"),
+        ("here/what?", "here/what?"),
+    ],
+)
+def test_places_are_shown_without_secrets(place: str, said: str) -> None:
+    assert shown(place) == shown(Path(place)) == said
+
+
+SECRETS = ["http://me:SECRET@127.0.0.1:{}/rel", "http://127.0.0.1:{}/rel?X-Amz-Signature=SECRET"]
+
+
+@pytest.mark.parametrize("url", SECRETS)
+def test_no_message_holds_what_is_secret_in_a_url(
+    command: Command, web: str, tmp_path: Path, url: str
+) -> None:
+    place = url.format(web.rpartition(":")[2])
+    calls = (
+        lambda: kinectbench.load(place),
+        lambda: fetch_release(place, tmp_path / "got"),
+        lambda: mirror_release(place, tmp_path / "got"),
+        lambda: cached_release(place),
+    )
+    for call in calls:
+        with pytest.raises(ReleaseError) as raised:
+            call()
+        assert "SECRET" not in str(raised.value) and "/rel" in str(raised.value)
+        assert ("a URL with a query" in str(raised.value)) == ("?" in url)
+    for words in (("verify", place), ("fetch", place), ("score", "--benchmark", place)):
+        result = command(tmp_path, *words)
+        assert result.status != 0 and "SECRET" not in result.out + result.err
 
 
 def test_fetch_and_score_by_url(

@@ -3,7 +3,7 @@
 import atexit
 import uuid
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -11,6 +11,8 @@ from fault_proxy import FaultProxy
 from s3_server import S3Server, start_s3
 
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
+from kinectbench.core.store.store import Store, in_parallel
+from kinectbench.release.release import Release
 
 
 @cache
@@ -50,3 +52,11 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
         found: str = request.getfixturevalue("s3")
         return found
     return f"file://{tmp_path}/store" if request.param == "file" else f"memory:///{uuid.uuid4()}"
+
+
+def copy_to(release: Release, url: str) -> Store:
+    """Put a release's files there as they are."""
+    store = Store(url)
+    files = [path for path in release.folder.rglob("*") if path.is_file()]
+    in_parallel(partial(store.put, path.relative_to(release.folder).as_posix(), path) for path in files)
+    return store

@@ -8,7 +8,7 @@ from pathlib import Path
 SCHEMES = ("s3", "s3a", "gs", "az", "abfs", "abfss", "file", "memory", "http", "https")
 # pathlib makes one slash of two: a URL that was an option of type Path comes as `s3:/bucket/name`.
 _URL = re.compile(rf"({'|'.join(SCHEMES)}):/+(.*)")
-_SECRET = re.compile(r"(//)[^/@]*@")
+_SECRET = re.compile(r"(//)[^/]*@")
 
 
 def url_of(path: str | Path) -> str | None:
@@ -36,5 +36,9 @@ def parent_of(url: str) -> str:
 
 
 def shown(place: str | Path) -> str:
-    """A path or URL as a line for people may quote it: without a user's name and password."""
-    return _SECRET.sub(r"\1", url_of(place) or str(place))
+    """A path or URL as a line for people may quote it: without user, password and query."""
+    url = url_of(place)
+    if url is None:
+        return str(place)
+    plain = _SECRET.sub(r"\1", url)
+    return f"{plain.partition('?')[0]}?…" if "?" in plain and not plain.startswith("file:") else plain

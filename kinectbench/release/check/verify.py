@@ -26,8 +26,12 @@ from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
 from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
+
+MISSING = "{}: missing"
+CHANGED = "{}: changed since it was published (SHA-256 differs)"
 
 
 def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool = False) -> list[str]:
@@ -77,11 +81,35 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
     return lines
 
 
+def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -> list[str]:
+    """`verify` of a release at a URL, its bytes alone: a few files at a time are on this machine's disk.
+
+    Args:
+        url: of the release.
+        folder: an empty one.
+        progress: called with (files done, files in all).
+
+    Raises:
+        ReleaseError: there is no release at all.
+        StorageError: the store fails.
+    """
+    hashes, others = stored_hashes(url, folder, progress)
+    with open_contents(folder) as contents:
+        text = contents.text(SHA256SUMS)
+        damaged = {
+            name: MISSING.format(name) if hashes[name] is None else CHANGED.format(name)
+            for name, sha256 in parse_sums(text, SHA256SUMS).items()
+            if hashes[name] != sha256
+        }
+        lines = [*map(_extra, others), *damaged.values()]
+        return lines + _identity(contents, text, damaged)[1]
+
+
 def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
     """A line about the bytes of one file, or None."""
     entry = contents.entries.get(name)
     if entry is None:
-        return f"{name}: missing"
+        return MISSING.format(name)
     if entry.problem:
         return f"{name}: {entry.problem}"
     try:
@@ -89,14 +117,18 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
             digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
     except ReleaseError as error:
         return str(error)
-    return None if digest == sha256 else f"{name}: changed since it was published (SHA-256 differs)"
+    return None if digest == sha256 else CHANGED.format(name)
 
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
     """Files that were not published."""
     for name in contents.entries:
         if name not in sums and name != SHA256SUMS:
-            yield f"{printable(name, 200)}: not part of the release"
+            yield _extra(name)
+
+
+def _extra(name: str) -> str:
+    return f"{printable(name, 200)}: not part of the release"
 
 
 def _object_lines(contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None) -> list[str]:

@@ -15,6 +15,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.storage import pretty_json, write_below
+from kinectbench.core.store.address import shown
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, pair_parts, unknown_share
@@ -111,7 +112,7 @@ def _write_dataset_files(
 ) -> None:
     """Write what belongs to all scenes."""
     if camera is None:
-        raise ReleaseError(f"{release.folder}: no pair, so there is no image to export")
+        raise ReleaseError(f"{shown(release.folder)}: no pair, so there is no image to export")
     targets = [
         {"im_id": image, "inst_count": 1, "obj_id": scene["scene_id"], "scene_id": scene["scene_id"]}
         for scene in scenes
@@ -221,7 +222,9 @@ def _color_registered(release: Release, recording: str) -> bool:
     """Whether the recording's colour lies on the pixels of depth, as BOP asks."""
     name = f"views/{recording}/views.json"
     if name not in release.sums:
-        raise ReleaseError(f"{release.folder / name}: missing; BOP needs the depth images of the views")
+        raise ReleaseError(
+            f"{shown(release.folder / name)}: missing; BOP needs the depth images of the views"
+        )
     return bool(ViewsFile.parse(release.text(name), name).color_registered)
 
 

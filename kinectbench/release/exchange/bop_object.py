@@ -10,6 +10,7 @@ from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.mesh import parse_ply
+from kinectbench.core.store.address import shown
 from kinectbench.core.types import Bools, Float64
 from kinectbench.release.release import Release
 
@@ -55,7 +56,9 @@ def read_model(release: Release, recording: str) -> BopModel:
         if not len(mesh.faces):
             raise ValueError("it has no faces")
     except (StorageError, ValueError) as error:
-        raise ReleaseError(f"{release.folder / folder}: the object cannot be read ({error})") from error
+        raise ReleaseError(
+            f"{shown(release.folder / folder)}: the object cannot be read ({error})"
+        ) from error
     vertices_floor = mesh.transformed(floor.T_floor_world).vertices
     middle = (vertices_floor.min(axis=0) + vertices_floor.max(axis=0)) / 2
     return BopModel(mesh, invert_rigid(floor.T_floor_world) @ rigid(np.eye(3), middle))
