@@ -17,6 +17,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 from kinectbench.core.errors import RecordingError, StorageError
+from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.store import in_parallel
 from kinectbench.engine.checkout import (
     Checkout,
@@ -61,6 +62,9 @@ def build_stored(
         force: names of stages to make anew even if they are current.
         progress: called with (stage, done, total); `fetch` and `put` are stages, too.
         limit_s: how long its stages may take, seconds; None: as long as they do.
+
+    Raises:
+        StoreGoneError: the store does not answer any more.
     """
     report = progress or nobody
     started = time.monotonic()
@@ -68,6 +72,8 @@ def build_stored(
         outcome = _once(job, upto, force, report, limit_s)
         while outcome is None:  # each time a stage more is there already
             outcome = _once(job, upto, (), report, limit_s)
+    except StoreGoneError:  # nor would the next recordings find it
+        raise
     except Exception as failure:
         outcome = Outcome(job.recording.id, (), (), told(failure), 0.0)
         if isinstance(failure, RecordingError):

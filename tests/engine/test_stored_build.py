@@ -213,6 +213,22 @@ def test_a_store_that_is_gone(
     assert command(tmp_path, "build", "chair", *config(s3)).status == 0
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_store_that_is_gone_ends_the_build_in_one_line(
+    command: Command, small: Path, tmp_path: Path, proxied: FaultProxy, s3: str, jobs: str
+) -> None:
+    put_benchmark(small, s3, BEFORE)
+    know_sources(s3)
+    proxied.requests.clear()
+    proxied.choose = lambda number, method, path: "503" if method == "PUT" else ""
+    result = command(tmp_path, "build", "--jobs", jobs, *config(s3))
+    assert result.status == 1 and result.err.count("did not answer well") == 1, result
+    if jobs == "1":
+        assert not any("/table/" in path for _, path in proxied.requests)
+    proxied.choose = lambda number, method, path: ""
+    assert command(tmp_path, "build", "--jobs", jobs, *config(s3)).status == 0
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES])
 def test_a_full_disk_of_this_machine_is_not_called_the_stores(tmp_path: Path, number: int) -> None:
     file, store = tmp_path / "recordings" / "chair" / "depth.png", Store("s3://bucket/lab")

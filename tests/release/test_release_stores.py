@@ -22,6 +22,7 @@ from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.store.address import shown
+from kinectbench.core.store.store import Store
 from kinectbench.release.fetch import Part, cached_release, chosen, fetch_release, mirror_release, release_url
 from kinectbench.release.release import Release, open_release
 
@@ -159,6 +160,13 @@ def test_releases_by_name(release: Release, monkeypatch: pytest.MonkeyPatch, tmp
 
 
 # --- what is wrong there ------------------------------------------------------------------------------
+
+
+def test_a_folder_whose_name_has_signs_of_urls(tmp_path: Path) -> None:
+    folder = tmp_path / "chairs%20 100%#1"
+    folder.mkdir()
+    (folder / "a").write_bytes(b"1")
+    assert Store(release_url(folder)).read("a") == b"1"
 
 
 def test_a_file_that_was_changed_is_refused(release: Release, s3: str, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Trying again while a store may recover, and one line for each way in which it does not."""
 
+import math
 import os
 import random
 import re
@@ -9,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import storage_errors
 from kinectbench.core.untrusted import printable
 
@@ -37,10 +38,19 @@ NO_CREDENTIALS = (
 )
 # What the errors of obstore say where credentials are missing: it asks the cloud's own machines for some.
 _ASKS_FOR_CREDENTIALS = ("169.254.169.254", "169.254.170.2", "metadata.google.internal", "MissingAccount")
+# What rustls says of a certificate that it does not accept, and of a server that speaks no TLS.
+_TLS = ("InvalidCertificate", "invalid peer certificate", "InvalidContentType")
+_TLS_REASON = re.compile(r"\b(UnknownIssuer|NotValidForName|Expired|CaUsedAsEndEntity|InvalidContentType)")
+# What the resolvers of Linux and macOS, of musl and of Windows say of a name that there is not.
+_NO_SUCH_HOST = ("not known", "does not resolve", "No such host is known")
 
 
 class MissingObjectError(StorageError):
     """There is no such object."""
+
+
+class StoreGoneError(StorageError):
+    """The store does not answer any more: whoever has more to do there ends."""
 
 
 class StoppedError(Exception):
@@ -52,18 +62,31 @@ class UnsettledError(Exception):
 
 
 def patience_s() -> float:
-    """Seconds that a store may fail before it is given up."""
+    """Seconds that a store may fail before it is given up.
+
+    Raises:
+        SettingsError: the variable is no number of seconds.
+    """
+    given = os.environ.get(PATIENCE_VARIABLE, "") or str(PATIENCE_S)
     try:
-        return float(os.environ.get(PATIENCE_VARIABLE, PATIENCE_S))
+        seconds = float(given)
     except ValueError:
-        return PATIENCE_S
+        seconds = math.nan
+    if not 0 <= seconds < math.inf:
+        raise SettingsError(
+            f"{PATIENCE_VARIABLE}={printable(given)}: no number of seconds; set it to one, such as "
+            f"{PATIENCE_S:.0f}, or unset it"
+        )
+    return seconds
 
 
 # Of each thread what ends its waiting; none in the main thread, where an interrupt does.
 _thread = threading.local()
-# Stores that were given up in this process and have not answered since: the next recordings, of ten thousand
-# perhaps, do not wait for minutes each.
-_given_up: set[str] = set()
+# Stores that were given up in this process and have not answered since, with when they first did not: what
+# comes next does not wait for minutes again.
+_given_up: dict[str, float] = {}
+# Stores that have answered to this process: they have names that are known.
+_answered: set[str] = set()
 
 
 def wait_until(stop: threading.Event) -> None:
@@ -79,42 +102,77 @@ def _pause(seconds: float) -> None:
         raise StoppedError
 
 
-def patiently(place: str, call: Callable[[], T], progress: Callable[[], object] = lambda: None) -> T:
+def patiently(
+    place: str,
+    call: Callable[[], T],
+    progress: Callable[[], object] = lambda: None,
+    answers: Callable[[], object] | None = None,
+) -> T:
     """Call until it succeeds, fails for good, or has failed for too long.
 
     Args:
         place: the URL that errors name.
         call: is called again after each failure that may pass.
         progress: how far the calls have come; the time without success begins anew when it changes.
+        answers: another call; a store that answers to it is not gone.
 
     Raises:
         MissingObjectError: there is nothing at that place.
+        StoreGoneError: the store does not answer at all any more.
         StorageError: it failed for good, or for too long; in one line.
         OSError: of the machine's own disk.
     """
-    since, wait_s, so_far = time.monotonic(), FIRST_WAIT_S, progress()
+    since, wait_s, so_far, most_s = time.monotonic(), FIRST_WAIT_S, progress(), patience_s()
     host = "/".join(place.split("/")[:3])
     while True:
         try:
             result = call()
-            _given_up.discard(host)
+            _heard_of(host)
             return result
         except Exception as error:
-            _raise_if_lasting(place, error)
+            _raise_if_lasting(place, error, known=host in _answered)
             if progress() != so_far:
                 since, wait_s, so_far = time.monotonic(), FIRST_WAIT_S, progress()
-            if time.monotonic() - since > patience_s() or host in _given_up:
-                _given_up.add(host)
-                raise StorageError(
-                    f"{place}: the store did not answer well for {patience_s():.0f} s ({_reason(error)}); "
-                    "run the same command again when it does: what was stored is kept"
-                ) from error
-            _pause(wait_s * random.uniform(0.5, 1))
+                _heard_of(host)
+            left_s = since + most_s - time.monotonic()
+            if left_s <= 0 or host in _given_up:
+                raise _given_up_for(place, host, since, error, answers) from error
+            _pause(min(wait_s * random.uniform(0.5, 1), left_s))
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
 
-def _raise_if_lasting(place: str, error: Exception) -> None:
-    """Raise what no further attempt would change."""
+def _heard_of(host: str) -> None:
+    _given_up.pop(host, None)
+    _answered.add(host)
+
+
+def _given_up_for(
+    place: str, host: str, since: float, error: Exception, answers: Callable[[], object] | None
+) -> StorageError:
+    """The error of a store that failed for too long, or of a file in one that answers otherwise."""
+    kind, begun = StorageError, since
+    if host in _given_up or not _has_answer(answers):
+        kind, begun = StoreGoneError, min(since, _given_up.setdefault(host, since))
+    return kind(
+        f"{place}: the store did not answer well for {time.monotonic() - begun:.0f} s ({_reason(error)}); "
+        "run the same command again when it does: what was stored is kept"
+    )
+
+
+def _has_answer(answers: Callable[[], object] | None) -> bool:
+    if answers is None:
+        return False
+    try:
+        answers()
+    except FileNotFoundError:  # an answer, too
+        return True
+    except Exception:  # of obstore's many kinds
+        return False
+    return True
+
+
+def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> None:
+    """Raise what no further attempt would change; `known`: the store has answered before."""
     if isinstance(error, UnsettledError):
         return
     if isinstance(error, FileNotFoundError) or "NoSuchBucket" in str(error):
@@ -137,6 +195,14 @@ def _raise_if_lasting(place: str, error: Exception) -> None:
         raise StorageError(
             f"{place}: not permitted ({_reason(error)}); check the credentials, and what they may do there"
         ) from error
+    if any(word in text for word in _TLS):
+        found = _TLS_REASON.search(text)
+        raise StorageError(
+            f"{place}: no secure connection ({printable(found[0]) if found else 'TLS'}); correct the URL, or "
+            "let this machine trust the certificate of the store"
+        ) from error
+    if not known and any(word in text for word in _NO_SUCH_HOST):
+        raise StorageError(f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL") from error
     if "Received redirect without LOCATION" in text:
         raise StorageError(f"{place}: the bucket is in another region; set AWS_REGION to it") from error
     if "Error parsing Path" in text:

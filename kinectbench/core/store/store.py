@@ -1,9 +1,11 @@
 """A place by its URL: files are read, listed, put once or replaced there, each as a whole."""
 
+import itertools
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -27,6 +29,8 @@ REQUEST_TIMEOUT, CONNECT_TIMEOUT = "60s", "10s"
 PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
 # Files that are read or put at a time (own choice).
 AT_ONCE = 8
+# Calls that wait for a thread (own choice): each is 1.7 kB in memory.
+WAITING = 256
 # Objects of one listing, a recording's four million frames and more (own choice); a kilobyte each in memory.
 MOST_OBJECTS = 1_000_000
 # A file of a recording or of a stage (own choice: S3's bound of one object is 5 TB, no recording's is near).
@@ -79,7 +83,7 @@ class Store:
             MissingObjectError: there is none.
             StorageError: it is larger than `most_bytes`, or cannot be read.
         """
-        return self._try(name, lambda: self._content(name, most_bytes))
+        return self._try_read(name, lambda: self._content(name, most_bytes))
 
     def read_if_there(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes | None:
         """`read`; None if there is no such file."""
@@ -97,7 +101,7 @@ class Store:
         """
         with replaced_file(path) as temporary, temporary.open("wb") as out:
             first: list[Any] = []
-            self._try(name, lambda: self._append(name, out, first, most_bytes), out.tell)
+            self._try_read(name, lambda: self._append(name, out, first, most_bytes), out.tell)
 
     def put(self, name: str, content: bytes | Path) -> None:
         """Write a file, in the place of what is there.
@@ -108,7 +112,13 @@ class Store:
         import obstore
 
         options = {"chunk_size": PART_BYTES, "max_concurrency": PARTS_AT_ONCE}
-        self._try(name, lambda: obstore.put(self._opened(make=True), name, content, **options))  # type: ignore[arg-type]
+
+        def put() -> object:
+            if isinstance(content, Path):
+                self._check_readable(content)
+            return obstore.put(self._opened(make=True), name, content, **options)  # type: ignore[arg-type]
+
+        self._try(name, put)
 
     def put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool] = bytes.__eq__) -> bool:
         """Write a file that must not be there, or be the same; of several that write it one succeeds.
@@ -134,14 +144,23 @@ class Store:
         Raises:
             StorageError: there are more than `most`, or they cannot be listed.
         """
-        return self._try(below, lambda: self._listed(below, most))
+        found: list[StoredObject] = []
+        furthest = 0
+
+        def progress() -> int:
+            nonlocal furthest
+            furthest = max(furthest, len(found))
+            return furthest
+
+        self._try_read(below, lambda: self._list_on(below, most, found), progress)
+        return sorted(found, key=lambda each: each.name)
 
     def head(self, name: str) -> StoredObject | None:
         """What there is to know of a file without reading it; None if there is none."""
         import obstore
 
         try:
-            return self._try(name, lambda: _object(obstore.head(self._opened(), name)))
+            return self._try_read(name, lambda: _object(obstore.head(self._opened(), name)))
         except MissingObjectError:
             return None
 
@@ -153,10 +172,25 @@ class Store:
         if found:
             self._try("", lambda: obstore.delete(self._opened(), found))
 
-    def _try(self, name: str, call: Callable[[], T], progress: Callable[[], object] = lambda: None) -> T:
-        return patiently(self.place(name), call, progress)
+    def _try(self, name: str, call: Callable[[], T]) -> T:
+        """A call that writes: a store that takes nothing is as good as gone."""
+        return patiently(self.place(name), call)
+
+    def _try_read(self, name: str, call: Callable[[], T], progress: Callable[[], object] = lambda: None) -> T:
+        return patiently(self.place(name), call, progress, self._first_listed if self.can_list else None)
+
+    def _first_listed(self) -> object:
+        """A request that a store answers if it answers at all."""
+        import obstore
+
+        return next(iter(obstore.list(self._opened(), chunk_size=1)), None)
 
     def _opened(self, *, make: bool = False) -> "ObjectStore":
+        if _first_process.setdefault("id", os.getpid()) != os.getpid():
+            raise StorageError(
+                f"{self.place()}: cannot be used in a process that was forked after a store was opened; "
+                "start processes by spawn, a DataLoader's by multiprocessing_context='spawn'"
+            )
         return _opened(self.url, make, os.getpid())
 
     def _content(self, name: str, most_bytes: int) -> bytes:
@@ -208,19 +242,30 @@ class Store:
         if size > most_bytes:
             raise StorageError(f"{self.place(name)}: {size} bytes are more than the {most_bytes} it may have")
 
-    def _listed(self, below: str, most: int) -> list[StoredObject]:
+    def _list_on(self, below: str, most: int, found: list[StoredObject]) -> None:
+        """Add to what was found what is listed behind it; a store that lists in no order is listed anew."""
         import obstore
 
-        found: list[StoredObject] = []
         try:
             store = self._opened()
         except FileNotFoundError:  # a folder of this machine; an object store has none, and so holds nothing
-            return []
-        for chunk in obstore.list(store, prefix=below or None):
+            return
+        in_order = all(one.name < other.name for one, other in itertools.pairwise(found))
+        if not in_order or self.url.startswith(("file:", "memory:")):
+            found.clear()
+        for chunk in obstore.list(store, prefix=below or None, offset=found[-1].name if found else None):
             found += [_object(each) for each in chunk]
             if len(found) > most:
                 raise StorageError(f"{self.place(below)}: holds more than {most} files")
-        return sorted(found, key=lambda each: each.name)
+
+    def _check_readable(self, path: Path) -> None:
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            raise StorageError(
+                f"{path}: cannot be read ({error.strerror}), and so not put to {self.place()}; "
+                "run the command again"
+            ) from error
 
 
 def in_parallel(
@@ -234,12 +279,14 @@ def in_parallel(
     """
     stop = threading.Event()
     with ThreadPoolExecutor(AT_ONCE, "store", initializer=wait_until, initargs=(stop,)) as pool:
-        futures = [pool.submit(call) for call in calls]
-        results = []
+        left, waiting = iter(calls), deque[Future[T]]()
+        results: list[T] = []
         try:
-            for number, future in enumerate(futures, start=1):
-                results.append(future.result())
-                done(number)
+            waiting.extend(pool.submit(call) for call in itertools.islice(left, WAITING))
+            while waiting:
+                results.append(waiting.popleft().result())
+                done(len(results))
+                waiting.extend(pool.submit(call) for call in itertools.islice(left, 1))
         except BaseException:
             stop.set()
             pool.shutdown(cancel_futures=True)
@@ -249,6 +296,11 @@ def in_parallel(
 
 def _object(meta: Any) -> StoredObject:
     return StoredObject(meta["path"], meta["size"], meta["e_tag"] or "", meta["last_modified"].timestamp())
+
+
+# The process that opened the first store: the threads of obstore do not go with a fork, which would wait for
+# them for ever.
+_first_process: dict[str, int] = {}
 
 
 @cache

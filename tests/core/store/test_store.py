@@ -2,20 +2,25 @@
 
 import pickle
 import shutil
+import ssl
 import subprocess
+import sys
 import time
+from collections.abc import Callable, Iterator
 from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from fault_proxy import Fault, FaultProxy, for_a_while
 from s3_server import S3Server, free_port, start_s3
 from stores import proxied, s3, s3_server, url
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.store.address import joined, parent_of, shown, url_of
-from kinectbench.core.store.attempts import PATIENCE_VARIABLE, MissingObjectError
-from kinectbench.core.store.store import Store, fetch_all, in_parallel
+from kinectbench.core.store.attempts import PATIENCE_VARIABLE, MissingObjectError, StoreGoneError
+from kinectbench.core.store.store import WAITING, Store, fetch_all, in_parallel
 
 __all__ = ["proxied", "s3", "s3_server", "url"]
 pytestmark = pytest.mark.xdist_group("stores")
@@ -209,7 +214,9 @@ def test_a_store_that_was_given_up_is_not_waited_for_again(proxied: FaultProxy, 
     proxied.choose = lambda number, method, path: "503"
     line(s3)
     proxied.requests.clear()
-    line(s3)
+    time.sleep(1.6)
+    # As long as it really was: the store failed for two seconds, and has not answered since.
+    assert "did not answer well for 4 s (503" in line(s3)
     assert len(proxied.requests) == 1
     proxied.choose = lambda number, method, path: ""
     Store(s3).put("a", b"1")
@@ -227,3 +234,105 @@ def test_a_store_that_is_killed_for_good(monkeypatch: pytest.MonkeyPatch) -> Non
     store.put("a", b"1")
     server.kill()
     assert "did not answer well for 1 s (Connection refused)" in line(store.url)
+
+
+def test_a_file_that_cannot_be_read_does_not_end_all(proxied: FaultProxy, s3: str) -> None:
+    Store(s3).put("b", b"1")
+    proxied.choose = lambda number, method, path: "503" if path.endswith("/a") else ""
+    with pytest.raises(StorageError, match="did not answer well for 2 s") as error:
+        Store(s3).read("a")
+    assert not isinstance(error.value, StoreGoneError) and Store(s3).read("b") == b"1"
+    proxied.choose = lambda number, method, path: "503"
+    for call in (lambda: Store(s3).read("b"), lambda: Store(s3).put("b", b"2")):
+        with pytest.raises(StoreGoneError):
+            call()
+
+
+def test_a_listing_goes_on_where_it_failed(proxied: FaultProxy, s3: str) -> None:
+    """A page holds a thousand names; of the requests for pages each second one fails."""
+    store, names = Store(s3), [f"many/{number:04d}" for number in range(2100)]
+    in_parallel(partial(store.put, name, b"") for name in [*names, "other/0"])
+    pages: list[str] = []
+
+    def choose(number: int, method: str, path: str) -> Fault:
+        if "list-type" in path:
+            pages.append(path)
+        return "503" if "list-type" in path and len(pages) % 2 == 0 else ""
+
+    proxied.choose = choose
+    assert [each.name for each in store.objects("many")] == names
+    assert len(pages) == 5
+
+
+def test_calls_do_not_wait_in_memory() -> None:
+    ahead, ended = [], [0]
+
+    def calls() -> Iterator[Callable[[], int]]:
+        for number in range(3 * WAITING):
+            ahead.append(number - ended[0])
+            yield partial(int, number)
+
+    assert in_parallel(calls(), lambda done: ended.__setitem__(0, done)) == list(range(3 * WAITING))
+    assert max(ahead) <= WAITING
+
+
+# --- what no further attempt would change -------------------------------------------------------------
+
+
+def test_a_file_of_this_machine_that_is_missing(url: str, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"^[^:]*/gone: cannot be read \(No such file"):
+        Store(url).put("a", tmp_path / "gone")
+
+
+def test_no_such_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    started = time.monotonic()
+    assert "no such host is known; correct the URL" in line("https://no-such-host.invalid/lab")
+    assert time.monotonic() - started < 20
+
+
+def test_a_certificate_that_is_not_trusted(tmp_path: Path) -> None:
+    files = {"keyout": str(tmp_path / "key"), "out": str(tmp_path / "cert")}
+    words = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
+    words += [word for name, file in files.items() for word in (f"-{name}", file)]
+    if shutil.which("openssl") is None or subprocess.run(["openssl", *words], capture_output=True).returncode:
+        pytest.skip("openssl is not there")
+    server = HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(files["out"], files["keyout"])
+    server.socket = context.wrap_socket(server.socket, server_side=True)
+    Thread(target=server.serve_forever, daemon=True).start()
+    started = time.monotonic()
+    assert "no secure connection" in line(f"https://127.0.0.1:{server.server_port}/lab")
+    assert time.monotonic() - started < 20
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.mark.parametrize("given", ["nan", "inf", "-1", "soon"])
+def test_a_patience_that_is_no_time(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given: str) -> None:
+    monkeypatch.setenv(PATIENCE_VARIABLE, given)
+    with pytest.raises(SettingsError, match=f"^KINECTBENCH_STORE_PATIENCE_S={given}: no number of seconds"):
+        Store(f"file://{tmp_path}").objects()
+
+
+FORKED = """
+import os, sys
+from kinectbench.core.errors import StorageError
+from kinectbench.core.store.store import Store
+store = Store(sys.argv[1])
+store.put("a", b"1")
+if os.fork() == 0:
+    try:
+        store.read("a")
+    except StorageError as error:
+        print(error, flush=True)
+    os._exit(0)
+os.wait()
+assert store.read("a") == b"1"
+"""
+
+
+def test_a_forked_process_is_told_and_does_not_hang(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", FORKED, f"file://{tmp_path}/store"]
+    told = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True).stdout
+    assert told.endswith("a DataLoader's by multiprocessing_context='spawn'\n") and told.count("\n") == 1
