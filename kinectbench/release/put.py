@@ -15,7 +15,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import TEXT_BYTES
-from kinectbench.release.published import release_text
+from kinectbench.release.published import release_store, release_text
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,11 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
         progress: called with (files put, files to be put).
 
     Raises:
-        ReleaseError: the place holds something else than a release, or the beginning of one.
+        ReleaseError: the place holds something else than a release, or the beginning of one; or its URL has a
+            query.
         StorageError: the store fails.
     """
+    release_store(store.url)
     text = release_text(folder / SHA256SUMS)
     sums = parse_sums(text, str(folder / SHA256SUMS))
     there = _look(store)

@@ -155,6 +155,12 @@ def test_wherever_a_put_is_stopped_the_next_one_is_right(
         assert hashes(fetched) == hashes(folder) == hashes(tmp_path / "store")
 
 
+def test_a_url_with_a_query_is_refused(release: Release) -> None:
+    with pytest.raises(ReleaseError, match=r"^s3://bucket/rel\?…: a URL with a query") as raised:
+        put_release(release.folder, Store("s3://bucket/rel?X-Amz-Signature=SECRET"))
+    assert "SECRET" not in str(raised.value)
+
+
 @pytest.mark.parametrize(
     "others",
     [
