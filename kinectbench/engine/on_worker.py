@@ -1,5 +1,7 @@
 """What a worker of a cluster does with a task: it checks its own versions, and says how far the task is."""
 
+import contextlib
+import ctypes
 import pickle
 import time
 from collections.abc import Mapping
@@ -18,6 +20,10 @@ PACKAGES = (
 )
 # A task says as often at most how far its stage is: the scheduler hears all of them (own choice).
 SAY_S = 1.0
+# glibc's numbers of two settings, and the values up to which it raises them by itself on machines of 64 bits
+# (mallopt(3)).
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+MMAP_BYTES = 32 << 20
 
 
 @cache
@@ -35,6 +41,19 @@ def _version(package: str) -> str:
         return "none"
 
 
+@cache
+def keep_freed_memory() -> None:
+    """Let this process keep the memory of freed arrays for the next ones, as any process does by itself.
+
+    Dask starts workers with MALLOC_TRIM_THRESHOLD_=65536, by which it goes back to the system at once. Builds
+    of four simulated recordings took 141 s of CPU with that, 101 s without, and 93 s in kinectbench's pool.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # another C library
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_MMAP_THRESHOLD, MMAP_BYTES)
+        mallopt(M_TRIM_THRESHOLD, 2 * MMAP_BYTES)
+
+
 def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
     """Carry out a task on this worker.
 
@@ -48,6 +67,7 @@ def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
     """
     from distributed import get_worker
 
+    keep_freed_memory()
     worker = get_worker()
     own = package_versions()
     differing = [
