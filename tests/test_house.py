@@ -70,6 +70,7 @@ RAW = {
     "core/voxels/npz.py": "the functions themselves",
     "core/voxels/pair_file.py": "owner of the pair file",
     "scoring/shards.py": "samples of WebDataset shards, which others may have written",
+    "engine/cluster.py": "the file of a Dask scheduler",
     "core/voxels/recgan_file.py": "files of the 3D-RecGAN authors",
     "cli/": "tables that are printed",
     "stages/fuse/reconstruction.py": "owner of reconstruction/volume.npz",

@@ -80,7 +80,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
         )
     if common.as_json:
         common.tell([row.json_value() for row in rows], ())
-    else:
+    elif rows:
         show_rows(rows, upto)
     return exit_status(rows)
 

@@ -137,6 +137,10 @@ class Common:
             slots = found.slots()
             told = f"{slots} worker{'s' * (slots != 1)} at {self.cluster}; dashboard: {found.dashboard}"
             console.lines("cluster", [told], "green")
+            if not slots:
+                console.lines(
+                    "waiting", ["for a worker, 15 minutes at most: start one by `dask worker`"], "yellow"
+                )
             yield found
 
     @cached_property

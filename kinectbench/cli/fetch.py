@@ -75,7 +75,7 @@ def gc(
     store = Store(url)
     found = unnamed(store, young=everything)
     removed = remove(store, found) if delete else 0
-    size = f"{len(found)} files, {sum(each.size for each in found) / 1e6:.1f} MB"
+    size = f"{len(found)} file{'s' * (len(found) != 1)}, {sum(each.size for each in found) / 1e6:.1f} MB"
     names = [f"{each.name} ({each.size} bytes)" for each in found[:SHOWN]]
     more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
     said = f"removed {removed} files" if delete else "nothing is removed; --delete does"

@@ -20,6 +20,8 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Generic
 
 from kinectbench.core.errors import ClusterError, KinectBenchError, SettingsError
+from kinectbench.core.untrusted import printable, read_plain_text
+from kinectbench.core.untrusted_text import strict_json
 from kinectbench.engine.executor import Audience, Lost, Outcomes, Result, Say, Task
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.on_worker import call, package_versions
@@ -37,6 +39,8 @@ KILLED_ALONE = (
     "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
     "more memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
 )
+# A scheduler's file has some hundred bytes, and some hundred more for each worker (own choice).
+MOST_FILE_BYTES = 64 << 20
 # Seconds: between two looks at the workers; without a scheduler's answer; without any worker (own choices).
 LOOK_S, CONNECT_S, NO_WORKERS_S = 1.0, 20.0, 900.0
 # A worker that was killed is started again by its nanny within seconds; after this it is gone (own choice).
@@ -68,13 +72,12 @@ def cluster(address: str) -> Iterator["Cluster"]:
     end = time.monotonic() + CONNECT_S
     while address.endswith(".json") and not Path(address).is_file() and time.monotonic() < end:
         time.sleep(0.1)  # a scheduler that is just being started
-    if not local and not re.match(r"(tcp|tls)://.", address) and not Path(address).is_file():
-        raise SettingsError(f"--cluster {address}: {WANTED}")
+    if not local and not re.fullmatch(r"(tcp|tls)://.+:[0-9]{1,5}", address):
+        _check_scheduler_file(address)
     try:
         import dask
     except ImportError as error:
         raise SettingsError(MISSING) from error
-    _be_quiet()
     with dask.config.set(OF_LOCAL if local else {}), ExitStack() as stack:
         try:
             with interrupts_held():
@@ -89,9 +92,25 @@ def cluster(address: str) -> Iterator["Cluster"]:
         yield Cluster(client, address)
 
 
+def _check_scheduler_file(address: str) -> None:
+    """Refuse what is no address and no file that a scheduler wrote."""
+    said = f"--cluster {printable(address, 200)}"
+    if not Path(address).is_file():
+        missing = "no such file; " if address.endswith(".json") else ""
+        raise SettingsError(f"{said}: {missing}{WANTED}")
+    try:
+        content = strict_json(read_plain_text(Path(address), MOST_FILE_BYTES))
+    except (OSError, ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict) or not isinstance(content.get("address"), str):
+        raise SettingsError(f"{said}: no file of a scheduler; {WANTED}")
+
+
 def _connected(address: str, local: int, stack: ExitStack) -> "Client":
     """A client of the scheduler at an address, or of one with so many processes that is started here."""
     from distributed import Client, LocalCluster
+
+    _be_quiet()  # not before: the levels of its loggers are set when it is imported
 
     class OwnClient(Client):  # type: ignore[misc]
         """Closed by us: at its own end one that never connected waits for 40 s and prints a traceback."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import sha256_text
 
-WANTED = "give I/N, such as 3/40 for the third of 40 parts, with I from 1 to N"
 # Array jobs of batch systems have some thousands of tasks at most; this only bounds what is read.
 MOST_SHARDS = 10**6
+WANTED = f"give I/N, such as 3/40 for the third of 40 parts, with I from 1 to N, and N at most {MOST_SHARDS}"
 
 
 @dataclass(frozen=True)

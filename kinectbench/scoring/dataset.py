@@ -92,9 +92,13 @@ class Dataset:
         """Read one pair; its SHA-256 is looked at each time, which takes a quarter of a millisecond.
 
         Raises:
+            IndexError: there is no such pair.
+            TypeError: it is no whole number: a slice, for example.
             ReleaseError: its file is missing, or not the published one.
             PairError: it was no pair when it was published.
         """
+        if isinstance(index, slice):
+            raise TypeError("a dataset gives one pair at a time: [dataset[i] for i in range(…)]")
         target = self.targets[index]
         names = wanted_parts(self.keys, target.split in self.release.metadata.held_back)
         parts = _read(self.release, target, names) if names else {}

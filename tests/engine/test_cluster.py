@@ -239,12 +239,35 @@ def test_a_worker_of_another_version_is_refused(
 
 
 @pytest.mark.parametrize(
-    "address", ["", "x", "local:0", "local:", "tcp://", "http://a:1", "no-such-file.json"]
+    "address",
+    ["", "x", "local:0", "local:", "tcp://", "tcp://a", "tcp://x:y", "http://a:1", "no-such-file.json"],
 )
 def test_what_is_no_address_is_refused(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_S", 0.5)
-    with pytest.raises(SettingsError, match=r"--cluster .*: give tcp://"), cluster(address):
+    with pytest.raises(SettingsError, match=r"--cluster .*: (no such file; )?give tcp://"), cluster(address):
         pass
+
+
+@pytest.mark.parametrize("content", ["{}", '{"address": 3}', "[1]", "name: chairs", "\0", "[" * 9999])
+def test_what_is_no_file_of_a_scheduler_is_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / "s.json").write_text(content)
+    file = str(tmp_path / "s.json")
+    with pytest.raises(SettingsError, match=r"s\.json: no file of a scheduler; give"), cluster(file):
+        pass
+
+
+def test_the_loggers_of_dask_are_silent(tmp_path: Path) -> None:
+    """In a process of its own: Dask sets their levels when it is imported."""
+    code = """if True:
+        import logging
+        from kinectbench.engine.cluster import cluster
+        if __name__ == "__main__":
+            with cluster("local:1"):
+                for name in ("distributed", "distributed.client", "distributed.core", "tornado.application"):
+                    assert not logging.getLogger(name).isEnabledFor(logging.CRITICAL), name
+    """
+    (tmp_path / "run.py").write_text(code)
+    subprocess.run([sys.executable, str(tmp_path / "run.py")], check=True, timeout=120)
 
 
 def test_where_no_scheduler_answers(
@@ -252,10 +275,8 @@ def test_where_no_scheduler_answers(
 ) -> None:
     (tmp_path / "benchmark.yaml").write_text(ONE)
     monkeypatch.setattr(module, "CONNECT_S", 1.0)
-    (tmp_path / "s.json").write_text("{}")
-    (tmp_path / "number.json").write_text('{"address": 3}')
-    files = [str(tmp_path / name) for name in ("s.json", "number.json")]
-    for address in ("tcp://127.0.0.1:9", "tcp://x:y", *files):
+    (tmp_path / "s.json").write_text('{"address": "tcp://127.0.0.1:9"}')
+    for address in ("tcp://127.0.0.1:9", str(tmp_path / "s.json")):
         run = command(tmp_path, "build", "--cluster", address)
         check_line(run, 1, f"--cluster {address}|no scheduler answers there")
 

@@ -42,6 +42,13 @@ def test_each_key_alone_is_that_of_the_pair_file(release: Release) -> None:
         np.testing.assert_array_equal(packed, stored)
 
 
+def test_one_pair_at_a_time(release: Release) -> None:
+    with pytest.raises(TypeError, match="one pair at a time"):
+        kinectbench.load(release.folder)[0:2]  # type: ignore[index]
+    with pytest.raises(IndexError):
+        kinectbench.load(release.folder)[len(release.targets)]
+
+
 def test_images_of_the_view(release: Release) -> None:
     item = kinectbench.load(release.folder, keys=("depth", "mask"))[0]
     png = str(release.folder / "views/chair_01/000.depth.png")
