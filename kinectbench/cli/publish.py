@@ -93,14 +93,16 @@ def store_at(url: str) -> "Store":
     """The place where a release is to be put.
 
     Raises:
-        SettingsError: it is no URL, or one where nothing can be put.
+        SettingsError: it is no URL, or one where nothing can be put, or obstore is not installed.
     """
     from kinectbench.core.store.address import is_web
     from kinectbench.core.store.store import Store
+    from kinectbench.core.store.usable import require_usable
 
     found = url_of(url)
     if found is None or is_web(found):
         raise SettingsError(f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://")
+    require_usable(found, f"--to {shown(found)}")
     return Store(found)
 
 

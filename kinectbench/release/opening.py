@@ -16,8 +16,9 @@ from typing import IO, cast
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.storage import storage_errors
+from kinectbench.core.store.address import other_scheme
 from kinectbench.core.untrusted import (
     COPIED_BYTES,
     MOST_RATIO,
@@ -52,6 +53,8 @@ def open_contents(path: Path) -> Iterator[Contents]:
         with _open_archive(path) as contents:
             yield _rooted(contents, path)
         return
+    if said := other_scheme(path):
+        raise SettingsError(said)
     contents = _folder(path)
     if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
         raise ReleaseError(f"{path}: no release there; run publish or download one")

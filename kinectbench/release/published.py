@@ -86,7 +86,8 @@ def is_there(path: Path) -> bool:
     url = url_of(path)
     if url is not None:
         store, name = _store_of(url)
-        return store.head(name) is not None
+        # The answer to HEAD has no body, in which alone a store says that the bucket is missing.
+        return store.head(name) is not None or store.read_if_there(name) is not None
     if path.is_file():
         return True
     archive = _archive_above(path)
@@ -122,7 +123,10 @@ def _store_of(url: str) -> tuple[Store, str]:
         ReleaseError: as `release_store`.
     """
     release_store(url)
-    scheme, _, place, name = url.split("/", 3)
+    scheme, _, place, *rest = url.split("/", 3)
+    if not rest:  # a name without a bucket, which the store refuses
+        return Store(f"{scheme}//"), place
+    name = rest[0]
     return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 
 

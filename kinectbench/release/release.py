@@ -18,8 +18,8 @@ from kinectbench.core.artefacts.targets import (
     parse_targets,
 )
 from kinectbench.core.artefacts.targets import Target as Target
-from kinectbench.core.errors import ReleaseError, StorageError
-from kinectbench.core.store.address import shown
+from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.core.store.address import other_scheme, shown
 from kinectbench.core.untrusted import decoded, printable
 from kinectbench.release.contents import MAX_READ_BYTES
 from kinectbench.release.published import is_there, published_bytes, release_text
@@ -147,6 +147,8 @@ def open_release(path: Path) -> Release:
             in two splits, a path that leaves the release, or files that do not agree with each other.
     """
     if not is_there(path / BENCHMARK_JSON):
+        if said := other_scheme(path):
+            raise SettingsError(said)
         raise ReleaseError(
             f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
         )

@@ -7,7 +7,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import is_web, parent_of, shown, url_of
+from kinectbench.core.store.address import is_web, other_scheme, parent_of, shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
 from kinectbench.core.untrusted import MOST_LISTED, below, decoded, lies_below, printable, read_plain, scanned
@@ -42,7 +42,7 @@ def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) ->
     try:
         return read_plain(path, most_bytes)
     except FileNotFoundError:
-        raise SettingsError(f"{path}: no such file; {missing}") from None
+        raise SettingsError(other_scheme(path) or f"{path}: no such file; {missing}") from None
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
 

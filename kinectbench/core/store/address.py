@@ -6,8 +6,11 @@ from pathlib import Path
 
 # What obstore opens; `s3` needs the variables of the AWS command line, `gs` and `az` those of theirs.
 SCHEMES = ("s3", "s3a", "gs", "az", "abfs", "abfss", "file", "memory", "http", "https")
+IN_BUCKETS = ("s3", "s3a", "gs", "az", "abfs", "abfss")
 # pathlib makes one slash of two: a URL that was an option of type Path comes as `s3:/bucket/name`.
-_URL = re.compile(rf"({'|'.join(SCHEMES)}):/+(.*)")
+_URL = re.compile(rf"({'|'.join(SCHEMES)}):(?:(/+)(.*))?")
+# A drive of Windows has one letter.
+_OTHER = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+):/")
 _SECRET = re.compile(r"(//)[^/]*@")
 
 
@@ -16,8 +19,18 @@ def url_of(path: str | Path) -> str | None:
     match = _URL.fullmatch(str(path))
     if match is None:
         return None
-    scheme, rest = match[1], match[2].rstrip("/")
-    return f"{scheme}:///{rest}" if scheme in ("file", "memory") else f"{scheme}://{rest}"
+    scheme, slashes, rest = match[1], match[2] or "", (match[3] or "").rstrip("/")
+    if scheme in ("file", "memory"):
+        return f"{scheme}:///{rest}" if slashes else None
+    return f"{scheme}:///{rest}" if len(slashes) > 2 and rest else f"{scheme}://{rest}"
+
+
+def other_scheme(path: str | Path) -> str | None:
+    """What is said of a URL of a scheme that is not read; None if it is none."""
+    match = _OTHER.match(str(path))
+    if match is None or url_of(path) is not None or Path(path).parts[:1] != (f"{match[1]}:",):
+        return None
+    return f"{match[1]}:// is not supported; s3, gs, az, https, file are"
 
 
 def is_web(url: str) -> bool:

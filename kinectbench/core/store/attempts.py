@@ -126,7 +126,7 @@ def patiently(
     host = "/".join(place.split("/")[:3])
     while True:
         try:
-            result = call()
+            result = _called(place, call)
             _heard_of(host)
             return result
         except Exception as error:
@@ -136,9 +136,26 @@ def patiently(
                 _heard_of(host)
             left_s = since + most_s - time.monotonic()
             if left_s <= 0 or host in _given_up:
-                raise _given_up_for(place, host, since, error, answers) from error
+                raise _given_up_for(place, host, since, error, answers) from None
             _pause(min(wait_s * random.uniform(0.5, 1), left_s))
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
+
+
+def _called(place: str, call: Callable[[], T]) -> T:
+    """Call; a panic of Rust, which is no Exception, becomes a line.
+
+    Raises:
+        StorageError: obstore panicked.
+    """
+    try:
+        return call()
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        raise StorageError(
+            f"{place}: obstore cannot work with it ({printable(str(error), REASON_CHARS)}); correct the URL "
+            "and the variables of the store"
+        ) from None
 
 
 def _heard_of(host: str) -> None:
@@ -151,7 +168,7 @@ def _given_up_for(
 ) -> StorageError:
     """The error of a store that failed for too long, or of a file in one that answers otherwise."""
     kind, begun = StorageError, since
-    if host in _given_up or not _has_answer(answers):
+    if host in _given_up or not _has_answer(place, answers):
         kind, begun = StoreGoneError, min(since, _given_up.setdefault(host, since))
     return kind(
         f"{place}: the store did not answer well for {time.monotonic() - begun:.0f} s ({_reason(error)}); "
@@ -159,11 +176,11 @@ def _given_up_for(
     )
 
 
-def _has_answer(answers: Callable[[], object] | None) -> bool:
+def _has_answer(place: str, answers: Callable[[], object] | None) -> bool:
     if answers is None:
         return False
     try:
-        answers()
+        _called(place, answers)
     except FileNotFoundError:  # an answer, too
         return True
     except Exception:  # of obstore's many kinds
@@ -176,9 +193,9 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
     if isinstance(error, UnsettledError):
         return
     if isinstance(error, FileNotFoundError) or "NoSuchBucket" in str(error):
-        raise _missing(place, str(error)) from error
+        raise _missing(place, str(error)) from None
     if isinstance(error, ValueError):  # a name that no store may have
-        raise StorageError(f"{place}: {printable(str(error), REASON_CHARS)}") from error
+        raise StorageError(f"{place}: {printable(str(error), REASON_CHARS)}") from None
     if type(error).__module__.partition(".")[0] != "obstore":
         raise error
     text = str(error)
@@ -187,28 +204,28 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
         with storage_errors(Path(place)):
             raise OSError(int(found[1]), os.strerror(int(found[1]))) if found else _lasting(place, error)
     if any(word in text for word in _ASKS_FOR_CREDENTIALS):
-        raise StorageError(f"{place}: {NO_CREDENTIALS}") from error
+        raise StorageError(f"{place}: {NO_CREDENTIALS}") from None
     name = type(error).__name__
     status = _STATUS.search(text)
     number = int(status[1]) if status else 0
     if name in ("PermissionDeniedError", "UnauthenticatedError") or number in (401, 403):
         raise StorageError(
             f"{place}: not permitted ({_reason(error)}); check the credentials, and what they may do there"
-        ) from error
+        ) from None
     if any(word in text for word in _TLS):
         found = _TLS_REASON.search(text)
         raise StorageError(
             f"{place}: no secure connection ({printable(found[0]) if found else 'TLS'}); correct the URL, or "
             "let this machine trust the certificate of the store"
-        ) from error
+        ) from None
     if not known and any(word in text for word in _NO_SUCH_HOST):
-        raise StorageError(f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL") from error
+        raise StorageError(f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL") from None
     if "Received redirect without LOCATION" in text:
-        raise StorageError(f"{place}: the bucket is in another region; set AWS_REGION to it") from error
+        raise StorageError(f"{place}: the bucket is in another region; set AWS_REGION to it") from None
     if "Error parsing Path" in text:
-        raise StorageError(f"{place}: holds names that lead out of it, or that no file has") from error
+        raise StorageError(f"{place}: holds names that lead out of it, or that no file has") from None
     if number in LASTING or (400 <= number < 500 and number not in PASSING) or name != "GenericError":
-        raise _lasting(place, error) from error
+        raise _lasting(place, error) from None
 
 
 def _missing(place: str, text: str) -> StorageError:

@@ -16,6 +16,7 @@ from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.store.address import is_web, joined, shown
 from kinectbench.core.store.attempts import MissingObjectError, UnsettledError, patiently, wait_until
+from kinectbench.core.store.usable import require_usable
 from kinectbench.core.untrusted import TEXT_BYTES, printable
 
 if TYPE_CHECKING:
@@ -109,11 +110,11 @@ class Store:
         Raises:
             StorageError: it cannot be written.
         """
-        import obstore
-
         options = {"chunk_size": PART_BYTES, "max_concurrency": PARTS_AT_ONCE}
 
         def put() -> object:
+            import obstore
+
             if isinstance(content, Path):
                 self._check_readable(content)
             return obstore.put(self._opened(make=True), name, content, **options)  # type: ignore[arg-type]
@@ -157,27 +158,35 @@ class Store:
 
     def head(self, name: str) -> StoredObject | None:
         """What there is to know of a file without reading it; None if there is none."""
-        import obstore
-
         try:
-            return self._try_read(name, lambda: _object(obstore.head(self._opened(), name)))
+            return self._try_read(name, lambda: self._head(name))
         except MissingObjectError:
             return None
 
     def delete(self, names: Iterable[str]) -> None:
         """Remove files; those that are not there are no error."""
-        import obstore
-
         found = list(names)
         if found:
-            self._try("", lambda: obstore.delete(self._opened(), found))
+            self._try("", lambda: self._delete(found))
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
         """A call that writes: a store that takes nothing is as good as gone."""
+        require_usable(self.url, self.place(name))
         return patiently(self.place(name), call)
 
     def _try_read(self, name: str, call: Callable[[], T], progress: Callable[[], object] = lambda: None) -> T:
+        require_usable(self.url, self.place(name))
         return patiently(self.place(name), call, progress, self._first_listed if self.can_list else None)
+
+    def _head(self, name: str) -> StoredObject:
+        import obstore
+
+        return _object(obstore.head(self._opened(), name))
+
+    def _delete(self, names: list[str]) -> None:
+        import obstore
+
+        obstore.delete(self._opened(), names)
 
     def _first_listed(self) -> object:
         """A request that a store answers if it answers at all."""
@@ -306,12 +315,8 @@ _first_process: dict[str, int] = {}
 @cache
 def _opened(url: str, make: bool, process: int) -> "ObjectStore":
     """Open a store once in a process; `make` lets the folder of a file:// URL be made."""
-    try:
-        from obstore.store import LocalStore, MemoryStore, from_url
-    except ImportError as error:
-        raise StorageError(
-            f"{shown(url)}: stores need the package obstore; run `pip install 'kinectbench[cluster]'`"
-        ) from error
+    from obstore.store import LocalStore, MemoryStore, from_url
+
     if url.startswith("memory:"):
         return MemoryStore() if process == 0 else _opened(url, False, 0)
     if url.startswith("file:"):

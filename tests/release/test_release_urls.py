@@ -1,0 +1,159 @@
+"""URLs that no attempt makes right: each is refused at once, in one line that says what to do."""
+
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from small_benchmark import Run
+from stores import s3, s3_server
+
+import kinectbench
+from kinectbench.cli.publish import store_at
+from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.core.store.attempts import patiently
+from kinectbench.core.store.store import Store
+
+__all__ = ["s3", "s3_server"]
+pytestmark = pytest.mark.xdist_group("stores")
+Command = Callable[..., Run]
+AT_ONCE_S = 20.0
+
+
+@pytest.fixture(autouse=True)
+def _at_once() -> Iterator[None]:
+    begun = time.monotonic()
+    yield
+    assert time.monotonic() - begun < AT_ONCE_S
+
+
+def said(command: Command, folder: Path, *words: str) -> str:
+    """The one line that a wrong command line ends with."""
+    result = command(folder, *words)
+    assert result.status == 2, result.err
+    assert "Traceback" not in result.err and "internal error" not in result.err
+    return " ".join(result.err.split())
+
+
+WORDS = (
+    ("verify", "{url}"),
+    ("verify", "--checksums", "{url}"),
+    ("fetch", "{url}"),
+    ("score", "--benchmark", "{url}"),
+    ("gc", "--config", "{url}/benchmark.yaml"),
+    ("build", "--config", "{url}/benchmark.yaml"),
+)
+
+
+@pytest.mark.parametrize("words", WORDS, ids=" ".join)
+@pytest.mark.parametrize("url", ["s3://bucket/rel", "file:///data/rel", "https://host/rel"])
+def test_without_obstore_one_line_says_what_to_install(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, words: tuple[str, ...]
+) -> None:
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    wanted = "needs obstore; run pip install 'kinectbench[cluster]'"
+    if url.startswith("https") and words[0] == "gc":
+        return  # a web server lists nothing
+    assert wanted in said(command, tmp_path, *(word.format(url=url) for word in words))
+    with pytest.raises(SettingsError, match="needs obstore; run pip install"):
+        kinectbench.load(url)
+
+
+def test_no_method_of_a_store_works_without_obstore(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    store = Store(f"file://{tmp_path}/store")
+    calls: tuple[Callable[[], object], ...] = (
+        lambda: store.read("a"),
+        lambda: store.read_if_there("a"),
+        lambda: store.fetch("a", tmp_path / "a"),
+        lambda: store.put("a", b"1"),
+        lambda: store.put_new("a", b"1"),
+        lambda: store.objects(),
+        lambda: store.head("a"),
+        lambda: store.delete(["a"]),
+    )
+    for call in calls:
+        with pytest.raises(SettingsError, match="needs obstore; run pip install"):
+            call()
+    # Before anything is published:
+    with pytest.raises(SettingsError, match=r"^--to s3://bucket/rel: needs obstore; run pip install"):
+        store_at("s3://bucket/rel")
+
+
+@pytest.mark.parametrize("variable", ["AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT"])
+@pytest.mark.parametrize("endpoint", ["127.0.0.1:15555", "localhost", "http://", "ftp://host", "http://a b"])
+def test_an_endpoint_is_a_url(s3: str, monkeypatch: pytest.MonkeyPatch, endpoint: str, variable: str) -> None:
+    monkeypatch.setenv(variable, endpoint)
+    with pytest.raises(SettingsError, match=rf"^{variable}=.*: must begin with http:// or https://"):
+        Store("s3://bucket/rel").read("a")
+
+
+def test_a_panic_of_obstore_is_a_line() -> None:
+    panic = type("PanicException", (BaseException,), {"__module__": "pyo3_runtime"})
+
+    def call() -> None:
+        raise panic("request valid: InvalidUri")
+
+    with pytest.raises(StorageError, match=r"^s3://b/a: obstore cannot work with it \(request valid"):
+        patiently("s3://b/a", call)
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (("build", "--config", "s3:///benchmark.yaml"), "s3://: no bucket in the URL"),
+        (("gc", "--config", "s3:///benchmark.yaml"), "s3://: no bucket in the URL"),
+        (("build", "--config", "s3://"), "s3://: no bucket in the URL"),
+        (("verify", "gs://"), "no bucket in the URL; wanted gs://BUCKET/…"),
+        (("fetch", "s3:///rel"), "s3:///rel: no bucket in the URL"),
+        (("score", "--benchmark", "az://"), "no bucket in the URL"),
+        (("verify", "https://"), "no host in the URL"),
+    ],
+)
+def test_a_url_without_a_bucket(command: Command, tmp_path: Path, words: tuple[str, ...], place: str) -> None:
+    assert place in said(command, tmp_path, *words)
+
+
+def test_loading_from_a_url_without_a_bucket() -> None:
+    for url in ("s3://", "gs:///", "https://"):
+        with pytest.raises(SettingsError, match=r"^[a-z0-9]+://.*: no (bucket|host) in the URL"):
+            kinectbench.load(url)
+
+
+def test_a_missing_bucket_is_called_so_by_load_too(s3: str) -> None:
+    with pytest.raises(
+        StorageError, match=r"^s3://nobucket/x/benchmark\.json: there is no such bucket; make"
+    ):
+        kinectbench.load("s3://nobucket/x")
+
+
+def test_places_without_a_release_keep_their_slashes(s3: str, tmp_path: Path) -> None:
+    for url in (s3, f"file://{tmp_path}/none"):
+        with pytest.raises(KinectBenchError, match=f"^{url}: no release there"):
+            kinectbench.load(url)
+
+
+@pytest.mark.parametrize("words", WORDS[:4] + WORDS[5:], ids=" ".join)
+@pytest.mark.parametrize("scheme", ["ftp", "hdfs", "S3", "git+ssh"])
+def test_other_schemes_are_named(
+    command: Command, tmp_path: Path, scheme: str, words: tuple[str, ...]
+) -> None:
+    wanted = f"{scheme}:// is not supported; s3, gs, az, https, file are"
+    assert wanted in said(command, tmp_path, *(word.format(url=f"{scheme}://a/b") for word in words))
+    with pytest.raises(SettingsError, match="is not supported; s3, gs"):
+        kinectbench.load(f"{scheme}://a/b")
+
+
+def test_no_traceback_shows_a_password(tmp_path: Path) -> None:
+    secret = "".join(["SEC", "RET"])
+    for url in (f"http://me:{secret}@127.0.0.1:1/x", f"https://me:{secret}@host.invalid/x"):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("KINECTBENCH_STORE_PATIENCE_S", "0")
+            try:
+                kinectbench.load(url)
+            except KinectBenchError:
+                assert secret not in traceback.format_exc()
+            else:
+                pytest.fail("no server answers there")
