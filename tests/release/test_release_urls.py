@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from s3_server import free_port
 from small_benchmark import Run
 from stores import s3, s3_server
 
 import kinectbench
 from kinectbench.cli.publish import store_at
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.core.store import attempts
 from kinectbench.core.store.attempts import patiently
 from kinectbench.core.store.store import Store
 
@@ -98,6 +100,20 @@ def test_a_panic_of_obstore_is_a_line() -> None:
 
     with pytest.raises(StorageError, match=r"^s3://b/a: obstore cannot work with it \(request valid"):
         patiently("s3://b/a", call)
+
+
+@pytest.mark.parametrize(("after_s", "times"), [(0.0, 1), (3.0, 0)])
+def test_a_store_that_does_not_answer_is_told_of_once(
+    s3: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, after_s: float, times: int
+) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{free_port()}")
+    monkeypatch.setenv("KINECTBENCH_STORE_PATIENCE_S", "0.5")
+    monkeypatch.setattr(attempts, "TELL_AFTER_S", after_s)
+    for name in "ab":
+        with pytest.raises(StorageError, match="did not answer well"):
+            Store(f"s3://told-{times}/rel").read(name)
+    wanted = f"warning: s3://told-{times}/rel/a: the store does not answer well (Connection refused); trying"
+    assert [message.startswith(wanted) for message in caplog.messages] == [True] * times
 
 
 @pytest.mark.parametrize(

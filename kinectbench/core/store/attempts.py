@@ -1,5 +1,6 @@
 """Trying again while a store may recover, and one line for each way in which it does not."""
 
+import logging
 import math
 import os
 import random
@@ -15,6 +16,8 @@ from kinectbench.core.storage import storage_errors
 from kinectbench.core.untrusted import printable
 
 T = TypeVar("T")
+# Where nobody has configured logging, warnings go to standard error.
+_log = logging.getLogger(__name__)
 
 # Seconds without success, or a byte of progress, after which a store is given up: it may answer 503 for some
 # minutes (own choice; the Rust crate object_store waits as long).
@@ -23,6 +26,8 @@ PATIENCE_VARIABLE = "KINECTBENCH_STORE_PATIENCE_S"
 # Exponential backoff with jitter, as the AWS Architecture Blog advises; the bounds are object_store's.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 15.0
 REASON_CHARS = 160
+# Seconds of failure after which it is told: most pass sooner (own choice).
+TELL_AFTER_S = 5.0
 
 _STATUS = re.compile(r"status code: (\d{3})([A-Za-z -]*)")
 _CODE = re.compile(r"<Code>([A-Za-z0-9]+)</Code>")
@@ -85,6 +90,8 @@ _thread = threading.local()
 # Stores that were given up in this process and have not answered since, with when they first did not: what
 # comes next does not wait for minutes again.
 _given_up: dict[str, float] = {}
+# Stores of which it was told that they do not answer.
+_told: set[str] = set()
 # Stores that have answered to this process: they have names that are known.
 _answered: set[str] = set()
 
@@ -137,8 +144,19 @@ def patiently(
             left_s = since + most_s - time.monotonic()
             if left_s <= 0 or host in _given_up:
                 raise _given_up_for(place, host, since, error, answers) from None
+            _tell(place, host, time.monotonic() - since, left_s, error)
             _pause(min(wait_s * random.uniform(0.5, 1), left_s))
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
+
+
+def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exception) -> None:
+    """One warning for each store in a process: somebody may be waiting."""
+    if failed_s >= TELL_AFTER_S and host not in _told:
+        _told.add(host)
+        _log.warning(
+            "warning: %s: the store does not answer well (%s); trying again for %.0f s",
+            *(place, _reason(error), left_s),
+        )
 
 
 def _called(place: str, call: Callable[[], T]) -> T:
