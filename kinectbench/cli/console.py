@@ -11,9 +11,9 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.segment import Segment
-from rich.table import Table
 from rich.text import Text
 
+from kinectbench.cli.wide_table import WideTable
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.interrupts import check_interrupt
 
@@ -41,6 +41,8 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 }
 # How the page shows them; other figures have three decimals.
 FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
+# Keys of texts; other columns have numbers.
+TEXTS = ("recording", "status", "state", "next", "error")
 
 
 class SafeConsole(Console):
@@ -132,7 +134,7 @@ def failures(rows: "Sequence[RecordingSummary]") -> None:
         lines("failed", [text], "red")
 
 
-def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> Table:
+def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> WideTable:
     """The table at the end of a build: one line per recording, with what these stages can fill."""
     columns = {"recording": "recording"}
     for stage in stages:
@@ -158,8 +160,8 @@ def table(
     *,
     title: str | None = None,
     caption: str | None = None,
-) -> Table:
-    """A table of rows.
+) -> WideTable:
+    """A table of rows; no cell is shortened: of many columns it has pieces.
 
     Args:
         rows: values by key.
@@ -168,10 +170,9 @@ def table(
         title: above it.
         caption: below it.
     """
-    # A title may hold a file's name: never markup.
-    made = Table(title=title and Text(title), title_justify="left", caption=caption, caption_justify="left")
+    made = WideTable(title=title, caption=caption, whole=True)
     for key, name in columns.items():
-        made.add_column(name, justify="left" if key in ("recording", "status") else "right")
+        made.add_column(name, justify="left" if key in TEXTS else "right")
     for row in rows:
         made.add_row(*(Text(_cell(row.get(key), formats.get(key, ".3f"))) for key in columns))
     return made

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.store.store import Store
     from kinectbench.release.publish.publish import PublishSummary
+    from kinectbench.release.put import PutSummary
     from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -71,12 +72,13 @@ def publish(
     summary = publish_if_stale(
         settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
     )
+    put = None
     if target is not None:
         with console.bar("put") as progress:
-            put_release(summary.folder, target, progress)
+            put = (target.url, put_release(summary.folder, target, progress))
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [write_archive(part, archives_to or root) for part in parts] if packed else []
-    _tell(common, summary, written)
+    _tell(common, summary, written, put)
     return exit_status(rows)
 
 
@@ -136,8 +138,13 @@ def publish_options(
     return PublishOptions(hold_back=hidden, thresholds=read_plain_text(thresholds))
 
 
-def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> None:
-    """What was published, removed, packed, and asked for."""
+def _tell(
+    common: Common,
+    summary: "PublishSummary",
+    archives: list[Path],
+    put: "tuple[str, PutSummary] | None" = None,
+) -> None:
+    """What was published, removed, packed, put to which URL, and asked for."""
     from kinectbench.cli import console
 
     console.lines("warning", summary.warnings, "yellow")
@@ -155,6 +162,7 @@ def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> No
         "removed": summary.removed,
         "unanswered": summary.unanswered,
         "archives": [str(path) for path in archives],
+        "put": None if put is None else _put_value(*put),
     }
     count = f"{len(summary.recordings)} recording{'s' * (len(summary.recordings) != 1)}"
     lines = [f"published {summary.pairs} pairs of {count}: {shown(summary.folder)}"]
@@ -164,4 +172,30 @@ def _tell(common: Common, summary: "PublishSummary", archives: list[Path]) -> No
         lines += [f"private_benchmark_sha256 {summary.private_sha256}"]
     lines += summary.removed
     lines += [f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB, and its .sha256" for path in archives]
+    if put is not None:
+        lines += [_put_line(*put)]
     common.tell(result, lines)
+
+
+def _put_line(url: str, put: "PutSummary") -> str:
+    """What was done at the URL, and tells of another release that lay there."""
+    from kinectbench.cli import console
+
+    if put.replaced is not None:
+        name = " ".join(part for part in (put.replaced.name, put.replaced.version) if part)
+        line = f"{shown(url)}: replaced {name}, benchmark_sha256 {put.replaced.benchmark_sha256}"
+        console.lines("note", [line], "cyan")
+    return f"put to {shown(url)}: {put.put} files put, {put.kept} kept, {put.removed} removed"
+
+
+def _put_value(url: str, put: "PutSummary") -> dict[str, Any]:
+    """The same as JSON."""
+    keys = ("name", "version", "benchmark_sha256")
+    replaced = None if put.replaced is None else {key: getattr(put.replaced, key) for key in keys}
+    return {
+        "url": shown(url),
+        "put": put.put,
+        "kept": put.kept,
+        "removed": put.removed,
+        "replaced": replaced,
+    }

@@ -13,24 +13,35 @@ if TYPE_CHECKING:
 BESIDE_CELL = 3  # a border, and a space on both sides
 # A name takes a third of the width, or this, at most; what is longer ends in an ellipsis.
 NAME_SHARE, NAME_CELLS = 3, 30
+# Beside a whole id a text has this many cells at least, and as many lines as it takes (own choice).
+TEXT_CELLS = 12
 
 
 class WideTable(Table):
     """A table that is drawn in as many pieces as the width asks for; its first columns stand in each of them.
 
-    No cell is wrapped or shortened, but for those of the first column.
+    No cell is wrapped or shortened, but for those of the first column. With `whole` nothing is shortened: the
+    first column takes the room it needs, texts that are longer than the width have more lines.
     """
 
-    def __init__(self, *, keep: int = 1, title: str | None = None, caption: str | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        keep: int = 1,
+        title: str | None = None,
+        caption: str | None = None,
+        whole: bool = False,
+    ) -> None:
         """An empty table.
 
         Args:
             keep: how many columns stand in every piece.
             title: above the first piece.
             caption: below the last.
+            whole: whether the first column has ids, which can be copied.
         """
         super().__init__(title=title, caption=caption)
-        self.keep = keep
+        self.keep, self.whole = keep, whole
 
     def __rich_console__(self, console: "Console", options: "ConsoleOptions") -> "RenderResult":
         """Draw the pieces, one below the other."""
@@ -42,8 +53,10 @@ class WideTable(Table):
 
     def _pieces(self, width: int) -> Iterator[Table]:
         """The pieces, each no wider than `width`."""
-        most = max(NAME_CELLS, width // NAME_SHARE)
         widths = [self._width(index) for index in range(len(self.columns))]
+        most = max(NAME_CELLS, width // NAME_SHARE)
+        if self.whole:
+            most = max(1, width - 1 - 2 * BESIDE_CELL - self._most_beside(widths))
         widths[0] = min(widths[0], most)
         room = width - 1 - sum(widths[: self.keep]) - BESIDE_CELL * self.keep
         chosen: list[int] = []
@@ -56,6 +69,12 @@ class WideTable(Table):
             chosen.append(index)
             used += widths[index] + BESIDE_CELL
         yield self._piece(chosen, widths)
+
+    def _most_beside(self, widths: list[int]) -> int:
+        """Cells that the widest of the other columns needs, at most: a text has more lines."""
+        texts = [column.justify == "left" for column in self.columns]
+        beside = list(zip(widths, texts, strict=True))[self.keep :]
+        return max((min(each, TEXT_CELLS if text else NAME_CELLS) for each, text in beside), default=0)
 
     def _width(self, index: int) -> int:
         """Of the widest line in a column."""
@@ -70,8 +89,8 @@ class WideTable(Table):
         for index in columns:
             of = self.columns[index]
             piece.add_column(
-                of.header, justify=of.justify, no_wrap=True, overflow="ellipsis", min_width=1,
-                max_width=max(1, widths[index]),
+                of.header, justify=of.justify, no_wrap=not self.whole, min_width=1,
+                max_width=max(1, widths[index]), overflow="fold" if self.whole else "ellipsis",
             )  # fmt: skip
         cells = [list(self.columns[index].cells) for index in columns]
         for row, drawn in zip(self.rows, zip(*cells, strict=True), strict=True):

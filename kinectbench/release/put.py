@@ -26,11 +26,13 @@ class PutSummary:
         put: number of files that were put.
         kept: number of files that lay there already.
         removed: number of files that were removed, for they are not of the release.
+        replaced: `benchmark.json` of the release that lay there, if it is another; else None.
     """
 
     put: int
     kept: int
     removed: int
+    replaced: ReleaseInfo | None = None
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,10 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
         _put(folder, store, [name for name in wanted if name != BENCHMARK_JSON], progress)
     removed = sum(name not in sums and name != SHA256SUMS for name in there.sizes)
     put = {*wanted, BENCHMARK_JSON} if wanted else set[str]()
-    return PutSummary(len(put), len(sums) + 1 - len(put), removed)
+    replaced = (
+        None if there.info is None or there.info.benchmark_sha256 == benchmark_sha256(text) else there.info
+    )
+    return PutSummary(len(put), len(sums) + 1 - len(put), removed, replaced)
 
 
 def _put(folder: Path, store: Store, names: list[str], progress: Progress | None) -> None:

@@ -66,6 +66,29 @@ def test_tables_and_titles(terminal: io.StringIO) -> None:
     assert [sign for sign in CONTROL if sign in terminal.getvalue()] == []
 
 
+@pytest.mark.parametrize("width", [20, 40, 80, 120])
+@pytest.mark.parametrize(
+    "name", ["room_scan_01", "hall_of_the_second_floor_chair_01_by_the_window", "n" * 90]
+)
+def test_no_table_shortens_an_id_or_a_number(width: int, name: str) -> None:
+    keys = ("frames", "left_out", "lost", "repeatability_iou", "estimated_iou", "views", "pairs", "residual")
+    columns = {key: key for key in ("recording", *keys, "status")}
+    numbers = {key: number + 0.125 for number, key in enumerate(keys)}
+    row = {"recording": name, **numbers, "estimated_iou": "0.82 (0.59 to 0.95)", "status": "made " * 12}
+    made = console.SafeConsole(width=width, record=True, file=io.StringIO())
+    made.print(console.table([row], columns, {}))
+    text = made.export_text()
+    assert "…" not in text and all(len(line) <= width for line in text.splitlines())
+    cells = "".join(line.strip("│").split("│")[0].strip() for line in text.splitlines() if "│" in line)
+    assert name in cells
+    joined = "".join(line.strip("│ ").split("│")[-1].strip() for line in text.splitlines())
+    assert joined.count("made") == 12
+    if width >= 80:
+        assert all(f" {value:.3f} " in text for key, value in numbers.items() if key != "estimated_iou")
+        assert " 0.82 (0.59 to 0.95) " in text
+        assert len(name) > 47 or f" {name} " in text
+
+
 def test_colours_and_progress_of_ours_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = io.StringIO()
     made = console.SafeConsole(file=shown, force_terminal=True, color_system="standard", width=80)

@@ -46,7 +46,11 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
         assert record["pairs/file"].decode() == target.file
         found = np.load(io.BytesIO(record["pairs/npz"]))
         np.testing.assert_array_equal(found["full"], read_pair(release.pair_path(target)).full)
-    first = next(iter(dataset.records("cameras")))
+    cameras = list(dataset.records("cameras"))
+    # Each can be joined with the pairs of its view.
+    places = [(each["cameras/recording"].decode(), each["cameras/view"].decode()) for each in cameras]
+    assert places == sorted((target.recording, target.view) for target in release.targets)
+    first = cameras[0]
     assert first["cameras/view"] == b"000" and first["cameras/width"] == 8
     np.testing.assert_array_equal(first["cameras/K"], [[5.0, 0, 3.5], [0, 5.0, 2.5], [0, 0, 1]])
     records = [

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from fault_proxy import FaultProxy
-from small_benchmark import hashes
+from small_benchmark import Run, hashes
 from stores import copy_to, proxied, s3, s3_server, url
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
@@ -38,10 +38,34 @@ def test_what_is_put_is_fetched(release: Release, url: str, tmp_path: Path) -> N
 
 def test_another_release_takes_its_place(release: Release, analytic: Path, s3: str, tmp_path: Path) -> None:
     put_release(release.folder, Store(s3))
-    put_release(analytic / "benchmark", Store(s3))
+    put = put_release(analytic / "benchmark", Store(s3))
+    assert put.replaced == release.metadata
     fetch_release(s3, tmp_path / "got")
     assert hashes(tmp_path / "got") == hashes(analytic / "benchmark")
     assert {each.name for each in Store(s3).objects()} == set(hashes(analytic / "benchmark"))
+
+
+def test_the_command_tells_what_was_put_and_replaced(
+    release: Release, small: Path, command: Callable[..., Run], tmp_path: Path
+) -> None:
+    root, there = Path(shutil.copytree(small, tmp_path / "b")), f"file://{tmp_path}/store"
+    put_release(release.folder, Store(there))
+    stated = ("--set", "license=CC0-1.0", "--set", "source=simulated", "--jobs", "1", "--to", there)
+    first = command(root, "publish", *stated)
+    new, old, before = hashes(root / "benchmark"), hashes(release.folder), release.metadata
+    files, kept = len(new), len(new.items() & old.items())
+    counts = f"put to {there}: {files - kept} files put, {kept} kept, {len(old.keys() - new)} removed"
+    assert first.status == 0 and counts in first.out.splitlines(), first
+    note = f"note: {there}: replaced {before.name} {before.version or ''}".rstrip()
+    assert f"{note}, benchmark_sha256 {before.benchmark_sha256}" in first.err.splitlines()
+    again = command(root, "publish", *stated, "--json")
+    want = {"url": there, "put": 0, "kept": files, "removed": 0, "replaced": None}
+    assert json.loads(again.out)["put"] == want and "replaced" not in again.err
+    Store(there).delete([each.name for each in Store(there).objects()])
+    put_release(release.folder, Store(there))
+    keys = {"name": before.name, "version": before.version, "benchmark_sha256": before.benchmark_sha256}
+    assert json.loads(command(root, "publish", *stated, "--json").out)["put"]["replaced"] == keys
+    assert json.loads(command(root, "publish", *stated[:-2], "--json").out)["put"] is None
 
 
 def test_a_put_that_was_stopped_is_no_release(

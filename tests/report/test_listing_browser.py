@@ -17,6 +17,9 @@ MOST_BYTES, FIRST_PAINT_MS = 5_000_000, 1000
 # On a machine with other work it may take as many times as long; alone it takes a third of a second.
 LOADED = 5
 RECORDINGS = 10_000
+# Those of the longest labels and values.
+FIGURES = {"unknown_air_share": 4.051, "unknown_solid_share": 0.285}
+FIGURES |= {"estimated_iou": 0.818, "estimated_iou_low": 0.592, "estimated_iou_high": 0.955}
 
 
 def written(release: Release, folder: Path, count: int) -> str:
@@ -24,9 +27,15 @@ def written(release: Release, folder: Path, count: int) -> str:
     (name, info), *_ = release.metadata.recordings.items()
     first = next(target for target in release.targets if target.recording == name)
     names = [f"thing_{number:05d}" for number in range(count)]
+    quality = info.quality.model_copy(update=FIGURES)
     infos = {
         each: info.model_copy(
-            update={"object": EVIL, "category": ("chair", "table")[number % 2], "split": "test"}
+            update={
+                "object": EVIL,
+                "category": ("chair", "table")[number % 2],
+                "split": "test",
+                "quality": quality,
+            }
         )
         for number, each in enumerate(names)
     }
@@ -98,6 +107,28 @@ def typed(text: str) -> str:
         f"(() => {{ const i = document.querySelector('input'); i.value = {text!r}; "
         "i.dispatchEvent(new Event('input')); })()"
     )
+
+
+@pytest.mark.skipif(find_chromium() is None, reason="no chromium here to open the page in")
+def test_nothing_is_wider_than_its_box(release: Release, tmp_path: Path) -> None:
+    folder = tmp_path / "release"
+    folder.mkdir()
+    written(release, folder, 2)
+    wide = (
+        "[...document.querySelectorAll('.panel')].flatMap(box => [...box.querySelectorAll('th, td, p')]"
+        ".filter(e => e.getBoundingClientRect().right > box.getBoundingClientRect().right"
+        " || e.scrollWidth > e.clientWidth).map(e => e.textContent)).join()"
+    )
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(folder / "index.html")
+        facts = "[...document.querySelectorAll('.facts div')].map(e => e.innerText.split('\\n'))"
+        assert ["pairs", "2 (test 2)"] in browser.evaluate(facts)
+        assert "405.1 %" in browser.evaluate("document.querySelector('.panel').innerText")
+        for width in (400, 800, 1100, 1920):
+            browser.window(width, 1000)
+            assert browser.evaluate(wide) == "", width
+            beyond = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+            assert browser.evaluate(beyond) == 0, width
 
 
 def test_texts_end_no_element_and_steer_nothing() -> None:

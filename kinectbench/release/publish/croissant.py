@@ -27,6 +27,7 @@ FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
 }
 # pandas, which readers load the table with, would make a number of 007.
 VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
+RECORDING_IN_FILE = r"views/([^/]+)/views\.json"
 
 
 def croissant(about: About, folder: Path) -> dict[str, Any]:
@@ -136,7 +137,10 @@ def _cameras() -> dict[str, Any]:
         "width": ("of the view's images, pixels", "sc:Integer", {}),
         "height": ("of the view's images, pixels", "sc:Integer", {}),
     }
-    rows = []
+    path: dict[str, str] = {"fileProperty": "fullpath"}
+    recording = _of_files("cameras", "recording", "id, as targets/recording", path, VIEW_LISTS)
+    recording["source"]["transform"] = {"regex": RECORDING_IN_FILE}
+    rows = [recording]
     for name, (text, kind, more) in parts.items():
         path = {"jsonPath": f"$.views[*].{name}"}
         rows.append(_of_files("cameras", name, text, path, VIEW_LISTS) | {"dataType": kind, **more})
@@ -144,7 +148,7 @@ def _cameras() -> dict[str, Any]:
         "@type": "cr:RecordSet",
         "@id": "cameras",
         "name": "cameras",
-        "description": "one record per view, by recording",
+        "description": "one record per view; recording and view are those of targets",
         "field": rows,
     }
 
