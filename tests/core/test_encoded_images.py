@@ -10,7 +10,7 @@ from bounds import within
 from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.images import read_color, read_gray
-from kinectbench.release.exchange.bop import _depth_mm
+from kinectbench.release.view_images import depth_mm
 
 
 def progressive_jpeg(side: int, scans: int) -> bytes:
@@ -37,7 +37,7 @@ def test_scans_of_a_jpeg_are_counted_before_it_is_decoded(tmp_path: Path) -> Non
 )
 def test_depth_of_a_release_is_a_png_of_16_bits_or_nothing_is_decoded(data: bytes) -> None:
     with within(1, 50), pytest.raises(ReleaseError, match=r"not a PNG of 16-bit depth \("):
-        _depth_mm(data, "000.depth.png")
+        depth_mm(data, "000.depth.png")
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

@@ -101,7 +101,8 @@ def every_setting() -> set[str]:
 
 
 def test_the_table_of_settings_is_complete() -> None:
-    assert {setting.split("=")[0] for setting in SETTINGS} == every_setting()
+    # What is included is read before --set, which refuses it.
+    assert {setting.split("=")[0] for setting in SETTINGS} == every_setting() - {"include"}
 
 
 def planned(root: Path, *overrides: str) -> tuple[str, ...]:

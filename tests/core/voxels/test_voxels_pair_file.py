@@ -216,4 +216,4 @@ def test_parts_of_a_pair_are_checked_like_the_whole(pair: Pair) -> None:
     with pytest.raises(ValueError, match="it holds no 'depth'"):
         pair_parts(content, ("depth",))
     with pytest.raises(ValueError, match="'K' is not a finite 3x3 matrix"):
-        pair_parts(npz_bytes({"K": np.full((3, 3), np.nan)}), ("K",))
+        pair_parts(npz_bytes({"format_version": np.asarray(1), "K": np.full((3, 3), np.nan)}), ("K",))
