@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -18,7 +19,10 @@ from kinectbench.core.errors import KinectBenchError
 # A worker that is silent for so long is ended; the default is minutes.
 SILENT_S = 20
 OF_SCHEDULER = ("--no-dashboard", "--host", "127.0.0.1", "--port", "0")
-OF_WORKER = ("--nthreads", "1", "--no-dashboard", "--memory-limit", "2GB", "--local-directory", "/tmp")
+OF_WORKER = (
+    *("--nthreads", "1", "--no-dashboard", "--memory-limit", "2GB"),
+    *("--local-directory", tempfile.gettempdir()),
+)
 
 
 @dataclass(frozen=True)

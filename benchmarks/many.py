@@ -5,7 +5,7 @@ artefacts are then linked under as many ids as asked for: a fingerprint names no
 time of its file, so that `build` believes them. Every command runs as a process of its own; its CPU time and
 its largest memory are those of it and its processes, as the system counts them.
 
-    python benchmarks/many.py 1000 10000 --build /tmp/many
+    python benchmarks/many.py 1000 10000 --build DIR
 """
 
 import argparse

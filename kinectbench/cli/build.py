@@ -26,7 +26,7 @@ STILL_FAILS = (
 )
 
 
-OPTIONS = (*("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "as_json"),)
+OPTIONS = ("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "as_json")
 
 
 @takes(*OPTIONS, at_url=True)

@@ -198,6 +198,7 @@ def takes(
 
         @wraps(command)
         def run(**options: Any) -> None:
+            """Call the command with the shared options as `Common`, and end with its status."""
             common = Common(**{field.name: options.pop(field.name, field.default) for field in shared})
             if not at_url:
                 _ = common.root

@@ -13,8 +13,8 @@ from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
 
-# Values in one text: those of a quarter of a million lines of targets.csv, of seventy thousand rows of
-# scores, or of a benchmark.json of five thousand recordings. Read as a model, a value takes 150 bytes, and
+# Values in one text: those of a quarter of a million lines of targets.csv, of forty-five thousand rows of
+# scores, or of a benchmark.json of eleven thousand recordings. Read as a model, a value takes 150 bytes, and
 # an object 700: it counts as three (own choice).
 MOST_VALUES = 2_000_000
 OBJECT_VALUES = 3

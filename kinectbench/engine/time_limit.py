@@ -38,6 +38,7 @@ def time_limit(limit_s: float | None, report: Report) -> Iterator[Report]:
     end = time.monotonic() + limit_s
 
     def checked(stage: str, done: int, total: int) -> None:
+        """`report`, unless it takes too long: then `TimeLimitError`."""
         if time.monotonic() > end:
             raise TimeLimitError(
                 f"{stage}: took longer than --time-limit {limit_s:g} (seconds); give it more time, or leave "

@@ -1,4 +1,4 @@
-"""Open a published benchmark: its targets and what `benchmark.json` says. See layout.py for the files."""
+"""Open a published benchmark: its targets and what `benchmark.json` says. See contents.py for the files."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping

@@ -138,6 +138,7 @@ class Rounds:
         results: dict[Target, PairResult | str] = {}
 
         def keep(job: Job, result: PairResult | str) -> None:
+            """Take note of a result as soon as it is there; what was counted survives a kill."""
             if isinstance(result, PairResult):
                 self.journal.add(job, result)
             results[job.target] = result

@@ -6,6 +6,7 @@ from pathlib import Path
 
 # What obstore opens; `s3` needs the variables of the AWS command line, `gs` and `az` those of theirs.
 SCHEMES = ("s3", "s3a", "gs", "az", "abfs", "abfss", "file", "memory", "http", "https")
+# Those whose first part is a bucket or a container.
 IN_BUCKETS = ("s3", "s3a", "gs", "az", "abfs", "abfss")
 # pathlib makes one slash of two: a URL that was an option of type Path comes as `s3:/bucket/name`.
 _URL = re.compile(rf"({'|'.join(SCHEMES)}):(?:(/+)(.*))?")
