@@ -20,6 +20,7 @@ BAR = "same bytes, nothing left over, told in a line"
 # What commands write on the terminal beside errors: progress, and remarks of recordings.
 EXPECTED = re.compile(
     r"\[ *\d+ s\] |cluster: \d+ workers? at |([\w-]+: )?(warning|error|note): |failed: \d+ of \d+ |stopped; "
+    r"|waiting: for a worker, "
 )
 # Files that say when something was made, or by whom.
 NOT_MADE = (".lock", "timing.json", "sources.json")
