@@ -6,6 +6,7 @@ reads it.
 """
 
 import bz2
+import gc
 import io
 import json
 import os
@@ -55,6 +56,7 @@ def cost(run: Run) -> Cost:
     read, write = os.pipe()
     child = os.fork()
     if not child:
+        gc.freeze()  # else a collection copies every page of the parent: .5 s within a long run of tests
         signal.alarm(int(20 * MOST_SECONDS))
         end, before_kb, started = "done", forget_peak(), time.process_time()
         try:

@@ -16,8 +16,10 @@ pytestmark = [
 
 
 def cost_of(name: str, folder: Path, times: int) -> Cost:
+    """The cheaper of two runs: what else the machine does is charged to one run, what multiplies to both."""
     folder.mkdir()
-    return cost(AMPLIFIERS[name].make(folder, times * AMPLIFIERS[name].units))
+    run = AMPLIFIERS[name].make(folder, times * AMPLIFIERS[name].units)
+    return min((cost(run) for _ in range(2)), key=lambda found: found.seconds)
 
 
 @pytest.mark.parametrize("name", AMPLIFIERS)
