@@ -37,7 +37,7 @@ class Nobody:
     def heard(self, message: Any) -> None:
         self.heard_messages += 1
 
-    def warn(self, message: str) -> None:
+    def warn(self, message: str, task: object = None) -> None:
         print(message, file=sys.stderr)
 
 

@@ -135,8 +135,8 @@ class Common:
 
         with cluster(self.cluster) as found:
             slots = found.slots()
-            told = f"{slots} worker{'s' * (slots != 1)} at {self.cluster}; dashboard: {found.dashboard}"
-            console.lines("cluster", [told], "green")
+            told, page = f"{slots} worker{'s' * (slots != 1)} at {self.cluster}", found.dashboard
+            console.lines("cluster", [f"{told}; dashboard: {page}" if page else told], "green")
             if not slots:
                 console.lines(
                     "waiting", ["for a worker, 15 minutes at most: start one by `dask worker`"], "yellow"

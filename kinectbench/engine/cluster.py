@@ -5,29 +5,25 @@ dies, the same command goes on from there.
 """
 
 import logging
-import pickle
 import re
 import ssl
 import time
 import warnings
-from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from statistics import median
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING
+from urllib.request import ProxyHandler, build_opener
 
-from kinectbench.core.errors import ClusterError, KinectBenchError, SettingsError
+from kinectbench.core.errors import ClusterError, SettingsError
 from kinectbench.core.untrusted import printable, read_plain_text
 from kinectbench.core.untrusted_text import strict_json
-from kinectbench.engine.executor import Audience, Lost, Outcomes, Result, Say, Task
+from kinectbench.engine.cluster_run import Run, one_line
+from kinectbench.engine.executor import Audience, Outcomes, Result, Say, Task
 from kinectbench.engine.interrupts import interrupts_held
-from kinectbench.engine.on_worker import call, package_versions
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 WANTED = (
     "give tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the file that `dask scheduler --scheduler-file` "
@@ -35,14 +31,11 @@ WANTED = (
 )
 TLS_HINT = "; Dask's settings distributed.comm.tls name the files: ca-file, client.cert, client.key"
 MISSING = "--cluster needs Dask; install it by `pip install 'kinectbench[cluster]'`"
-KILLED_ALONE = (
-    "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
-    "more memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
-)
 # A scheduler's file has some hundred bytes, and some hundred more for each worker (own choice).
 MOST_FILE_BYTES = 64 << 20
-# Seconds: between two looks at the workers; without a scheduler's answer; without any worker (own choices).
-LOOK_S, CONNECT_S, NO_WORKERS_S = 1.0, 20.0, 900.0
+# Seconds: between two looks at the workers; without a scheduler's answer; without any worker; until Dask's
+# page answers (own choices).
+LOOK_S, CONNECT_S, NO_WORKERS_S, DASHBOARD_S = 1.0, 20.0, 900.0, 2.0
 # A worker that was killed is started again by its nanny within seconds; after this it is gone (own choice).
 RESTART_S = 60.0
 # Of a scheduler that is started here; docs/cluster.md says how others are given them. Three tries; a worker
@@ -86,7 +79,7 @@ def cluster(address: str) -> Iterator["Cluster"]:
             first: BaseException = error
             while first.__cause__ is not None:
                 first = first.__cause__
-            why, of_files = _line(first), isinstance(first, ssl.SSLError | FileNotFoundError)
+            why, of_files = one_line(first), isinstance(first, ssl.SSLError | FileNotFoundError)
             hint = TLS_HINT if of_files or re.search("TLS|encryption", why) else ""
             raise ClusterError(f"--cluster {address}: no scheduler answers there ({why}){hint}") from error
         yield Cluster(client, address)
@@ -143,10 +136,6 @@ def _be_quiet() -> None:
     warnings.filterwarnings("ignore", module=r"distributed\.")
 
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
-
-
 class Cluster:
     """The workers of a Dask scheduler; one task for each of their threads at a time."""
 
@@ -158,8 +147,17 @@ class Cluster:
 
     @property
     def dashboard(self) -> str:
-        """Address of Dask's page about the cluster; it needs `bokeh` where the scheduler runs."""
-        return str(self._client.dashboard_link)
+        """Address of Dask's page about the cluster; "" if none answers there.
+
+        The scheduler names an address also where it was started with `--no-dashboard` (404), and answers
+        without `bokeh` that it needs it.
+        """
+        try:
+            link = str(self._client.dashboard_link)
+            with build_opener(ProxyHandler({})).open(link, timeout=DASHBOARD_S) as answer:
+                return "" if b"needs bokeh" in answer.read(500) else link
+        except Exception:  # of Dask's many kinds, and of HTTP's
+            return ""
 
     def slots(self) -> int:
         """How many threads the workers have, as it was a second ago at most."""
@@ -185,7 +183,7 @@ class Cluster:
                 may have twice as much.
             slowest_twice: see `Executor`.
         """
-        run = _Run(self, self._client, function, tasks, audience, memory_gb)
+        run = Run(self._client, self.largest_gb, self.gone, function, tasks, audience, memory_gb)
         try:
             while run.waiting or run.running or run.killed:
                 slots = self.slots()
@@ -235,134 +233,3 @@ class Cluster:
                 f"--cluster {self._address}: no worker for {NO_WORKERS_S / 60:.0f} minutes; start some, by "
                 "`dask worker` with this address, and run the same command again"
             )
-
-
-@dataclass
-class _Run(Generic[Task, Result]):
-    """The tasks of one call of `outcomes`, by their numbers."""
-
-    cluster: Cluster
-    client: "Client"
-    function: Callable[[Task, Say], Result]
-    tasks: Sequence[Task]
-    audience: Audience
-    memory_gb: Callable[[Task], float] | None
-    events: "SimpleQueue[Any]" = field(default_factory=SimpleQueue)
-    running: "dict[Future, int]" = field(default_factory=dict)
-    asked_gb: dict[int, float] = field(default_factory=dict)
-    begun: dict[int, float] = field(default_factory=dict)
-    seconds: list[float] = field(default_factory=list)
-    alone: set[int] = field(default_factory=set)
-    killed: deque[int] = field(default_factory=deque)
-
-    def __post_init__(self) -> None:
-        self.waiting = deque(range(len(self.tasks)))
-        self.topic = f"kinectbench-{self.client.id}"
-        self.client.subscribe_topic(self.topic, lambda event: self.events.put(event[1]))
-        self.versions = package_versions()
-
-    def submit(self, number: int, *, alone: bool = False) -> None:
-        """Give a task to the scheduler."""
-        task, largest_gb = self.tasks[number], self.cluster.largest_gb()
-        asked_gb = 0.0
-        if self.memory_gb is not None and largest_gb:
-            asked_gb = min(self.memory_gb(task) * (2 if alone else 1), largest_gb)
-        self.asked_gb[number] = asked_gb
-        packed = pickle.dumps((self.function, task))  # only a worker may unpack it: it may be what kills one
-        how = {"pure": False, "resources": {"memory_gb": asked_gb} if asked_gb else None}
-        key = f"{self.topic}-{number}-{time.monotonic_ns()}"
-        try:
-            future = self.client.submit(call, packed, self.topic, self.versions, key=key, **how)
-        except Exception as error:  # the scheduler went since it was looked at
-            raise self.cluster.gone() from error
-        self.running[future] = number
-        self.begun.setdefault(number, time.monotonic())
-        if alone:
-            self.alone.add(number)
-        future.add_done_callback(self.events.put)
-
-    def ask_for_less(self) -> None:
-        """Submit again what asks for more memory than any worker has since one went: nobody would do it."""
-        largest_gb = self.cluster.largest_gb()
-        for future, number in list(self.running.items()):
-            if self.asked_gb[number] > largest_gb:
-                del self.running[future]
-                future.cancel()
-                self.submit(number, alone=number in self.alone)
-
-    def submit_slowest(self) -> None:
-        """Give the task that has been running longest to a second worker, if it is slower than most were."""
-        copies = Counter(self.running.values())
-        single = [number for number, count in copies.items() if count == 1 and number not in self.alone]
-        slowest = min(single, key=self.begun.__getitem__, default=None)
-        usual_s = median(self.seconds) if self.seconds else float("inf")
-        if slowest is not None and time.monotonic() - self.begun[slowest] > 2 * usual_s:
-            self.submit(slowest)
-
-    def ended(self) -> Iterator[tuple[Task, Result | Lost]]:
-        """Wait a moment for what happens, and yield the tasks that have ended."""
-        try:
-            event = self.events.get(timeout=LOOK_S)
-        except Empty:
-            return
-        if isinstance(event, tuple | list):
-            self.audience.heard(tuple(event))
-            return
-        number = self.running.pop(event, None)
-        if number is None:
-            return  # the copy of a task that was faster elsewhere
-        try:
-            outcome = self._outcome(event, number)
-        except TimeoutError:  # its worker died with the result, which is made again, or is slow to answer
-            self.running[event] = number
-            event.add_done_callback(self.events.put)
-            return
-        if outcome is None:
-            return
-        for copy in [future for future, same in self.running.items() if same == number]:
-            del self.running[copy]
-            copy.cancel()
-        self.seconds.append(time.monotonic() - self.begun.pop(number))
-        yield self.tasks[number], outcome
-
-    def _outcome(self, future: "Future", number: int) -> Result | Lost | None:
-        """What has become of a task; None if it is to be tried once more, at the end, or runs elsewhere.
-
-        Raises:
-            TimeoutError: its result does not come; the future ends again.
-        """
-        from distributed.scheduler import KilledWorker, NoValidWorkerError
-
-        try:
-            result: Result = future.result(timeout=CONNECT_S)
-            return result
-        except (KilledWorker, NoValidWorkerError):
-            if number in self.running.values():
-                return None
-            if number in self.alone:
-                return Lost(KILLED_ALONE)
-            self.audience.warn(
-                "workers were killed, perhaps for lack of memory; the recording that was on them is tried "
-                "once more at the end, alone"
-            )
-            self.killed.append(number)
-            return None
-        except KinectBenchError:
-            raise
-        except Exception as error:
-            if future.status == "pending" or (
-                future.status == "finished" and isinstance(error, TimeoutError)
-            ):
-                raise TimeoutError from error
-            if future.status != "error":
-                raise self.cluster.gone() from error
-            raise ClusterError(
-                f"a worker could not carry out its task ({type(error).__name__}: {_line(error)}); every "
-                f"worker needs kinectbench {self.versions['kinectbench']} and the packages of this machine"
-            ) from error
-
-    def close(self) -> None:
-        """Let go of what still runs: it is stopped with its worker, or ends by itself unheard."""
-        for future in self.running:
-            future.cancel()
-        self.running.clear()

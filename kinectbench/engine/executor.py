@@ -15,7 +15,9 @@ Say = Callable[[Any], None]
 
 @dataclass(frozen=True)
 class Lost:
-    """In place of a result: the task's process was killed, in the end with nothing beside it.
+    """In place of a result: the task's process was killed, in the end with nothing beside it, or must be.
+
+    A task whose process hangs returns it itself; the process ends soon after.
 
     Attributes:
         reason: one line; `{id}` stands for the recording.
@@ -34,8 +36,8 @@ class Audience(Protocol):
     def heard(self, message: Any) -> None:
         """What a task said of itself."""
 
-    def warn(self, message: str) -> None:
-        """Something that concerns all tasks, in one line."""
+    def warn(self, message: str, task: Any = None) -> None:
+        """Something that concerns all tasks, or one, in one line; `{id}` in it stands for its recording."""
 
 
 class Executor(Protocol):

@@ -19,6 +19,7 @@ from kinectbench.engine.place import (
 )
 from kinectbench.engine.pool import Pool
 from kinectbench.engine.stages import Job
+from kinectbench.engine.time_limit import watched
 
 # Threads of one recording: each holds a pair of its own in memory. The peak of `pairs`, measured on 92 frames
 # of a phone: 274 MiB with one, 301 with two, 340 with 4, 415 with 8, 504 with 16. Time was measured on two
@@ -62,8 +63,8 @@ def build(
 ) -> list[Outcome]:
     """Bring recordings up to date, each for itself; one that fails does not stop the others.
 
-    A recording whose process is killed, in the end with nothing beside it, fails, and its `failed.json` says
-    so.
+    A recording whose process is killed, in the end with nothing beside it, or hangs, fails, and its
+    `failed.json` says so.
 
     Args:
         jobs: the recordings.
@@ -90,7 +91,7 @@ def build(
     tasks = [job.alone if executor is None else for_elsewhere(job.alone) for job in jobs]
     where = executor or (Here() if alone else Pool(min(workers, len(jobs))))
     found = where.outcomes(
-        partial(_build, build_one),
+        partial(_build if alone or limit_s is None else _build_watched, build_one),
         tasks,
         outcomes,
         expected_gb,
@@ -105,6 +106,11 @@ def build(
             clear_away(job)
         raise
     return [outcomes.by_id[job.recording.id] for job in jobs]
+
+
+def _build_watched(build_one: BuildOne, job: Job, say: Say) -> Outcome | Lost:
+    """Build a recording in a worker process, which ends if the recording hangs."""
+    return watched(lambda hung: _build(partial(build_one, hung=hung), job, say))
 
 
 def _build(build_one: BuildOne, job: Job, say: Say) -> Outcome:
@@ -128,8 +134,8 @@ class _Outcomes:
         if recording not in self.by_id:  # messages may come later than the outcome
             self.watcher(recording, stage, done, total)
 
-    def warn(self, message: str) -> None:
-        self.watcher.warn(message)
+    def warn(self, message: str, task: Job | None = None) -> None:
+        self.watcher.warn(message if task is None else message.format(id=task.recording.id))
 
     def add(self, outcome: Outcome) -> None:
         self.by_id[outcome.recording] = outcome

@@ -23,7 +23,7 @@ from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
 from kinectbench.engine.recording_summary import RecordingSummary
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
-from kinectbench.engine.time_limit import time_limit
+from kinectbench.engine.time_limit import Hung, time_limit
 
 NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
 
@@ -56,6 +56,7 @@ def build_recording(
     *,
     wait: bool = True,
     limit_s: float | None = None,
+    hung: Hung | None = None,
 ) -> Outcome:
     """Bring one recording up to date as far as a stage. Its errors are told, not raised.
 
@@ -69,6 +70,7 @@ def build_recording(
         progress: called with (stage, done, total); a run that waits for another says so as its stage.
         wait: whether to wait for another run that is at this recording; else that is the error.
         limit_s: how long it may take, seconds, without that wait; None: as long as it does.
+        hung: called with the reason, on another thread, if it neither ends nor goes on long after that.
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
@@ -79,7 +81,7 @@ def build_recording(
     try:
         with (
             locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)),
-            time_limit(limit_s, report) as report,
+            time_limit(limit_s, report, hung) as report,
         ):
             artefacts: dict[str, Artefact] = {}
             stages = stages_upto(upto)

@@ -11,6 +11,7 @@ from kinectbench.engine.failures import keep_failure
 from kinectbench.engine.locks import locked
 from kinectbench.engine.pipeline import Outcome, build_recording
 from kinectbench.engine.stages import Job, current_stages
+from kinectbench.engine.time_limit import Hung
 
 
 def build_at_its_place(
@@ -21,13 +22,14 @@ def build_at_its_place(
     *,
     wait: bool = True,
     limit_s: float | None = None,
+    hung: Hung | None = None,
 ) -> Outcome:
     """`build_recording`, wherever the benchmark lies."""
     if url_of(job.root) is None:
-        return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s)
+        return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s, hung=hung)
     from kinectbench.engine.stored_build import build_stored
 
-    return build_stored(job, upto, force, progress, limit_s=limit_s)
+    return build_stored(job, upto, force, progress, limit_s=limit_s, hung=hung)
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], str | None]:
@@ -44,7 +46,7 @@ def status_of(job: Job) -> tuple[tuple[str, ...], str | None]:
 
 
 def keep_killed(job: Job, error: str) -> None:
-    """Write failed.json of a recording whose process was killed."""
+    """Write failed.json of a recording whose process was killed, or hangs."""
     if url_of(job.root) is None:
         keep_failure(job.build, None, error)
         return

@@ -48,9 +48,11 @@ class Pool:
         """See `Executor`; nothing is carried out twice, as another process here is no faster."""
         left, at_once = list(tasks), self.processes
         while left:
-            left = yield from _until_killed(function, left, at_once, audience)
+            left, hangs = yield from _until_killed(function, left, at_once, audience)
             check_interrupt()  # a SIGTERM to the whole group ends the workers, too
-            if left and at_once == 1:
+            if left and hangs:
+                audience.warn("the process of a recording that hangs was ended; those beside it begin again")
+            elif left and at_once == 1:
                 # A single process takes them in their order: the first that is left killed it.
                 culprit, *left = left
                 at_once = self.processes
@@ -65,10 +67,10 @@ class Pool:
 
 def _until_killed(
     function: Callable[[Task, Say], Result], tasks: Sequence[Task], processes: int, audience: Audience
-) -> Generator[tuple[Task, Result], None, list[Task]]:
-    """Carry them out; returns those that were not done when a process was killed."""
+) -> Generator[tuple[Task, Result | Lost], None, tuple[list[Task], bool]]:
+    """Carry them out; returns those that were not done when a process was killed, and whether one hangs."""
     messages = CONTEXT.Queue()
-    undone = dict(enumerate(tasks))
+    undone, hangs = dict(enumerate(tasks)), False
     try:
         with worker_pool(processes, _keep_queue, (messages,)) as pool:
             # To wait for all that are pending would look at each of them each time.
@@ -80,10 +82,13 @@ def _until_killed(
             for _ in tasks:
                 future = _next_done(done, messages, audience)
                 result = future.result()
+                hangs = isinstance(result, Lost)
                 yield undone.pop(numbers[future]), result
+                if hangs:
+                    raise BrokenProcessPool
     except BrokenProcessPool:
         pass
-    return list(undone.values())
+    return list(undone.values()), hangs
 
 
 def _next_done(done: "SimpleQueue[Future[Result]]", messages: Any, audience: Audience) -> "Future[Result]":

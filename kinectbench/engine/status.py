@@ -18,9 +18,12 @@ class RecordingStatus(Part):
     """How far one recording is."""
 
     recording: str = Field(description="its id")
-    state: State = Field(description="done: all stages are current; failed: the last run failed; missing")
+    state: State = Field(
+        description="failed: the last run failed, whatever earlier ones left; done: all stages are current; "
+        "missing"
+    )
     current: tuple[str, ...] = Field(description="stages that are made and current")
-    next: str | None = Field(description="the first stage that is not")
+    next: str | None = Field(description="the first stage that is not; null: all are, of an earlier run")
     error: str | None = Field(description="why the last run failed")
 
 
@@ -35,14 +38,13 @@ def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
 def _status(job: Job) -> RecordingStatus:
     current, failed = status_of(job)
     left = [stage.name for stage in STAGES if stage.name not in current]
-    error = failed if left else None
-    state: State = "failed" if error else "missing" if left else "done"
+    state: State = "failed" if failed else "missing" if left else "done"
     return RecordingStatus(
         recording=job.recording.id,
         state=state,
         current=current,
         next=left[0] if left else None,
-        error=error,
+        error=failed,
     )
 
 

@@ -29,11 +29,12 @@ from kinectbench.engine.checkout import (
     nobody,
     store_of,
 )
-from kinectbench.engine.failures import failed_before
+from kinectbench.engine.failures import failed_before, forget_failure
 from kinectbench.engine.pipeline import Outcome, build_recording, told
 from kinectbench.engine.stages import STAGES, Job, Stage, stages_upto
 from kinectbench.engine.stored_stage import fetch_file, fetch_stage, put_stage
 from kinectbench.engine.summary import summary
+from kinectbench.engine.time_limit import Hung
 
 # What the table of a build shows comes from these.
 SHOWN = {
@@ -53,6 +54,7 @@ def build_stored(
     progress: Report | None = None,
     *,
     limit_s: float | None = None,
+    hung: Hung | None = None,
 ) -> Outcome:
     """`build_recording` of a recording whose root is a URL; its outcome holds its row of the table.
 
@@ -62,6 +64,7 @@ def build_stored(
         force: names of stages to make anew even if they are current.
         progress: called with (stage, done, total); `fetch` and `put` are stages, too.
         limit_s: how long its stages may take, seconds; None: as long as they do.
+        hung: see `build_recording`.
 
     Raises:
         StoreGoneError: the store does not answer any more.
@@ -69,9 +72,10 @@ def build_stored(
     report = progress or nobody
     started = time.monotonic()
     try:
-        outcome = _once(job, upto, force, report, limit_s)
+        once = partial(_once, job, upto, report=report, limit_s=limit_s, hung=hung)
+        outcome = once(force)
         while outcome is None:  # each time a stage more is there already
-            outcome = _once(job, upto, (), report, limit_s)
+            outcome = once(())
     except StoreGoneError:  # nor would the next recordings find it
         raise
     except Exception as failure:
@@ -82,9 +86,17 @@ def build_stored(
     return replace(outcome, seconds=time.monotonic() - started)
 
 
-def _once(job: Job, upto: str, force: Sequence[str], report: Report, limit_s: float | None) -> Outcome | None:
+def _once(
+    job: Job,
+    upto: str,
+    force: Sequence[str],
+    *,
+    report: Report,
+    limit_s: float | None,
+    hung: Hung | None,
+) -> Outcome | None:
     with checked_out(job, upto, report) as found:
-        build = partial(build_recording, found.job, upto, force, report, limit_s=limit_s)
+        build = partial(build_recording, found.job, upto, force, report, limit_s=limit_s, hung=hung)
         return _built(found, upto, force, build, report)
 
 
@@ -94,6 +106,9 @@ def _built(
     """The outcome; None if a stage was there first with other bytes, from which the next are to be made."""
     missing = [each for each in stages_upto(upto) if each.name not in found.current or each.name in force]
     if not missing:
+        if found.failed:
+            forget_failure(found.job.build, found.current)
+            _put_failure(found)
         return _nothing_made(found, None)
     if missing[0].name not in force:
         error = failed_before(found.job.build, found.artefacts[missing[0].name])

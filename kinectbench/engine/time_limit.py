@@ -5,13 +5,20 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from kinectbench.core.errors import KinectBenchError
+from kinectbench.engine.executor import Lost
 
-# A worker process that gives no sign of life for as long again and this much more hangs (own choice).
+# A recording that gives no sign of life for as long again and this much more hangs (own choice).
 HANG_S = 600.0
+# A worker has handed over its result after so many seconds; then a process that hangs ends (own choice).
+HAND_OVER_S = 10.0
 Report = Callable[[str, int, int], None]
+Hung = Callable[[str], None]
+Result = TypeVar("Result")
 
 
 class TimeLimitError(KinectBenchError):
@@ -19,15 +26,16 @@ class TimeLimitError(KinectBenchError):
 
 
 @contextmanager
-def time_limit(limit_s: float | None, report: Report) -> Iterator[Report]:
+def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) -> Iterator[Report]:
     """Yield `report` as it is to be called in the block: it raises once the block takes too long.
 
-    A stage reports for every frame or pair, so that it stops between two of them. A worker process that
-    hangs in the midst of one is ended.
+    A stage reports for every frame or pair, so that it stops between two of them. One that hangs in the midst
+    of one cannot be stopped: `hung` is told.
 
     Args:
         limit_s: how long the block may take, seconds; None: as long as it does.
         report: called with (stage, done, total).
+        hung: called once with the reason, one line, on another thread; None: nobody is told.
 
     Raises:
         TimeLimitError: it took too long.
@@ -35,10 +43,12 @@ def time_limit(limit_s: float | None, report: Report) -> Iterator[Report]:
     if limit_s is None:
         yield report
         return
-    end = time.monotonic() + limit_s
+    end, latest = time.monotonic() + limit_s, "its start"
 
     def checked(stage: str, done: int, total: int) -> None:
         """`report`, unless it takes too long: then `TimeLimitError`."""
+        nonlocal latest
+        latest = stage
         if time.monotonic() > end:
             raise TimeLimitError(
                 f"{stage}: took longer than --time-limit {limit_s:g} (seconds); give it more time, or leave "
@@ -46,11 +56,52 @@ def time_limit(limit_s: float | None, report: Report) -> Iterator[Report]:
             )
         report(stage, done, total)
 
-    hangs = threading.Timer(2 * limit_s + HANG_S, os._exit, (1,))
+    def tell() -> None:
+        if hung is not None:
+            hung(
+                f"{latest}: hangs: did not end or go on for {2 * limit_s + HANG_S:g} s, with --time-limit "
+                f"{limit_s:g} (seconds); its process is ended. Leave the recording out, or give it more time "
+                "if it is only slow"
+            )
+
+    hangs = threading.Timer(2 * limit_s + HANG_S, tell)
     hangs.daemon = True
-    if multiprocessing.parent_process() is not None:
-        hangs.start()
+    hangs.start()
     try:
         yield checked
     finally:
         hangs.cancel()
+
+
+def watched(function: Callable[[Hung], Result]) -> Result | Lost:
+    """Call a function on a thread of its own, and leave it there if it hangs.
+
+    A worker process that holds such a thread ends soon: whatever it has begun meanwhile is lost.
+
+    Args:
+        function: is given what it must call if it hangs (`time_limit` does).
+
+    Returns:
+        What it returns, or `Lost` with the reason.
+
+    Raises:
+        Exception: what it raises.
+    """
+    worked, hangs = Future[Result](), Future[str]()
+
+    def work() -> None:
+        try:
+            worked.set_result(function(hangs.set_result))
+        except BaseException as error:
+            worked.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    either: tuple[Future[Any], ...] = (worked, hangs)
+    wait(either, return_when=FIRST_COMPLETED)
+    if worked.done():
+        return worked.result()
+    if multiprocessing.parent_process() is not None:
+        ends = threading.Timer(HAND_OVER_S, os._exit, (1,))
+        ends.daemon = True
+        ends.start()
+    return Lost(hangs.result())

@@ -1,7 +1,6 @@
 """Recordings on a Dask cluster: the same bytes, and one line for whatever goes wrong with the cluster."""
 
 import contextlib
-import dataclasses
 import shutil
 import subprocess
 import sys
@@ -14,12 +13,12 @@ from typing import Any
 import pytest
 from command_lines import ONE, check_line
 from distributed import Client, Future, LocalCluster
-from small_benchmark import Run, copied, hashes
+from small_benchmark import Run, copied
 from small_benchmark import run as separate
-from test_many_recordings import Deadly, Listener
 
 from kinectbench.core.errors import ClusterError, KinectBenchError, ReleaseError, SettingsError
 from kinectbench.engine import cluster as module
+from kinectbench.engine import cluster_run
 from kinectbench.engine.cluster import Cluster, cluster
 from kinectbench.engine.executor import Here, Lost, Say
 from kinectbench.engine.parallel import build
@@ -54,8 +53,8 @@ class Heard:
     def heard(self, message: Any) -> None:
         self.messages.append(message)
 
-    def warn(self, message: str) -> None:
-        self.warnings.append(message)
+    def warn(self, message: str, task: Any = None) -> None:
+        self.warnings.append(message.format(id=task))
 
 
 @pytest.fixture
@@ -96,13 +95,13 @@ def test_few_tasks_are_in_flight(
     """All that a worker holds is blamed for its death, and ten thousand futures are too many."""
     _, where = threads
     most = []
-    plain = module._Run.submit
+    plain = cluster_run.Run.submit
 
     def noted(run: Any, number: int, *, alone: bool = False) -> None:
         plain(run, number, alone=alone)
         most.append(len(run.running))
 
-    monkeypatch.setattr(module._Run, "submit", noted)
+    monkeypatch.setattr(cluster_run.Run, "submit", noted)
     assert len(list(where.outcomes(doubled, list(range(20)), Heard()))) == 20
     assert max(most) == where.slots() + 1
 
@@ -229,8 +228,8 @@ def test_a_worker_of_another_version_is_refused(
     threads: tuple[LocalCluster, Cluster], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, where = threads
-    wanted = dict(module.package_versions()) | {"kinectbench": "9.9.9"}
-    monkeypatch.setattr(module, "package_versions", lambda: wanted)
+    wanted = dict(cluster_run.package_versions()) | {"kinectbench": "9.9.9"}
+    monkeypatch.setattr(cluster_run, "package_versions", lambda: wanted)
     with pytest.raises(
         ClusterError, match=r"the worker at .* has kinectbench .* and not 9\.9\.9; install"
     ) as told:
@@ -294,27 +293,6 @@ def test_tls_that_is_not_set_is_told_at_once(tmp_path: Path) -> None:
         run = separate(tmp_path, "build", "--cluster", address, variables=variables)
         check_line(run, 1, f"--cluster {address}|no scheduler answers there|distributed.comm.tls|ca-file")
     assert time.monotonic() - started < 4 * module.CONNECT_S
-
-
-# --- recordings ---------------------------------------------------------------------------------------
-
-
-def test_recordings_on_processes_give_the_same_bytes_and_a_deadly_one_fails_alone(
-    small: Path, tmp_path: Path
-) -> None:
-    root = copied(small, tmp_path / "b")
-    settings = load_benchmark(root / "benchmark.yaml", ())
-    chair, table = (Job(settings, recording, root) for recording in settings.recordings)
-    deadly = dataclasses.replace(chair, root=Deadly(tmp_path / "elsewhere"))
-    listener = Listener()
-    with cluster("local:2") as where:
-        assert where.slots() == 2 and where.dashboard.startswith("http://127.0.0.1:")
-        outcomes = build([deadly, table], force=("ingest", "pairs"), watcher=listener, executor=where)
-    assert outcomes[0].error is not None and "its worker was killed although no other" in outcomes[0].error
-    assert (tmp_path / "elsewhere" / "build" / "chair" / "failed.json").is_file()
-    assert outcomes[1].error is None and outcomes[1].made == ("ingest", "pairs")
-    assert hashes(root / "build" / "table") == hashes(small / "build" / "table")
-    assert len(listener.warnings) == 1 and "tried once more at the end, alone" in listener.warnings[0]
 
 
 # --- scores -------------------------------------------------------------------------------------------

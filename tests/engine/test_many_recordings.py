@@ -53,7 +53,7 @@ class Listener:
     def ended(self, outcome: Outcome) -> None:
         self.ends.append(outcome.recording)
 
-    def warn(self, message: str) -> None:
+    def warn(self, message: str, task: object = None) -> None:
         self.warnings.append(message)
 
 

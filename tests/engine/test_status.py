@@ -41,6 +41,22 @@ def test_what_is_missing_failed_or_out_of_date_is_listed(
     assert "no such recording" in shown.out and "chair" not in shown.out
 
 
+def test_a_forced_build_that_failed_is_told_though_the_earlier_result_is_there(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    table = root / "recordings" / "table"
+    table.rename(root / "recordings" / "elsewhere")
+    assert command(root, "build", "table", "--force", "--jobs", "1").status == 1
+    result = command(root, "build", "--status", "--json")
+    assert result.status == 3
+    assert states(result) == {"chair": ("done", None), "table": ("failed", None)}
+    assert "no such recording" in json.loads(result.out)[1]["error"]
+    (root / "recordings" / "elsewhere").rename(table)
+    assert command(root, "build", "--jobs", "1").status == 0
+    assert command(root, "build", "--status").out == "2 of 2 done, 0 failed, 0 missing\n"
+
+
 def test_status_of_a_part(command: Command, small: Path) -> None:
     listed = [
         name

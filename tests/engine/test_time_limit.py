@@ -1,16 +1,25 @@
 """A recording that takes longer than it may fails by itself, and what comes after it is left alone."""
 
+import json
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path, PosixPath
 
 import pytest
-from small_benchmark import Run, copied, leftovers
+from small_benchmark import Run, copied, hashes, leftovers
+from test_many_recordings import Listener
 
 from kinectbench.engine import steps
-from kinectbench.engine.time_limit import TimeLimitError, time_limit
+from kinectbench.engine import time_limit as module
+from kinectbench.engine.cluster import cluster
+from kinectbench.engine.parallel import build
+from kinectbench.engine.stages import Job
+from kinectbench.engine.time_limit import TimeLimitError, time_limit, watched
+from kinectbench.settings.file import load_benchmark
 
 Command = Callable[..., Run]
 
@@ -41,10 +50,15 @@ import time
 from multiprocessing import get_context
 from kinectbench.engine import time_limit
 
-def hang():
-    time_limit.HANG_S = 0.2
-    with time_limit.time_limit(0.1, print):
+def hang_on(hung):
+    with time_limit.time_limit(0.1, lambda *_: None, hung) as report:
+        report("fuse", 0, 1)
         time.sleep(60)
+
+def hang():
+    time_limit.HANG_S = time_limit.HAND_OVER_S = 0.2
+    print(time_limit.watched(hang_on), flush=True)
+    time.sleep(60)
 
 if __name__ == "__main__":
     process = get_context("spawn").Process(target=hang)
@@ -57,7 +71,60 @@ if __name__ == "__main__":
 def test_a_worker_process_that_hangs_is_ended(tmp_path: Path) -> None:
     (tmp_path / "hangs.py").write_text(HANGS)
     done = subprocess.run([sys.executable, tmp_path / "hangs.py"], capture_output=True, text=True, timeout=50)
-    assert done.stdout == "ended by 1\n", done
+    said, end = done.stdout.splitlines()
+    assert "fuse: hangs: did not end or go on for 0.4 s, with --time-limit 0.1 (seconds)" in said, done
+    assert end == "ended by 1", done
+
+
+@pytest.mark.parametrize("error", [None, TimeLimitError("late")])
+def test_what_is_watched_ends_as_it_does(error: Exception | None) -> None:
+    def work(hung: object) -> int:
+        if error is not None:
+            raise error
+        return 3
+
+    with pytest.raises(TimeLimitError, match="late") if error else nullcontext():
+        assert watched(work) == 3
+
+
+class Hanging(PosixPath):
+    """Where a recording hangs in its last stage, in whatever process unpickles this path."""
+
+    def __reduce__(self) -> tuple[Callable[[str], Path], tuple[str]]:
+        return hanging, (str(self),)
+
+
+def hanging(root: str) -> Path:
+    module.HANG_S, module.HAND_OVER_S = 0.5, 5.0
+    steps.STEPS["pairs"] = hang
+    return Path(root)
+
+
+def hang(job: object, folder: Path, progress: Callable[[int, int], None]) -> None:
+    progress(3, 7)
+    time.sleep(600)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("place", ["processes", "cluster"])
+@pytest.mark.xdist_group("resume")
+def test_a_recording_that_hangs_fails_with_the_reason_and_once(
+    place: str, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    settings = load_benchmark(root / "benchmark.yaml", ())
+    chair, table = (Job(settings, recording, root) for recording in settings.recordings)
+    hangs, listener = replace(chair, root=Hanging(root)), Listener()
+    started = time.monotonic()
+    with cluster("local:2") if place == "cluster" else nullcontext() as where:
+        outcomes = build([hangs, table], "pairs", ("pairs",), 2, listener, limit_s=8, executor=where)
+    wanted = "pairs: hangs: did not end or go on for 16.5 s, with --time-limit 8 (seconds)"
+    assert outcomes[0].error is not None and outcomes[0].error.startswith(wanted)
+    assert json.loads((root / "build" / "chair" / "failed.json").read_text())["error"] == outcomes[0].error
+    assert outcomes[1].error is None and outcomes[1].made == ("pairs",)
+    assert hashes(root / "build" / "table") == hashes(small / "build" / "table")
+    assert listener.warnings == [] and time.monotonic() - started < 33, listener.warnings  # hung once only
+    assert build([chair])[0].error is None and leftovers(root) == []
 
 
 @pytest.mark.xdist_group("resume")

@@ -1,0 +1,207 @@
+"""Tasks in flight on a cluster: submitted, listened to, begun again where a worker dies."""
+
+import pickle
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
+from statistics import median
+from typing import TYPE_CHECKING, Any, Generic
+
+from kinectbench.core.errors import ClusterError, KinectBenchError
+from kinectbench.engine.executor import Audience, Lost, Result, Say, Task
+from kinectbench.engine.on_worker import call, package_versions
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+KILLED_ALONE = (
+    "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
+    "more memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
+)
+# Seconds: until an ended task's result comes; for which what happens is waited for at a time (own choices).
+RESULT_S, LISTEN_S = 20.0, 1.0
+
+
+@dataclass
+class Run(Generic[Task, Result]):
+    """The tasks of one call of `Cluster.outcomes`, by their numbers.
+
+    Attributes:
+        client: of the scheduler.
+        largest_gb: the largest resource `memory_gb` of a worker.
+        gone: what is told when the scheduler does not answer any more.
+        function: of a task.
+        tasks: all of them.
+        audience: who hears of it.
+        memory_gb: what a task is expected to need.
+        events: what tasks and the scheduler say, and the futures that have ended.
+        running: number of a task by its future; two of one that is tried twice.
+        asked_gb: what each was submitted with.
+        begun: when each was submitted first, by `time.monotonic`.
+        seconds: how long those took that have ended.
+        alone: those that may have nothing beside them.
+        killed: those that are to be tried alone.
+        orphaned: those whose worker went: when, and how.
+    """
+
+    client: "Client"
+    largest_gb: Callable[[], float]
+    gone: Callable[[], ClusterError]
+    function: Callable[[Task, Say], Result]
+    tasks: Sequence[Task]
+    audience: Audience
+    memory_gb: Callable[[Task], float] | None
+    events: "SimpleQueue[Any]" = field(default_factory=SimpleQueue)
+    running: "dict[Future, int]" = field(default_factory=dict)
+    asked_gb: dict[int, float] = field(default_factory=dict)
+    begun: dict[int, float] = field(default_factory=dict)
+    seconds: list[float] = field(default_factory=list)
+    alone: set[int] = field(default_factory=set)
+    killed: deque[int] = field(default_factory=deque)
+    orphaned: dict[int, tuple[float, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.waiting = deque(range(len(self.tasks)))
+        self.topic = f"kinectbench-{self.client.id}"
+        self.client.subscribe_topic(self.topic, lambda event: self.events.put(event[1]))
+        self.client.subscribe_topic("all", lambda event: self.events.put(event[1]))
+        self.versions = package_versions()
+
+    def submit(self, number: int, *, alone: bool = False) -> None:
+        """Give a task to the scheduler."""
+        task, largest_gb = self.tasks[number], self.largest_gb()
+        asked_gb = 0.0
+        if self.memory_gb is not None and largest_gb:
+            asked_gb = min(self.memory_gb(task) * (2 if alone else 1), largest_gb)
+        self.asked_gb[number] = asked_gb
+        packed = pickle.dumps((self.function, task))  # only a worker may unpack it: it may be what kills one
+        how = {"pure": False, "resources": {"memory_gb": asked_gb} if asked_gb else None}
+        key = f"{self.topic}-{number}-{time.monotonic_ns()}"
+        try:
+            future = self.client.submit(call, packed, self.topic, self.versions, key=key, **how)
+        except Exception as error:  # the scheduler went since it was looked at
+            raise self.gone() from error
+        self.running[future] = number
+        self.begun.setdefault(number, time.monotonic())
+        if alone:
+            self.alone.add(number)
+        future.add_done_callback(self.events.put)
+
+    def ask_for_less(self) -> None:
+        """Submit again what asks for more memory than any worker has since one went: nobody would do it."""
+        largest_gb = self.largest_gb()
+        for future, number in list(self.running.items()):
+            if self.asked_gb[number] > largest_gb:
+                del self.running[future]
+                future.cancel()
+                self.submit(number, alone=number in self.alone)
+
+    def submit_slowest(self) -> None:
+        """Give the task that has been running longest to a second worker, if it is slower than most were."""
+        copies = Counter(self.running.values())
+        single = [number for number, count in copies.items() if count == 1 and number not in self.alone]
+        slowest = min(single, key=self.begun.__getitem__, default=None)
+        usual_s = median(self.seconds) if self.seconds else float("inf")
+        if slowest is not None and time.monotonic() - self.begun[slowest] > 2 * usual_s:
+            self.submit(slowest)
+
+    def ended(self) -> Iterator[tuple[Task, Result | Lost]]:
+        """Wait a moment for what happens, and yield the tasks that have ended."""
+        self._tell_orphaned()
+        try:
+            event = self.events.get(timeout=LISTEN_S)
+        except Empty:
+            return
+        if isinstance(event, tuple | list):
+            self.audience.heard(tuple(event))
+            return
+        if isinstance(event, dict):
+            self._note_orphaned(event)
+            return
+        number = self.running.pop(event, None)
+        if number is None:
+            return  # the copy of a task that was faster elsewhere
+        try:
+            outcome = self._outcome(event, number)
+        except TimeoutError:  # its worker died with the result, which is made again, or is slow to answer
+            self.running[event] = number
+            event.add_done_callback(self.events.put)
+            return
+        if outcome is None:
+            return
+        for copy in [future for future, same in self.running.items() if same == number]:
+            del self.running[copy]
+            copy.cancel()
+        self.seconds.append(time.monotonic() - self.begun.pop(number))
+        yield self.tasks[number], outcome
+
+    def _note_orphaned(self, event: dict[str, Any]) -> None:
+        """Take note of the tasks of a worker that went, if that is what the scheduler says."""
+        if event.get("action") != "remove-worker":
+            return
+        gone = {*event.get("processing-tasks", ()), *event.get("lost-computed-tasks", ())}
+        why = "was stopped" if event.get("expected") else "died, perhaps for lack of memory"
+        for future, number in self.running.items():
+            if future.key in gone:
+                self.orphaned.setdefault(number, (time.monotonic(), why))
+
+    def _tell_orphaned(self) -> None:
+        """Say whose worker went a moment ago, unless the task was given up for that since."""
+        for number, (since, why) in list(self.orphaned.items()):
+            if time.monotonic() - since >= LISTEN_S:
+                del self.orphaned[number]
+                if number in self.running.values():
+                    self.audience.warn(
+                        f"{{id}}: its worker {why}; the recording is tried again", self.tasks[number]
+                    )
+
+    def _outcome(self, future: "Future", number: int) -> Result | Lost | None:
+        """What has become of a task; None if it is to be tried once more, at the end, or runs elsewhere.
+
+        Raises:
+            TimeoutError: its result does not come; the future ends again.
+        """
+        from distributed.scheduler import KilledWorker, NoValidWorkerError
+
+        try:
+            result: Result = future.result(timeout=RESULT_S)
+            return result
+        except (KilledWorker, NoValidWorkerError):
+            self.orphaned.pop(number, None)  # what comes of it is told below
+            if number in self.running.values():
+                return None
+            if number in self.alone:
+                return Lost(KILLED_ALONE)
+            self.audience.warn(
+                "{id}: its workers died one after another, perhaps for lack of memory; the recording is "
+                "tried once more at the end, alone",
+                self.tasks[number],
+            )
+            self.killed.append(number)
+            return None
+        except KinectBenchError:
+            raise
+        except Exception as error:
+            if future.status == "pending" or (
+                future.status == "finished" and isinstance(error, TimeoutError)
+            ):
+                raise TimeoutError from error
+            if future.status != "error":
+                raise self.gone() from error
+            raise ClusterError(
+                f"a worker could not carry out its task ({type(error).__name__}: {one_line(error)}); every "
+                f"worker needs kinectbench {self.versions['kinectbench']} and the packages of this machine"
+            ) from error
+
+    def close(self) -> None:
+        """Let go of what still runs: it is stopped with its worker, or ends by itself unheard."""
+        for future in self.running:
+            future.cancel()
+        self.running.clear()
+
+
+def one_line(error: BaseException) -> str:
+    """What an error of Dask says, in one line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
