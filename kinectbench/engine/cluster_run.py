@@ -134,6 +134,7 @@ class Run(Generic[Task, Result]):
         for copy in [future for future, same in self.running.items() if same == number]:
             del self.running[copy]
             copy.cancel()
+        self._tell_orphaned(number)
         self.seconds.append(time.monotonic() - self.begun.pop(number))
         yield self.tasks[number], outcome
 
@@ -147,15 +148,13 @@ class Run(Generic[Task, Result]):
             if future.key in gone:
                 self.orphaned.setdefault(number, (time.monotonic(), why))
 
-    def _tell_orphaned(self) -> None:
-        """Say whose worker went a moment ago, unless the task was given up for that since."""
+    def _tell_orphaned(self, ended: int | None = None) -> None:
+        """Say whose worker went a moment ago, or before the task that has ended now, and was not given up."""
         for number, (since, why) in list(self.orphaned.items()):
-            if time.monotonic() - since >= LISTEN_S:
+            if number == ended or time.monotonic() - since >= LISTEN_S:
                 del self.orphaned[number]
-                if number in self.running.values():
-                    self.audience.warn(
-                        f"{{id}}: its worker {why}; the recording is tried again", self.tasks[number]
-                    )
+                line = f"{{id}}: its worker {why}; the recording is tried again"
+                self.audience.warn(line, self.tasks[number])
 
     def _outcome(self, future: "Future", number: int) -> Result | Lost | None:
         """What has become of a task; None if it is to be tried once more, at the end, or runs elsewhere.
