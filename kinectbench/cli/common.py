@@ -2,7 +2,7 @@
 
 import inspect
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cached_property, wraps
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # Exit statuses, as README.md lists them.
 CANNOT_BE_USED = 1
 SOME_FAILED = 3
+# Parameters of commands, beside the shared ones, that may be URLs.
+AT_URLS = ("release",)
 DEFAULT_CONFIG = Path("benchmark.yaml")
 
 
@@ -202,6 +204,7 @@ def takes(
             common = Common(**{field.name: options.pop(field.name, field.default) for field in shared})
             if not at_url:
                 _ = common.root
+            _refuse_urls(options)
             status = command(common, **options)
             if status:
                 raise typer.Exit(status)
@@ -218,6 +221,18 @@ def takes(
         return run
 
     return decorate
+
+
+def _refuse_urls(options: Mapping[str, Any]) -> None:
+    """Refuse a URL as a path of this machine, where folders of its parts would be made or looked for.
+
+    Raises:
+        SettingsError: there is one.
+    """
+    for name, value in options.items():
+        url = url_of(value) if isinstance(value, Path) and name not in AT_URLS else None
+        if url is not None:
+            raise SettingsError(f"{name} {shown(url)}: wanted a path of this machine, not a URL")
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:

@@ -3,8 +3,9 @@
 import gc as garbage
 import io
 import os
+import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, cast
 
@@ -26,7 +27,9 @@ from kinectbench.cli.simulate import simulate
 from kinectbench.cli.synthesize import synthesize
 from kinectbench.cli.track import track
 from kinectbench.cli.verify import verify
-from kinectbench.core.errors import KinectBenchError, internal_error
+from kinectbench.core.errors import KinectBenchError, SettingsError, internal_error
+from kinectbench.core.store.address import unusable
+from kinectbench.core.untrusted import printable
 from kinectbench.engine.interrupts import (
     check_interrupt,
     ignore_interrupts,
@@ -170,6 +173,7 @@ def _run() -> tuple[int, tuple[str, ...]]:
 def _call() -> tuple[int, tuple[str, ...]]:
     """Run the command that was given; exit status and error lines, if any."""
     try:
+        _refuse_unusable_urls(sys.argv[1:])
         return app(standalone_mode=False) or 0, ()
     except USAGE_ERRORS as error:
         return 2, _usage(error)
@@ -180,6 +184,19 @@ def _call() -> tuple[int, tuple[str, ...]]:
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
         return 1, (internal_error(error),)
+
+
+def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
+    """Refuse URLs that nobody can use, as they were written: typer makes paths of them.
+
+    Raises:
+        SettingsError: one lacks its bucket or host, or has another scheme.
+    """
+    for argument in arguments:
+        # `--config=URL`, `-cURL`, or the URL itself.
+        written = re.sub(r"--[a-z-]+=|-[a-z]=?", "", argument, count=1) if argument[:1] == "-" else argument
+        if said := unusable(written):
+            raise SettingsError(printable(said, 300))
 
 
 def _usage(error: Any) -> tuple[str, ...]:

@@ -16,7 +16,8 @@ from kinectbench.cli.build import (
 )
 from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import shown, url_of
+from kinectbench.core.store.address import shown, unusable, url_of
+from kinectbench.core.untrusted import printable
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
@@ -101,6 +102,8 @@ def store_at(url: str) -> "Store":
     from kinectbench.core.store.store import Store
     from kinectbench.core.store.usable import require_usable
 
+    if said := unusable(url):
+        raise SettingsError(f"--to: {printable(said, 300)}")
     found = url_of(url)
     if found is None or is_web(found):
         raise SettingsError(f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://")

@@ -74,8 +74,7 @@ def build_recording(
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
-    made: list[str] = []
-    current: list[str] = []
+    made, current = list[str](), list[str]()
     error: str | None = None
     repeated = False
     try:
@@ -108,8 +107,7 @@ def build_recording(
         error = told(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
-    seconds = time.monotonic() - started
-    return Outcome(job.recording.id, tuple(made), tuple(current), error, seconds, repeated)
+    return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started, repeated)
 
 
 @contextmanager

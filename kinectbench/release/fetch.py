@@ -19,7 +19,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.storage import replaced_file, sha256_file, write_below
-from kinectbench.core.store.address import joined, other_scheme, shown, url_of
+from kinectbench.core.store.address import joined, shown, unusable, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
@@ -75,6 +75,8 @@ def release_url(name: str | Path) -> str:
     Raises:
         SettingsError: it is a name, and no place of releases is known.
     """
+    if said := unusable(str(name)):
+        raise SettingsError(printable(said, 300))
     url = url_of(name)
     if url is not None:
         return url
@@ -84,8 +86,7 @@ def release_url(name: str | Path) -> str:
     base = url_of(os.environ.get(RELEASES_VARIABLE, ""))
     if base is None or len(path.parts) != 1:
         raise SettingsError(
-            other_scheme(name)
-            or f"{printable(shown(name))}: no such folder and no URL; name a release's URL or folder, or set "
+            f"{printable(shown(name))}: no such folder and no URL; name a release's URL or folder, or set "
             f"{RELEASES_VARIABLE} to the URL of a place that holds releases by their names"
         )
     return joined(base, str(name))

@@ -8,6 +8,7 @@ from typing import Any
 
 from kinectbench.core.artefacts.targets import SPLITS
 from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.store.address import unusable
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import (
     INPUT_KEYS,
@@ -167,6 +168,8 @@ def load(
         ReleaseError: no release there, or it was changed.
         SettingsError: there is no such key.
     """
+    if said := unusable(str(path)):
+        raise SettingsError(said)
     release = open_release(Path(path))
     return _dataset(release, release.targets, keys, transform, packed)
 

@@ -15,6 +15,7 @@ import kinectbench
 from kinectbench.cli.publish import store_at
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.store import attempts
+from kinectbench.core.store.address import unusable
 from kinectbench.core.store.attempts import patiently
 from kinectbench.core.store.store import Store
 
@@ -119,8 +120,8 @@ def test_a_store_that_does_not_answer_is_told_of_once(
 @pytest.mark.parametrize(
     ("words", "place"),
     [
-        (("build", "--config", "s3:///benchmark.yaml"), "s3://: no bucket in the URL"),
-        (("gc", "--config", "s3:///benchmark.yaml"), "s3://: no bucket in the URL"),
+        (("build", "--config", "s3:///benchmark.yaml"), "s3:///benchmark.yaml: no bucket in the URL"),
+        (("gc", "--config", "s3:///benchmark.yaml"), "s3:///benchmark.yaml: no bucket in the URL"),
         (("build", "--config", "s3://"), "s3://: no bucket in the URL"),
         (("verify", "gs://"), "no bucket in the URL; wanted gs://BUCKET/…"),
         (("fetch", "s3:///rel"), "s3:///rel: no bucket in the URL"),
@@ -133,9 +134,61 @@ def test_a_url_without_a_bucket(command: Command, tmp_path: Path, words: tuple[s
 
 
 def test_loading_from_a_url_without_a_bucket() -> None:
-    for url in ("s3://", "gs:///", "https://"):
+    for url in ("s3://", "gs:///", "https://", "s3:///rel", "s3://@/rel", "http://:80/rel"):
         with pytest.raises(SettingsError, match=r"^[a-z0-9]+://.*: no (bucket|host) in the URL"):
             kinectbench.load(url)
+
+
+@pytest.mark.parametrize(
+    "words",
+    (*WORDS, ("publish", "--to", "{url}"), ("publish", "-c{url}"), ("report", "--benchmark={url}")),
+)
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("s3:///rel", "s3:///rel: no bucket in the URL; wanted s3://BUCKET/…"),
+        ("gs:///rel", "gs:///rel: no bucket in the URL; wanted gs://BUCKET/…"),
+        ("az://?sig=SECRET", "az://?…: no bucket in the URL"),
+        ("s3://...", "s3://...: no bucket can be called so"),
+        ("file://host/rel", "file://host/rel: wanted file:///PATH, of this machine"),
+        ("ftp://host/rel", "ftp:// is not supported; s3, gs, az, https, file are"),
+    ],
+)
+def test_a_url_is_judged_as_it_is_written(
+    command: Command, tmp_path: Path, url: str, why: str, words: tuple[str, ...]
+) -> None:
+    """A path keeps one slash of several, by which `rel` would be the bucket."""
+    line = said(command, tmp_path, *(word.format(url=url) for word in words))
+    # A URL is shown as it was given, with benchmark.yaml where that is asked for.
+    assert why.rpartition(": ")[2] in line and "SECRET" not in line and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        *("s3://bucket/rel", "az://$web/rel", "abfs://c@account.dfs.core.windows.net/rel", "memory:///rel"),
+        *("file:///rel", "https://me@host:443/rel", "http://[::1]:80/rel", "https://bücher.example/rel"),
+        *("s3:bucket", "C:/rel", "rel", "./s3:///rel", "foo:bar/rel"),
+    ],
+)
+def test_what_can_be_used_is_not_refused(url: str) -> None:
+    assert unusable(url) is None
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("export", "s3://b/out"),
+        ("score", "gs://b/predictions"),
+        ("fetch", "https://host/rel", "--out", "s3://b/out"),
+        ("publish", "--archives-to", "file:///zips"),
+    ],
+)
+def test_where_a_path_is_wanted_a_url_makes_no_folder(
+    command: Command, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    assert "wanted a path of this machine, not a URL" in said(command, tmp_path, *words)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_bucket_is_called_so_by_load_too(s3: str) -> None:

@@ -12,6 +12,11 @@ IN_BUCKETS = ("s3", "s3a", "gs", "az", "abfs", "abfss")
 _URL = re.compile(rf"({'|'.join(SCHEMES)}):(?:(/+)(.*))?")
 # A drive of Windows has one letter.
 _OTHER = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+):/")
+NOT_READ = " is not supported; s3, gs, az, https, file are"
+_WRITTEN = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+):(/*)(.*)", re.DOTALL)
+# Of Azure there are `$web` and `container@account.dfs.core.windows.net`; a user may stand before a host.
+_BUCKET = re.compile(r"[A-Za-z0-9$][A-Za-z0-9._$@-]*(?=/|\?|$)")
+_HOST = re.compile(r"([^/@]*@)?([^\s/@:?#\[\]]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?(?=/|\?|$)")
 _SECRET = re.compile(r"(//)[^/]*@")
 
 
@@ -31,7 +36,30 @@ def other_scheme(path: str | Path) -> str | None:
     match = _OTHER.match(str(path))
     if match is None or url_of(path) is not None or Path(path).parts[:1] != (f"{match[1]}:",):
         return None
-    return f"{match[1]}:// is not supported; s3, gs, az, https, file are"
+    return f"{match[1]}://{NOT_READ}"
+
+
+def unusable(text: str) -> str | None:
+    """What is wrong with a URL as somebody wrote it; None if nothing is, or if it is none.
+
+    To be asked before it becomes a path, which keeps one slash of several: `s3:///x` would be a bucket's.
+    """
+    written = _WRITTEN.fullmatch(text)
+    if written is None or (written[3] and len(written[2]) < 2):
+        return None
+    scheme, slashes, rest = written[1], written[2], written[3]
+    if scheme not in SCHEMES:
+        return f"{scheme}://{NOT_READ}" if slashes else None
+    if scheme == "file":
+        return f"{_shown(text)}: wanted file:///PATH, of this machine" if len(slashes) == 2 else None
+    if scheme == "memory":
+        return None
+    part = "bucket" if scheme in IN_BUCKETS else "host"
+    if len(slashes) == 2 and (_BUCKET if part == "bucket" else _HOST).match(rest):
+        return None
+    none = len(slashes) != 2 or not re.match(r"[^/?@:]", rest)
+    said = f"no {part} in the URL" if none else f"no {part} can be called so"
+    return f"{_shown(text)}: {said}; wanted {scheme}://{part.upper()}/…"
 
 
 def is_web(url: str) -> bool:
@@ -52,7 +80,9 @@ def parent_of(url: str) -> str:
 def shown(place: str | Path) -> str:
     """A path or URL as a line for people may quote it: without user, password and query."""
     url = url_of(place)
-    if url is None:
-        return str(place)
+    return str(place) if url is None else _shown(url)
+
+
+def _shown(url: str) -> str:
     plain = _SECRET.sub(r"\1", url)
     return f"{plain.partition('?')[0]}?…" if "?" in plain and not plain.startswith("file:") else plain

@@ -5,7 +5,7 @@ import re
 from urllib.parse import urlsplit
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import IN_BUCKETS, is_web, shown
+from kinectbench.core.store.address import unusable
 from kinectbench.core.untrusted import printable
 
 MISSING = "needs obstore; run pip install 'kinectbench[cluster]'"
@@ -28,9 +28,8 @@ def require_usable(url: str, place: str) -> None:
     except ImportError:
         raise SettingsError(f"{place}: {MISSING}") from None
     scheme = url.partition(":")[0]
-    if (scheme in IN_BUCKETS or is_web(f"{scheme}://")) and not re.match(r"[a-z0-9]+://[^/]", url):
-        part = "bucket" if scheme in IN_BUCKETS else "host"
-        raise SettingsError(f"{shown(url)}: no {part} in the URL; wanted {scheme}://{part.upper()}/…")
+    if said := unusable(url):
+        raise SettingsError(said)
     for name in ENDPOINTS if scheme in ("s3", "s3a") else ():
         endpoint = os.environ.get(name, "")
         if endpoint and not _is_endpoint(endpoint):
