@@ -14,8 +14,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
-from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
-from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
+from kinectbench.core.voxels.morphology import containment, packed_shell
+from kinectbench.core.voxels.pair_file import Pair, pack, packed_count, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid

@@ -91,8 +91,3 @@ def _shell(full):  # type: ignore[no-untyped-def]
                 inner = left[b] & right[b] & above[b] & below[b] & before & after
                 shell[i, j, b] = bits & ~inner
     return shell
-
-
-def packed_count(packed: Packed) -> int:
-    """The number of bits set in a contiguous packed grid of a multiple of 8 bytes."""
-    return int(np.bitwise_count(packed.reshape(-1).view(np.uint64)).sum())

@@ -119,8 +119,13 @@ AnyPair = TypeVar("AnyPair", Pair, PairInput)
 
 def unknown_share(full: Packed, known: Packed) -> float:
     """Share of the cells of a packed shape that are not known; 0 of an empty one."""
-    cells = int(np.bitwise_count(full).sum())
-    return int(np.bitwise_count(full & ~known).sum()) / cells if cells else 0.0
+    cells = packed_count(full)
+    return (cells - packed_count(full & known)) / cells if cells else 0.0
+
+
+def packed_count(packed: Packed) -> int:
+    """The number of bits set in a contiguous packed grid of a multiple of 8 bytes."""
+    return int(np.bitwise_count(packed.reshape(-1).view(np.uint64)).sum())
 
 
 def pack(occupancy: Bools) -> Packed:
@@ -158,11 +163,19 @@ def read_input(path: Path) -> PairInput:
 
 
 def _read(kind: type[AnyPair], path: Path) -> AnyPair:
+    return checked_pair(kind, pair_values(pair_content(path), str(path)), str(path))
+
+
+def pair_content(path: Path) -> bytes:
+    """The bytes of a pair file, not looked at.
+
+    Raises:
+        PairError: it is missing, too large, or cannot be read.
+    """
     try:
-        content = read_plain(path, MAX_BYTES)
+        return read_plain(path, MAX_BYTES)
     except OSError as error:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
-    return checked_pair(kind, pair_values(content, str(path)), str(path))
 
 
 def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:

@@ -5,13 +5,14 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
-from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
+from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
     Packed,
     Pair,
     PairInput,
     pack,
+    packed_count,
     unpack,
 )
 from kinectbench.core.voxels.resample import reduce_blocks

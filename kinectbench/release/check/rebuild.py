@@ -19,8 +19,7 @@ from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.untrusted import read_plain
-from kinectbench.core.voxels.morphology import packed_count
-from kinectbench.core.voxels.pair_file import PACKED_SHAPES, pair_values
+from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
 from kinectbench.release.publish.small_files import package_versions

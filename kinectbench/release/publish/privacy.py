@@ -62,7 +62,10 @@ def scrubbed_file(stored: StoredFile, file: str, found: list[Removed]) -> Stored
     Raises:
         ReleaseError: without it the file is no such file any more.
     """
-    return stored.parse(pretty_json(scrubbed(stored.json_value(), file, found)), file)
+    removed: list[str] = []
+    value = _scrubbed(stored.json_value(), "", removed)
+    found += _rows(file, removed)
+    return stored.parse(pretty_json(value), file) if removed else stored
 
 
 def scrubbed_jpeg(data: bytes, file: str, found: list[Removed]) -> bytes:

@@ -3,6 +3,8 @@
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +23,15 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
-from kinectbench.core.storage import sha256_file, write_below
+from kinectbench.core.storage import write_below
 from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
-from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
+from kinectbench.core.voxels.pair_file import (
+    Pair,
+    checked_pair,
+    pair_bytes,
+    pair_content,
+    pair_values,
+)
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
 from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
@@ -48,6 +56,21 @@ class Built:
     folder: Path
     hidden: bool
     most_named: int
+
+    @cached_property
+    def pairs(self) -> PairsFile:
+        """Its pairs, and the views of which none was made; read once, as the other two."""
+        return PairsFile.read(self.folder / "pairs")
+
+    @cached_property
+    def views(self) -> ViewsFile:
+        """Its views."""
+        return ViewsFile.read(self.folder / "views")
+
+    @cached_property
+    def quality(self) -> QualityFile:
+        """How good its object is."""
+        return QualityFile.read(self.folder / "object")
 
 
 @dataclass(frozen=True)
@@ -80,7 +103,7 @@ def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Publi
     Raises:
         ReleaseError: a file is missing or damaged, or a pair is not of the benchmark's framing and rule.
     """
-    names = sorted(row.view for row in PairsFile.read(built.folder / "pairs").pairs)
+    names = sorted(row.view for row in built.pairs.pairs)
     if not names:
         return None
     pairs = {view: _publish_pair(built, view, folder) for view in names}
@@ -92,12 +115,9 @@ def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Publi
     return Published(targets, info, _lineage(built, names), has_color, unknown)
 
 
-def _read_pair(settings: BenchmarkSettings, path: Path) -> Pair:
-    """A built pair; one benchmark has one framing and one partial rule."""
-    try:
-        pair = read_pair(path)
-    except PairError as error:
-        raise ReleaseError(str(error)) from error
+def _read_pair(settings: BenchmarkSettings, content: bytes, path: Path) -> Pair:
+    """A built pair from its file's bytes; one benchmark has one framing and one partial rule."""
+    pair = checked_pair(Pair, pair_values(content, str(path)), str(path))
     for key in ("framing", "partial_rule"):
         found, wanted = getattr(pair, key), getattr(settings.pairs, key)
         if found != wanted:
@@ -106,16 +126,19 @@ def _read_pair(settings: BenchmarkSettings, path: Path) -> Pair:
 
 
 def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
-    """Copy a pair, or write its input alone; with whether nothing of its true shape is known."""
+    """Write a pair as it was built, or its input alone; with whether nothing of its true shape is known."""
     recording = built.recording
     source = built.folder / "pairs" / f"{view}.npz"
-    pair = _read_pair(built.settings, source)
-    file = f"pairs/{recording.id}/{view}.npz"
+    try:
+        content = pair_content(source)
+        pair = _read_pair(built.settings, content, source)
+    except PairError as error:
+        raise ReleaseError(str(error)) from error
     if built.hidden:
         floor = FloorFile.read(built.folder / "object")
-        write_below(folder / file, pair_bytes(without_truth(pair, floor.T_floor_world)))
-    else:
-        _copy_built(source, folder / file)
+        content = pair_bytes(without_truth(pair, floor.T_floor_world))
+    file = f"pairs/{recording.id}/{view}.npz"
+    write_below(folder / file, content)
     target = Target(
         recording=recording.id,
         object=recording.object_name,
@@ -123,7 +146,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
         category=recording.category,
         split=recording.split,
         file=file,
-        sha256=sha256_file(folder / file),
+        sha256=sha256(content).hexdigest(),
         unknown_share=None if built.hidden else pair.stated_unknown_share,
     )
     return target, pair.unknown_share == 1
@@ -138,7 +161,7 @@ def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
     floor = FloorFile.read(source)
     _write(own_floor(floor) if built.hidden else floor, folder, name, found)
     if not built.hidden:
-        _write(QualityFile.read(source), folder, name, found)
+        _write(built.quality, folder, name, found)
 
 
 def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found: list[Removed]) -> bool:
@@ -161,7 +184,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found:
         if built.settings.publish.color and (source / image).is_file():
             data = scrubbed_jpeg(read_plain(source / image, IMAGE_BYTES), f"{name}/{image}", found)
             (folder / name / image).write_bytes(data)
-    views = _with_pairs(ViewsFile.read(source), built.folder / "sequence", targets)
+    views = _with_pairs(built.views, built.folder / "sequence", targets)
     _write(own_views(views) if built.hidden else views, folder, name, found)
     return has_color
 
@@ -182,9 +205,9 @@ def _with_pairs(views: ViewsFile, sequence: Path, targets: Sequence[Target]) -> 
 
 def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
     """What benchmark.json says of a recording."""
-    recording, folder = built.recording, built.folder
-    quality = QualityFile() if built.hidden else _without_method(QualityFile.read(folder / "object"))
-    refused = (*ViewsFile.read(folder / "views").refused, *PairsFile.read(folder / "pairs").refused)
+    recording = built.recording
+    quality = QualityFile() if built.hidden else _without_method(built.quality)
+    refused = (*built.views.refused, *built.pairs.refused)
     return RecordingInfo(
         object=recording.object_name,
         category=recording.category,
@@ -226,7 +249,7 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
         content = content.model_copy(update={"files_sha256": files_hash(files)})
     if built.hidden:
         return content
-    rows = {row.view: row for row in ViewsFile.read(built.folder / "views").views}
+    rows = {row.view: row for row in built.views.views}
     return content.model_copy(update={"views": tuple(_frame(rows[name]) for name in names if name in rows)})
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bounds import within
 
-from kinectbench.core.voxels.npy import NpyError
+from kinectbench.core.voxels.npy import NpyError, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes, open_npz, packed_npz_bytes
 
 GRID = np.arange(24, dtype=np.uint8).reshape(2, 3, 4)
@@ -169,3 +169,31 @@ def test_texts_are_of_characters(order, point, is_text):
     else:
         with pytest.raises(NpyError, match="no characters"):
             arrays_of(file, 1 << 20)
+
+
+def test_bytes_in_memory_are_read_where_they_lie_and_bytes_of_others_are_copied():
+    mine = io.BytesIO(bytes(bytearray(npy(GRID))))
+    array = read_npy(mine, len(npy(GRID)))
+    with pytest.raises(BufferError):  # the array is a view of it
+        mine.write(b"more of it" * 100)
+    array[:] = 0  # nobody else has it
+    held = npy(GRID)
+    read_npy(io.BytesIO(held), len(held))[:] = 0
+    assert held == npy(GRID)
+
+
+def test_an_array_in_memory_is_aligned():
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }\n"
+    content = b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + np.array([1.5, 2.5]).tobytes()
+    array = read_npy(io.BytesIO(content), len(content))
+    assert array.tolist() == [1.5, 2.5] and array.flags.aligned and array.flags.writeable
+
+
+@pytest.mark.parametrize(("change", "line"), [(-1, "cut short"), (1, "longer than it claims")])
+def test_a_wrong_length_in_memory(change, line):
+    content = npy(GRID)
+    size = len(content)
+    changed = content[:change] if change < 0 else content + bytes(change)
+    for said in (size, size + change):  # whatever the archive says
+        with pytest.raises(NpyError, match=line):
+            read_npy(io.BytesIO(changed), said)

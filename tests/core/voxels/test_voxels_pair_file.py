@@ -1,6 +1,9 @@
 """npz files: the same bytes, open to plain numpy; pair files: every damage gives one line."""
 
 import io
+import platform
+import subprocess
+import sys
 import zipfile
 from dataclasses import fields, replace
 from pathlib import Path
@@ -12,7 +15,15 @@ from references import shell_of
 from kinectbench.core.errors import PairError, StorageError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes, read_npz
-from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, pair_parts, read_pair, unpack
+from kinectbench.core.voxels.pair_file import (
+    Pair,
+    pack,
+    pair_bytes,
+    pair_parts,
+    read_pair,
+    unknown_share,
+    unpack,
+)
 
 
 @pytest.fixture(scope="module")
@@ -217,3 +228,29 @@ def test_parts_of_a_pair_are_checked_like_the_whole(pair: Pair) -> None:
         pair_parts(content, ("depth",))
     with pytest.raises(ValueError, match="'K' is not a finite 3x3 matrix"):
         pair_parts(npz_bytes({"format_version": np.asarray(1), "K": np.full((3, 3), np.nan)}), ("K",))
+
+
+FAULTS = """
+import resource, sys
+from pathlib import Path
+from kinectbench.core.voxels.pair_file import read_pair
+for _ in range(3):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    read_pair(Path(sys.argv[1]))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library does as it likes")
+def test_the_memory_of_a_pair_is_used_for_the_next(pair: Pair, tmp_path: Path) -> None:
+    path = tmp_path / "000.npz"
+    path.write_bytes(pair_bytes(pair))
+    told = subprocess.run([sys.executable, "-c", FAULTS, path], check=True, capture_output=True, text=True)
+    # Its grids have 2,570 pages of 4 KB; given back to the system, all of them would be asked for again.
+    assert int(told.stdout) < 500
+
+
+def test_the_share_of_what_is_not_known():
+    full, known = (pack(np.random.default_rng(n).random((16, 16, 64)) < 0.4) for n in range(2))
+    assert unknown_share(full, known) == (unpack(full) & ~unpack(known)).sum() / unpack(full).sum()
+    assert unknown_share(np.zeros_like(full), known) == 0
