@@ -93,6 +93,7 @@ RAW_CALLS = {
         "json.loads",
         "json.dump",
         "json.dumps",
+        "json.JSONDecoder",
         "strict_json",
         "storage.strict_json",
         "pretty_json",

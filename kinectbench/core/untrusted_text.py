@@ -9,6 +9,7 @@ import io
 import json
 import re
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
@@ -41,27 +42,47 @@ def parsed_json(text: str, *, constants: bool) -> Any:
     Raises:
         ValueError: it is malformed, or has too many values or keys; RecursionError: it is nested without end.
     """
+    _check_values(text, ",[" + "{" * OBJECT_VALUES)
+    if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):
+        raise ValueError(f"it has more than {WIDE_CHARACTERS} characters, some beyond U+FFFF")
+    if len(text) <= MOST_KEYS:  # which cannot have more keys
+        return (_PARSER if constants else _STRICT_PARSER).decode(text)
+    counted = _counting(dict if constants else _object)
+    return json.JSONDecoder(object_pairs_hook=counted, parse_constant=None if constants else _refuse).decode(
+        text
+    )
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not JSON")
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON, with no key twice."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"it has the key '{printable(twice)}' twice")
+    return values
+
+
+def _counting(to_object: Callable[[list[tuple[str, Any]]], dict[str, Any]]) -> Callable[..., dict[str, Any]]:
+    """The same, with the keys of all objects of one text counted."""
     keys = set[str]()
 
-    def refuse(constant: str) -> NoReturn:
-        raise ValueError(f"{constant} is not JSON")
-
     def counted(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        """An object of JSON; its keys are counted with those of the whole text."""
         if len(pairs) <= MOST_KEYS:
             keys.update(key for key, _ in pairs)
         if max(len(keys), len(pairs)) > MOST_KEYS:
             raise ValueError(f"it has more than {MOST_KEYS} keys")
-        values = dict(pairs)
-        if not constants and len(values) < len(pairs):
-            twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-            raise ValueError(f"it has the key '{printable(twice)}' twice")
-        return values
+        return to_object(pairs)
 
-    _check_values(text, ",[" + "{" * OBJECT_VALUES)
-    if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):
-        raise ValueError(f"it has more than {WIDE_CHARACTERS} characters, some beyond U+FFFF")
-    return json.loads(text, parse_constant=None if constants else refuse, object_pairs_hook=counted)
+    return counted
+
+
+# To make a parser takes as long as to parse a short text.
+_PARSER = json.JSONDecoder()
+_STRICT_PARSER = json.JSONDecoder(object_pairs_hook=_object, parse_constant=_refuse)
 
 
 def csv_rows(text: str) -> list[list[str]]:

@@ -7,6 +7,7 @@ import contextlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ class Artefact:
     settings: Mapping[str, Any]
     inputs: Mapping[str, str]
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """What the manifest must hold for the folder to be this artefact."""
         return fingerprint(self.stage, self.version, self.settings, self.inputs)

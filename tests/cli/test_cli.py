@@ -45,6 +45,18 @@ def test_help_is_fast_and_imports_nothing_heavy(tmp_path: Path) -> None:
     assert result.stdout.splitlines()[-1] == "[]"
 
 
+def test_what_finds_all_up_to_date_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\n"
+        "import kinectbench.engine.parallel, kinectbench.engine.summary\n"
+        "from kinectbench.stages.ingest.readers import name_suffixes\n"
+        "name_suffixes()\n"  # the readers of all formats
+        "print(sorted({'open3d', 'cv2', 'numba', 'trimesh', 'scipy'} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
 def test_no_command_shows_the_help(command: Command, tmp_path: Path) -> None:
     result = command(tmp_path)
     assert result.status == 2 and "Usage" in result.out + result.err and "build" in result.out + result.err

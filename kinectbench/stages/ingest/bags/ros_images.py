@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
 from kinectbench.core.untrusted import MOST_PIXELS, MOST_SIDE_PX, is_too_large
-from kinectbench.stages.ingest.bags.rvl import decode_rvl
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
     decode_depth_png,
@@ -106,8 +105,13 @@ def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray
     body = data[COMPRESSED_DEPTH_HEADER:]
     if len(data) < COMPRESSED_DEPTH_HEADER:
         raise DamagedImageError(f"{name}: the compressedDepth image is cut off after {len(data)} bytes")
-    decode = decode_rvl if "rvl" in message.format.lower() else decode_depth_png
-    native = decode(body, name)
+    if "rvl" in message.format.lower():
+        # Here, as numba takes longer to import than to see that a recording is up to date.
+        from kinectbench.stages.ingest.bags.rvl import decode_rvl
+
+        native = decode_rvl(body, name)
+    else:
+        native = decode_depth_png(body, name)
     if not message.format.startswith(FLOAT_DEPTH):
         return native
     # Inverse depth: z = A / (v - B), from the header `int32 format, float32 A, float32 B`.

@@ -42,7 +42,7 @@ from kinectbench.stages.ingest.images import (
 )
 from kinectbench.stages.ingest.intrinsics import scale_warnings
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
-from kinectbench.stages.ingest.registration import Undistortion
+from kinectbench.stages.ingest.undistortion import Undistortion
 
 COLOR_WORDS = ("rgb", "color", "colour")
 

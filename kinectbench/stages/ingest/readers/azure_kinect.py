@@ -28,7 +28,7 @@ from kinectbench.stages.ingest.readers.azure_calibration import (
     AzureCalibration,
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.registration import Undistortion
+from kinectbench.stages.ingest.undistortion import Undistortion
 
 if TYPE_CHECKING:
     from av.container import InputContainer

@@ -37,8 +37,8 @@ from kinectbench.stages.ingest.readers.phone_images import (
     scaled_to_depth,
 )
 from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size, first_file
-from kinectbench.stages.ingest.registration import Undistortion
 from kinectbench.stages.ingest.sources import check_count
+from kinectbench.stages.ingest.undistortion import Undistortion
 
 FILE = "transforms.json"
 DEPTH_KEYS = ("depth_file_path", "depth_path")
