@@ -1,10 +1,11 @@
-"""Tables and settings: scores, thresholds, targets.csv, benchmark.json, benchmark.yaml."""
+"""Tables and settings: scores, thresholds, targets.csv, benchmark.json, benchmark.yaml, what it includes."""
 
 from pathlib import Path
 from random import Random
 
 from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer
+from fuzz.includes import FILES, INCLUDING, PARQUET, make_included, of_names
 from fuzz.places import of_place, put
 from fuzz.releases import ON_RELEASE, PREDICTIONS, RELEASE, SCORE, make_release, seal
 
@@ -24,6 +25,7 @@ COMPARE = ("compare", "scores")
 REPORT = ("report", *ON_RELEASE, "--scores", "scores", "--out", "page.html")
 WITH_THRESHOLDS = (*SCORE[:-1], "scored", "--thresholds", THRESHOLDS)
 INGEST = ("ingest", "-c", YAML, "--jobs", "1")
+STATUS = ("build", "--status", "-c", INCLUDING)
 CHECK = ("check", PREDICTIONS, *ON_RELEASE)
 VERIFY = ("verify", RELEASE)
 # What is damaged, and what reads it.
@@ -35,8 +37,9 @@ TABLES: dict[str, tuple[tuple[str, ...], ...]] = {
     f"{RELEASE}/targets.csv": (CHECK, VERIFY, SCORE, REPORT),
     f"{RELEASE}/benchmark.json": (CHECK, VERIFY, SCORE, REPORT),
     YAML: (INGEST,),
+    **dict.fromkeys((INCLUDING, *FILES, PARQUET), (STATUS,)),
 }
-BY_PLACE = 0.1
+BY_PLACE, BY_NAMES = 0.1, 0.5
 
 
 def make(folder: Path) -> None:
@@ -60,10 +63,12 @@ def make(folder: Path) -> None:
         )
         write_galleries(release, case / PREDICTIONS, tables, out, "half-pixel")
     (case / YAML).write_text(SETTINGS, encoding="utf-8")
+    make_included(case)
 
 
 def whole(case: Path) -> list[Command]:
-    return [Command(words, (0,)) for words in (COMPARE, REPORT, WITH_THRESHOLDS, CHECK, VERIFY)]
+    sound = (COMPARE, REPORT, WITH_THRESHOLDS, CHECK, VERIFY)
+    return [*(Command(words, (0,)) for words in sound), Command(STATUS, (3,))]
 
 
 def damage(draw: Random, case: Path) -> Damaged:
@@ -71,6 +76,8 @@ def damage(draw: Random, case: Path) -> Damaged:
     path = case / name
     if not path.is_file():
         return [f"no {name}"], [Command(words) for words in TABLES[name]]
+    if name == INCLUDING and draw.random() < BY_NAMES:
+        return [of_names(draw, case)], [Command(STATUS)]
     story = []
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
         if draw.random() < BY_PLACE or not path.is_file() or path.is_symlink():

@@ -231,6 +231,14 @@ def lies_below(path: Path, root: Path) -> bool:
         return False
 
 
+def followed(path: Path) -> Path:
+    """A path with its links followed; of links that lead to each other itself, which nobody can open."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):
+        return path.absolute()
+
+
 def _can_be(way: PurePosixPath) -> bool:
     """Whether a file can have such a path."""
     try:

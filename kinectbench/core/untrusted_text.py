@@ -89,13 +89,21 @@ def csv_rows(text: str) -> list[list[str]]:
     """The rows of a CSV text; a line ends in LF or CR LF.
 
     Raises:
-        ValueError: it is malformed, or has too many values.
+        ValueError: it is malformed, or has too many values; the message names the line, from 1.
     """
     _check_values(text, ",\n")
+    reader, rows, begun = csv.reader(io.StringIO(text), strict=True), list[list[str]](), 0
     try:
-        return list(csv.reader(io.StringIO(text)))
+        for row in reader:
+            rows.append(row)
+            begun = reader.line_num
     except csv.Error as error:
-        raise ValueError(str(error)) from error
+        said = {
+            "unexpected end of data": "a quote that is opened there is not closed",
+            "',' expected after '\"'": "a quote is followed by neither a comma nor the end of the line",
+        }.get(str(error), str(error))
+        raise ValueError(f"line {begun + 1}: {said}") from error
+    return rows
 
 
 def _check_values(text: str, signs: str) -> None:

@@ -12,7 +12,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.store.address import shown
 from kinectbench.core.untrusted import printable
 from kinectbench.settings import yaml_nodes
-from kinectbench.settings.include import INCLUDE, with_included
+from kinectbench.settings.include import ACCEPTED, INCLUDE, RECORDINGS, with_included
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.reading import as_text, read_bytes
 from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
@@ -153,6 +153,8 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
     of_place: dict[tuple[Location, str], ErrorDetails] = {}
     for error in errors:
         of_place.setdefault((_location(error), error["type"]), error)
+    if any(error["loc"][:1] == (INCLUDE,) for error in errors):
+        of_place.pop(((RECORDINGS,), "missing"), None)  # they were to be included
     errors = list(of_place.values())
     anchors = [yaml_nodes.find(root, _location(error), known)[0] for error in errors]
     orders = [yaml_nodes.order(anchor, root.start_mark.name) for anchor in anchors]
@@ -192,6 +194,8 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
     else:
         what = f"found {_found(value)}; wanted {wanted(annotation, constraints)}"
         what += "; it must be finite" if kind == "finite_number" else _value_hint(value, annotation)
+    if location == (INCLUDE,):
+        what += f": {ACCEPTED}"
     where, key = yaml_nodes.place(anchor), _dotted(values, location)
     named = where.startswith(f"{yaml_nodes.OVERRIDE}{key}=")
     return f"{where}: {what}" if named else f"{where}: {printable(key)}: {what}"

@@ -6,8 +6,8 @@ from pathlib import Path
 import yaml
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import shown, url_of
-from kinectbench.core.untrusted import printable
+from kinectbench.core.store.address import shown, unusable, url_of
+from kinectbench.core.untrusted import followed, printable
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.reading import MOST_BYTES, as_text, matching, read_bytes, refuse_outside
 from kinectbench.settings.recording_table import ENDINGS, table_entries
@@ -15,6 +15,9 @@ from kinectbench.settings.recording_table import ENDINGS, table_entries
 INCLUDE, RECORDINGS = "include", "recordings"
 # Files with a recording each, of the largest benchmark (own choice): each costs a tenth of a millisecond.
 MOST_FILES = 20_000
+ACCEPTED = f"names of YAML files with `{RECORDINGS}:`, or of tables, {' or '.join(ENDINGS)}"
+# YAML has JSON in it. Files of other names are read as YAML, too.
+OF_YAML = (".yaml", ".yml", ".json")
 MISSING = "correct the name under `include:`, or make the file"
 
 
@@ -49,7 +52,7 @@ def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Al
     if not (own is None or isinstance(own, yaml.SequenceNode) or _is_null(own)):
         return root
     entries = list(own.value) if isinstance(own, yaml.SequenceNode) else []
-    left = _Left(allowance, seen={config.resolve()})
+    left = _Left(allowance, seen={followed(config)})
     for pattern in patterns.value:
         for path in _files(pattern, config):
             entries += _entries(path, config, pattern, left)
@@ -75,6 +78,11 @@ def _is_null(node: yaml.Node) -> bool:
 def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
     """The files that one entry of `include:` means."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
+    if url_of(pattern.value) or unusable(pattern.value):
+        raise SettingsError(
+            f"{where}: '{printable(shown(pattern.value))}' is a URL; files are named relative to the "
+            f"folder of {config.name}, in a store, too"
+        )
     try:
         found = matching(config.parent, pattern.value)
     except ValueError as error:
@@ -82,7 +90,7 @@ def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
     except OSError as error:
         raise SettingsError(f"{where}: {error.filename}: {error.strerror}") from None
     if not found:
-        place = shown(config.parent) if url_of(config) else config.parent.resolve()
+        place = shown(config.parent) if url_of(config) else followed(config.parent)
         raise SettingsError(f"{where}: no file is called '{printable(pattern.value)}' in {place}; correct it")
     if len(found) > MOST_FILES:
         raise SettingsError(f"{where}: {len(found)} files; at most {MOST_FILES} may be included")
@@ -93,16 +101,24 @@ def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) ->
     """The recordings of one file; none if it was read before, as names and patterns may mean a file twice."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     refuse_outside(path, config.parent)
-    if path.resolve() in left.seen:
-        if path.name == pattern.value and path.resolve() == config.resolve():
+    if followed(path) in left.seen:
+        if path.name == pattern.value and followed(path) == followed(config):
             raise SettingsError(f"{where}: '{printable(pattern.value)}' is this file itself; remove it")
         return []
-    left.seen.add(path.resolve())
+    left.seen.add(followed(path))
+    if url_of(path) is None and path.is_dir():
+        name = printable(pattern.value.rstrip("/"))
+        raise SettingsError(f"{where}: '{name}' is a folder; name its files, such as '{name}/*.yaml'")
     content = read_bytes(path, left.bytes, f"it is named at {where}; {MISSING}")
     left.bytes -= len(content)
     if path.suffix.lower() in ENDINGS:
         return table_entries(content, shown(path), left.allowance)
-    return _of_yaml(as_text(content, shown(path)), shown(path), left.allowance)
+    try:
+        return _of_yaml(as_text(content, shown(path)), shown(path), left.allowance)
+    except SettingsError as error:
+        if path.suffix.lower() in OF_YAML:
+            raise
+        raise SettingsError(f"{where}: {error}; accepted are {ACCEPTED}") from None
 
 
 def _of_yaml(text: str, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:

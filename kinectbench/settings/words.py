@@ -66,7 +66,8 @@ def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
     if get_origin(inner) is tuple:
         return f"a list of {len(get_args(inner))} numbers"
     if get_origin(inner) is list:
-        return "a list with at least one entry"
+        (entry,) = get_args(inner)
+        return f"a list with at least one entry, each {'a mapping' if model_of(entry) else 'a text'}"
     name = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}[inner]
     return f"{name} {limits}" if (limits := range_in_words(constraints)) else name
 

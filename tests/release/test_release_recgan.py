@@ -267,3 +267,9 @@ def test_links_within_the_folder_and_to_it_are_followed(tmp_path: Path, command:
     done = command(tmp_path, "import", "in", "out")
     assert done.status == 0, done.err
     np.testing.assert_array_equal(unpack(read_pair(tmp_path / "out/pairs/m-125/000.npz").full), corner())
+
+
+def test_a_folder_that_is_a_link_to_itself_is_a_line(tmp_path: Path, command: Command):
+    (tmp_path / "loop").symlink_to("loop")
+    result = command(tmp_path, "import", "loop", "out")
+    assert result.status in (1, 2) and "internal error" not in result.err and result.err.count("\n") == 1

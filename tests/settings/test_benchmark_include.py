@@ -21,6 +21,12 @@ __all__ = ["s3", "s3_server"]  # fixtures
 HEAD = "name: rooms\nlicense: CC0-1.0\n"
 OWN = "recordings:\n  - {id: own, path: own, category: chair}\n"
 ONE = "recordings:\n  - {id: %s, path: rec/%s, category: table}\n"
+WANTED = (
+    "wanted a list with at least one entry, each a text: names of YAML files with `recordings:`, or of "
+    "tables, .csv or .parquet"
+)
+ONLY = "an included file holds `recordings:` and nothing else, a list as in benchmark.yaml; accepted are"
+OPEN = "a quote that is opened there is not closed"
 CSV_TEXT = (
     "id,path,category,split,camera.fx,camera.swap_red_blue,floor.plane_world,box.center_m,box.size_m,license\n"
     '007,rec/7,chair,train,525,TRUE,"[0, 0, 1, -0.5]",,,\n'
@@ -111,6 +117,25 @@ def test_every_field_of_a_recording_has_its_column() -> None:
         (main("[benchmark.yaml]"), "benchmark.yaml:3: include: 'benchmark.yaml' is this file itself; remove"),
         (main('["*.yaml"]'), "benchmark.yaml:3: recordings: found a list of 0; wanted a list with at least"),
         (main("a.yaml", OWN), "benchmark.yaml:3: include: found the text 'a.yaml'; wanted a list with at"),
+        (main("[3]"), f"benchmark.yaml:3: include: found [3]; {WANTED}"),
+        (main("[[a.yaml]]"), f"benchmark.yaml:3: include: found a list of 1; {WANTED}"),
+        (main("[null]", OWN), f"benchmark.yaml:3: include: found [nothing]; {WANTED}"),
+        (main("[rooms]") | {"rooms/a.yaml": "x"}, "benchmark.yaml:3: include: 'rooms' is a folder; name its"),
+        (main("[rooms/]") | {"rooms/a.yaml": "x"}, "benchmark.yaml:3: include: 'rooms' is a folder; name"),
+        (main("[t.tsv]") | {"t.tsv": "id\tpath\na\ta\n"}, f"benchmark.yaml:3: include: t.tsv:1: {ONLY}"),
+        (main("[t.xlsx]") | {"t.xlsx": "\0PK"}, "benchmark.yaml:3: include: t.xlsx"),
+        (main("['s3://b/a.yaml']"), "benchmark.yaml:3: include: 's3://b/a.yaml' is a URL; files are named"),
+        (main("['s3:///a.yaml']"), "benchmark.yaml:3: include: 's3:///a.yaml' is a URL; files are named"),
+        (main("['ftp://b/a.yaml']"), "benchmark.yaml:3: include: 'ftp://b/a.yaml' is a URL; files are"),
+        (main("[t.csv]") | {"t.csv": 'id,path,category\na,a,"c\n'}, f"t.csv: no CSV table: line 2: {OPEN}"),
+        (
+            main("[t.csv]") | {"t.csv": 'id,path\n"a\nb",c\nd,"\n'},
+            f"t.csv: no CSV table: line 4: {OPEN}",
+        ),
+        (
+            main("[t.csv]") | {"t.csv": 'id,path\n"a"b,c\n'},
+            "t.csv: no CSV table: line 2: a quote is followed",
+        ),
         (main("[]", OWN), "benchmark.yaml:3: include: found a list of 0; wanted a list with at least one"),
         (
             main("[a.yaml]") | {"a.yaml": "views: {count: 1}\n"},
@@ -243,3 +268,10 @@ def test_faults_of_included_files_in_a_store_are_told(s3: str) -> None:
     Store(s3).put("benchmark.yaml", b"name: a\ninclude: ['gone/*.yaml']\n")
     with pytest.raises(SettingsError, match=rf"^{s3}/benchmark.yaml:2: include: no file is called"):
         load_benchmark(Path(s3) / "benchmark.yaml")
+
+
+def test_a_link_to_itself_is_a_line(tmp_path: Path) -> None:
+    (tmp_path / "loop.csv").symlink_to("loop.csv")
+    assert "loop.csv: cannot be read: Too many levels of symbolic links" in complaint(
+        tmp_path, main("[loop.csv]", OWN)
+    )

@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.views import ViewName
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.storage import NAME, sha256_file, write_below
 from kinectbench.core.types import Framing, PartialRule, Progress, Split
-from kinectbench.core.untrusted import below, lies_below
+from kinectbench.core.untrusted import below, followed, lies_below
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
@@ -174,7 +174,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
         PairError: a file is damaged, lacks its counterpart, or is a link out of the folder.
         StorageError: the disk is full or read-only.
     """
-    exported, root = folder / EXPORT_JSON, folder.resolve()
+    exported, root = folder / EXPORT_JSON, followed(folder)
     _refuse_link_out(exported, root)
     content = Exported.read(folder) if exported.exists() else Exported()
     if content.pairs and views is not None:
@@ -205,7 +205,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
 
 def _name(folder: Path, views: int | None) -> str:
     """Of the release: the folder's, with the number of views that was chosen."""
-    return (folder.resolve().name or "imported") + (f"-{views}" if views is not None else "")
+    return (followed(folder).name or "imported") + (f"-{views}" if views is not None else "")
 
 
 def _one_view_set(found: list[Found], folder: Path, views: int | None) -> list[Found]:
