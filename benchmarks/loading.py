@@ -3,8 +3,10 @@
     python benchmarks/loading.py benchmark/ [--seconds 5] [--workers 0 1 2]
 
 For each number of worker processes: items a second, and milliseconds of the processor an item, in the process
-that trains and in the workers together. "unpacked here": workers hand packed grids over, and the process that
-trains unpacks them. "reduced to 64^3": a transform makes of each grid the share of 4^3 cells that is set.
+that trains and in the workers together. "CPU ms" is what reading alone takes; a DataLoader, also one without
+workers, puts each item into a batch besides. "unpacked here": workers hand packed grids over, and the process
+that trains unpacks them. "reduced to 64^3": a transform makes of each grid the share of 4^3 cells that are
+set.
 
 Beside plain numpy, which opens a pair file and unpacks the same arrays. Worker processes are those of torch's
 DataLoader where torch is installed, else of `multiprocessing`, which copies each item once more.

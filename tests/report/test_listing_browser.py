@@ -141,3 +141,28 @@ def test_texts_end_no_element_and_steer_nothing() -> None:
     assert "<script>document" not in page and "\u202e" not in page and '<a href="#r1">z</a>' in page
     with pytest.raises(ValueError, match="not JSON compliant"):
         inert_json(float("nan"))
+
+
+@pytest.mark.skipif(find_chromium() is None, reason="no chromium here to open the page in")
+def test_on_a_narrow_screen_ids_stay_whole_and_the_longest_are_broken(tmp_path: Path) -> None:
+    ids = ("thing_00001", "cabinet_with_glass_doors_02", "x" * 64)
+    rows = [(name, "an object", "chair") for name in ids]
+    table = Listing(("recording", "object", "category"), (2,), rows, {ids[0]: "#r1"}, "there")
+    template = environment().from_string(
+        '<!doctype html><meta name="viewport" content="width=device-width">'
+        '<style>{{ packaged("core/page.css") }}</style>'
+        '{% from "core/listing.html" import listing with context %}{{ listing(t, "T") }}'
+    )
+    (tmp_path / "list.html").write_text(template.render(t=table))
+    lines = (
+        "[...document.querySelectorAll('tbody th')].map(cell => { const text = document.createRange(); "
+        "text.selectNodeContents(cell); "
+        "return new Set([...text.getClientRects()].map(box => Math.round(box.top / 8))).size; })"
+    )
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(tmp_path / "list.html")
+        browser.window(400, 900)
+        found = browser.evaluate(lines)
+        assert found[:2] == [1, 1] and found[2] > 1
+        beyond = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        assert browser.evaluate(beyond) == 0
