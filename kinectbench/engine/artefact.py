@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 1,
     "pairs": 2,
     "suggest": 4,
-    "publish": 21,
+    "publish": 22,
     "synthesize": 2,
     "score": 4,
     "baselines": 1,

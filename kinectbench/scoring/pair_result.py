@@ -67,7 +67,9 @@ class Job:
 
     def key(self, digest: str | None) -> str:
         """What a result depends on; `digest` is that of the prediction's file."""
-        settings = (asdict(self.counting), self.threshold)
+        # Without surfaces it only matters whether there is a threshold; a part may not know it.
+        threshold = self.threshold if self.counting.surface else self.threshold is not None
+        settings = (asdict(self.counting), threshold)
         return sha256_text(canonical_json([VERSIONS["score"], self.target.sha256, digest, settings]))
 
 

@@ -38,12 +38,20 @@ class Plan:
     failures: dict[Target, str]
     fixed: Thresholds | None
 
-    def part(self, shard: Shard) -> dict[Target, Path | None]:
-        """The files that a part counts: its recordings', and all of validation, which gives thresholds."""
+    def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
+        """The files that a part counts: its recordings', and the validation pairs that their surfaces need.
+
+        Args:
+            shard: the part.
+            surface: whether surface metrics are counted, at the threshold that all validation pairs of a
+                category give.
+        """
+        mine = {target for target in self.files if shard.holds(target.recording)}
+        needed = {target.category for target in mine if target.split == "test" and surface}
         return {
             target: file
             for target, file in self.files.items()
-            if target.split == "validation" or shard.holds(target.recording)
+            if target in mine or (target.split == "validation" and target.category in needed)
         }
 
 

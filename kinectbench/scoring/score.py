@@ -190,7 +190,7 @@ def count_methods(
     file of its own. Arguments and errors are those of `score_methods`.
 
     Returns:
-        How many pairs have no result, as their prediction is missing or cannot be scored.
+        How many pairs of this part have no result, as their prediction is missing or cannot be scored.
     """
     rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
     methods = _methods(release, predictions, method, None)
@@ -201,9 +201,9 @@ def count_methods(
         counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
         journal = Journal(out if len(methods) == 1 else out / name, shard)
         rounds = Rounds(release, counting, journal, jobs, progress)
-        outcomes, _ = rounds.count(asked.part(shard), asked.fixed)
-        failed += sum(isinstance(result, str) for result in outcomes.values())
-        failed += sum(shard.holds(target.recording) for target in asked.failures)
+        outcomes, _ = rounds.count(asked.part(shard, surface=surface), asked.fixed)
+        without = [*asked.failures, *(each for each, result in outcomes.items() if isinstance(result, str))]
+        failed += sum(shard.holds(target.recording) for target in without)
     return failed
 
 

@@ -10,6 +10,9 @@ from kinectbench.core.artefacts.counted import JOURNALS
 from kinectbench.core.errors import SettingsError
 from kinectbench.engine.shards import Shard, parse_shard
 from kinectbench.release.release import Release
+from kinectbench.scoring import pair_result
+from kinectbench.scoring.baselines.predict import write_baselines
+from kinectbench.scoring.rounds import plan
 from kinectbench.scoring.score import count_methods, score_methods
 
 Command = Callable[..., Run]
@@ -52,8 +55,6 @@ def test_parts_build_what_one_run_builds(command: Command, small: Path, tmp_path
 
 
 def test_parts_of_scores_make_the_same_table(release: Release, tmp_path: Path) -> None:
-    from kinectbench.scoring.baselines.predict import write_baselines
-
     write_baselines(release, tmp_path / "predictions", ["partial", "mirror"])
     whole = score_methods(release, tmp_path / "predictions", tmp_path / "whole")
     for number in (1, 2, 3):
@@ -63,3 +64,38 @@ def test_parts_of_scores_make_the_same_table(release: Release, tmp_path: Path) -
     tables = score_methods(release, tmp_path / "predictions", tmp_path / "parts")
     assert [table.text() for table in tables] == [table.text() for table in whole]
     assert list((tmp_path / "parts").glob(f"*/{JOURNALS}")) == []
+
+
+def test_a_part_counts_the_validation_pairs_that_its_surfaces_need(release: Release, tmp_path: Path) -> None:
+    write_baselines(release, tmp_path / "predictions", ["partial"])
+    asked = plan(release, tmp_path / "predictions" / "partial", None, "error")
+    for surface in (True, False):
+        parts = [asked.part(Shard(number, 5), surface=surface) for number in range(1, 6)]
+        for number, part in enumerate(parts, 1):
+            tested = {target.category for target in part if target.split == "test"}
+            others = {target for target in part if not Shard(number, 5).holds(target.recording)}
+            assert {target.category for target in others} <= (tested if surface else set())
+            assert all(target.split == "validation" for target in others)
+            if surface:  # a threshold needs all of them
+                wanted = [t for t in asked.files if t.split == "validation" and t.category in tested]
+                assert set(wanted) <= set(part)
+        once = [target for part in parts for target in part if not surface or target.split == "test"]
+        assert sorted(once) == sorted(t for t in asked.files if not surface or t.split == "test")
+
+
+def test_without_surfaces_the_table_counts_nothing_again_and_failures_are_told_once(
+    release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_baselines(release, tmp_path / "predictions", ["partial"])
+    validation = next(target for target in release.targets if target.split == "validation")
+    (broken,) = (tmp_path / "predictions" / "partial").glob(f"{validation.name}.*")
+    broken.write_bytes(b"no prediction")
+    asked = release, tmp_path / "predictions", tmp_path / "out"
+    counted: list[object] = []
+    for surface in (False, True):
+        failed = [count_methods(*asked, Shard(number, 3), surface=surface) for number in (1, 2, 3)]
+        assert sum(failed) == 1
+        with monkeypatch.context() as patched:
+            patched.setattr(pair_result, "count", lambda *given: counted.append(given))
+            score_methods(*asked, surface=surface)
+        assert counted == []
