@@ -14,8 +14,9 @@ from kinectbench.core.store.address import url_of
 
 if TYPE_CHECKING:
     from kinectbench.engine.executor import Executor
+    from kinectbench.engine.pipeline import Outcome
     from kinectbench.engine.stages import Job
-    from kinectbench.engine.summary import RecordingSummary
+    from kinectbench.engine.summary import BuiltRecording, RecordingSummary
     from kinectbench.release.release import Release
 
 # Rows of the table of `build` and of `build --status`: more of them nobody reads (own choice).
@@ -79,7 +80,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             executor=executor,
         )
     if common.as_json:
-        common.tell([row.json_value() for row in rows], ())
+        common.tell([row.summary.json_value() for row in rows], ())
     elif rows:
         show_rows(rows, upto)
     return exit_status(rows)
@@ -118,15 +119,16 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
     return SOME_FAILED if left else 0
 
 
-def show_rows(rows: "list[RecordingSummary]", upto: str) -> None:
+def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
     """The table of what `build_recordings` returned for this last stage, and what is to be said below it."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
-    shown = rows
+    first = rows
     if len(rows) > SHOWN_RECORDINGS:  # to draw all takes longer than to find that they are up to date
-        shown = sorted(rows, key=lambda row: 0 if row.error else 1 if row.made else 2)[:SHOWN_RECORDINGS]
+        first = sorted(rows, key=lambda row: 0 if row.error else 1 if row.made else 2)[:SHOWN_RECORDINGS]
+    shown = [row.summary for row in first]
     console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
         console.object_lines(shown)
@@ -154,8 +156,8 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 def build_recordings(
     common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, told: bool = False
-) -> "list[RecordingSummary]":
-    """Build, tell warnings and errors, and return a summary of each recording, with its `error` or None.
+) -> "list[BuiltRecording]":
+    """Build, tell warnings and errors, and return what became of each recording, with its `error` or None.
 
     With `told`, the reason of a failure that is not tried again, as nothing has changed, is left to `build`.
     """
@@ -194,11 +196,11 @@ def build_jobs(
     told: bool = False,
     limit_s: float | None = None,
     executor: "Executor | None" = None,
-) -> "list[RecordingSummary]":
+) -> "list[BuiltRecording]":
     """`build_recordings` of jobs that are known already, on so many processes or by an executor."""
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
-    from kinectbench.engine.summary import summary
+    from kinectbench.engine.summary import BuiltRecording
 
     slots = executor.slots if executor else lambda: min(processes, len(chosen))
     with console.recording_bars(len(chosen), slots) as watcher:
@@ -214,15 +216,23 @@ def build_jobs(
         )
     rows = []
     for job, outcome in zip(chosen, outcomes, strict=True):
-        found = summary(job, outcome)
         # Told although all is up to date: whoever has just drawn a mask expects it to be used.
         unused = _unused_masks(job) if upto in ("sample-views", "pairs") else ()
-        row = found.model_copy(update={"warnings": (*found.warnings, *unused)})
+        name = job.recording.id
+        row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
-        console.recording_lines(row.recording, "warning", row.warnings if row.made else unused, "yellow")
-        reason = STILL_FAILS.format(id=row.recording) if told and outcome.repeated else row.error
-        console.recording_lines(row.recording, "error", [reason] if reason else [], "red")
+        console.recording_lines(name, "warning", row.summary.warnings if row.made else unused, "yellow")
+        reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
+        console.recording_lines(name, "error", [reason] if reason else [], "red")
     return rows
+
+
+def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
+    """The figures of what a run made or found up to date, and a warning of masks that are not used."""
+    from kinectbench.engine.summary import summary
+
+    found = summary(job, outcome)
+    return found.model_copy(update={"warnings": (*found.warnings, *unused)})
 
 
 def _unused_masks(job: "Job") -> tuple[str, ...]:
@@ -247,12 +257,12 @@ def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
         console.lines("warning", [line], "yellow")
 
 
-def built(rows: "list[RecordingSummary]") -> list[str]:
+def built(rows: "list[BuiltRecording]") -> list[str]:
     """Ids of the recordings that went well."""
     return [row.recording for row in rows if row.error is None]
 
 
-def exit_status(rows: "list[RecordingSummary]") -> int:
+def exit_status(rows: "list[BuiltRecording]") -> int:
     """1 if no recording could be used, 3 if some could not, else 0; says again which of several failed."""
     from kinectbench.cli import console
 
@@ -263,14 +273,14 @@ def exit_status(rows: "list[RecordingSummary]") -> int:
     return CANNOT_BE_USED if failed == len(rows) else SOME_FAILED
 
 
-def need_some(rows: "list[RecordingSummary]") -> list[str]:
+def need_some(rows: "list[BuiltRecording]") -> list[str]:
     """Ids of the recordings that went well; without any the command ends here."""
     if not built(rows):
         raise typer.Exit(exit_status(rows))
     return built(rows)
 
 
-def find_release(common: Common) -> "tuple[Release, list[RecordingSummary]]":
+def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
     """The release named, or the one of the benchmark here, built and published first if need be.
 
     Returns:

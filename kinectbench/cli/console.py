@@ -19,7 +19,7 @@ from kinectbench.engine.interrupts import check_interrupt
 
 if TYPE_CHECKING:
     from kinectbench.engine.pipeline import Outcome
-    from kinectbench.engine.summary import RecordingSummary
+    from kinectbench.engine.summary import BuiltRecording, RecordingSummary
 
 PLAIN_WIDTH = 160
 # Of a message: what a library says of a file may quote a good part of it. Ours have up to 400 (own choice).
@@ -120,7 +120,7 @@ def object_lines(rows: "Sequence[RecordingSummary]") -> None:
             out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
 
 
-def failures(rows: "Sequence[RecordingSummary]") -> None:
+def failures(rows: "Sequence[BuiltRecording]") -> None:
     """The last line of a run over several recordings of which some failed: which, and how to go on."""
     from kinectbench.settings.words import listed
 

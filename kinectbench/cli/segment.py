@@ -48,7 +48,7 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
     if common.as_json:
         found = [None if each is None else each.json_value() for each in listed]
         both = zip(rows, found, strict=True)
-        console.say_json([{**row.json_value(), "candidates": boxes} for row, boxes in both])
+        console.say_json([{**row.summary.json_value(), "candidates": boxes} for row, boxes in both])
     else:
         for row, each in zip(rows, listed, strict=True):
             if each is not None:

@@ -70,10 +70,12 @@ def track(
 ) -> int:
     """Give every frame a camera pose, and leave out frames that disagree with it."""
     from kinectbench.cli import console
+    from kinectbench.engine.summary import BuiltRecording
 
     # A file that cannot be read is told before anything is built.
     reference = None if compare is None else _reference(compare)
-    rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
+    found = build_recordings(common, ids, "track", ("track",) if common.force else ())
+    rows = [each.summary for each in found]
     compared: list[_Compared | None] = [None] * len(rows)
     if compare is not None and reference is not None:
         for index, row in enumerate(rows):
@@ -86,10 +88,10 @@ def track(
             values = [value | {"comparison": one} for value, one in zip(values, told, strict=True)]
         console.say_json(values)
     else:
-        show_rows(rows, "track")
+        show_rows([BuiltRecording.of(row) for row in rows], "track")
         console.say(*_verdicts(rows))
         _show([one for one in compared if one is not None], compare)
-    return exit_status(rows)
+    return exit_status([BuiltRecording.of(row) for row in rows])
 
 
 def _reference(path: Path) -> "GivenTrajectory":

@@ -97,7 +97,11 @@ def listed(
 
 
 def listed_below(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
-    """What lies in a folder and below, links not followed, in no order.
+    """Every file and link in a folder and below, links not followed, in no order.
+
+    Args:
+        folder: a folder.
+        most: files and folders in it and below.
 
     Raises:
         OSError: a folder cannot be read; EFBIG: there is more than `most`.
@@ -108,7 +112,8 @@ def listed_below(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
             left -= 1
             if entry.is_dir(follow_symlinks=False):
                 waiting.append(Path(entry.path))
-            yield Path(entry.path)
+            else:
+                yield Path(entry.path)
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:

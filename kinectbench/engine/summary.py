@@ -1,8 +1,10 @@
 """What a run made of a recording, as the table at the end of a build shows it."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
 from statistics import median
-from typing import TypeVar
+from typing import Self, TypeVar
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
@@ -17,6 +19,33 @@ from kinectbench.engine.stages import STAGES, Job
 
 File = TypeVar("File", bound=Stored)
 FOLDERS = {stage.name: stage.folder for stage in STAGES}
+
+
+@dataclass(frozen=True)
+class BuiltRecording:
+    """What became of a recording; its figures, in five files, are read when they are asked for.
+
+    Attributes:
+        recording: its id.
+        error: why it failed, or None.
+        made: stages of this run.
+        read: gives its figures.
+    """
+
+    recording: str
+    error: str | None
+    made: tuple[str, ...]
+    read: Callable[[], RecordingSummary]
+
+    @classmethod
+    def of(cls, row: RecordingSummary) -> Self:
+        """One whose figures are read already."""
+        return cls(row.recording, row.error, row.made, lambda: row)
+
+    @cached_property
+    def summary(self) -> RecordingSummary:
+        """Its figures."""
+        return self.read()
 
 
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:

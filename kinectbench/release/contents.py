@@ -88,12 +88,12 @@ def release_files(folder: Path) -> Iterator[Path]:
     if not folder.is_dir():
         return
     try:
-        found = sorted(listed_below(folder, MOST_FILES))
+        # By their parts, as paths are compared, but one by one that takes longer than to list them.
+        found = sorted(listed_below(folder, MOST_FILES), key=lambda path: path.parts)
     except OSError as error:
         raise ReleaseError(f"{error.filename or folder}: {error.strerror}; this is no release") from error
-    for path in found:
-        if (path.is_symlink() or not path.is_dir()) and path != folder / SHA256SUMS:
-            yield path
+    sums = folder / SHA256SUMS
+    yield from (path for path in found if path != sums)
 
 
 @dataclass(frozen=True)

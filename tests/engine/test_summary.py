@@ -11,7 +11,7 @@ from kinectbench.cli import console
 from kinectbench.cli.build import SHOWN_RECORDINGS, show_rows
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
-from kinectbench.engine.summary import RecordingSummary, summary
+from kinectbench.engine.summary import BuiltRecording, RecordingSummary, summary
 from kinectbench.settings.models import BenchmarkSettings
 
 SETTINGS = BenchmarkSettings.model_validate(
@@ -101,10 +101,21 @@ def test_of_many_the_table_shows_what_was_done_first(
     rows = [plain.model_copy(update={"recording": f"r{number}_"}) for number in range(SHOWN_RECORDINGS + 50)]
     rows[-1] = rows[-1].model_copy(update={"made": ("segment",), "recording": "made"})
     rows[-2] = rows[-2].model_copy(update={"error": "too dark", "recording": "failed"})
-    show_rows(rows, "segment")
+    show_rows([BuiltRecording.of(each) for each in rows], "segment")
     text = shown.export_text()
     assert text.index("failed") < text.index("made") < text.index("r0_")
     assert sum(text.count(each.recording) for each in rows) == SHOWN_RECORDINGS
     counts = f"{SHOWN_RECORDINGS + 48} of all {SHOWN_RECORDINGS + 50}"
     last = f"and 50 more; {counts} were up to date; --json lists all"
     assert capsys.readouterr().out.splitlines() == [last]
+
+
+def test_of_many_only_those_that_are_shown_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    read, plain = list[int](), row(tmp_path, {})
+
+    def one(number: int) -> BuiltRecording:
+        return BuiltRecording("bin", None, (), lambda: read.append(number) or plain)  # type: ignore[func-returns-value]
+
+    monkeypatch.setattr(console, "out", console.SafeConsole(width=160, file=io.StringIO()))
+    show_rows([one(number) for number in range(SHOWN_RECORDINGS + 50)], "segment")
+    assert read == list(range(SHOWN_RECORDINGS))
