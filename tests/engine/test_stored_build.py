@@ -16,7 +16,7 @@ from small_benchmark import Run, finish, hashes, start
 from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import proxied, s3, s3_server
 
-from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import storage_errors
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
@@ -25,6 +25,7 @@ from kinectbench.core.store.store import Store
 from kinectbench.engine.checkout import checkout, files_of_recording, named_as_there
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
 from kinectbench.engine.stages import STAGES, Job
+from kinectbench.engine.stored_build import put_failure
 from kinectbench.engine.stored_stage import (
     ARCHIVE,
     fetch_stage,
@@ -92,6 +93,20 @@ def test_what_is_missing_is_made_the_same(
     uploads = [path for method, path in proxied.requests if method == "PUT"]
     # pairs.json, the archive, timing.json and manifest.json of two recordings
     assert len(uploads) == 8 and sum(ARCHIVE in path for path in uploads) == 2, uploads
+
+
+def test_a_failure_is_told_though_all_is_there_and_forgotten_by_the_next_build(
+    command: Command, small: Path, tmp_path: Path, s3: str
+) -> None:
+    store = put_benchmark(small, s3)
+    know_sources(s3)
+    put_failure(replace(jobs_of(small)[0], root=Path(s3)), Failed(stage="fuse", error="too dark"))
+    status = ("build", "--status", "--json", *config(s3))
+    rows = json.loads(command(tmp_path, *status).out)
+    assert [(row["state"], row["error"]) for row in rows] == [("failed", "too dark"), ("done", None)]
+    assert command(tmp_path, "build", *config(s3)).status == 0
+    assert store.head("build/chair/failed.json") is None
+    assert [row["state"] for row in json.loads(command(tmp_path, *status).out)] == ["done", "done"]
 
 
 def test_published_there_it_is_the_same(command: Command, small: Path, tmp_path: Path, s3: str) -> None:

@@ -87,6 +87,9 @@ def test_what_is_watched_ends_as_it_does(error: Exception | None) -> None:
         assert watched(work) == 3
 
 
+LIMIT_S = 60.0
+
+
 class Hanging(PosixPath):
     """Where a recording hangs in its last stage, in whatever process unpickles this path."""
 
@@ -95,7 +98,8 @@ class Hanging(PosixPath):
 
 
 def hanging(root: str) -> Path:
-    module.HANG_S, module.HAND_OVER_S = 0.5, 5.0
+    # Long before the limit, which the recording beside it must keep also on a machine with other work.
+    module.HANG_S, module.HAND_OVER_S = 5 - 2 * LIMIT_S, 5.0
     steps.STEPS["pairs"] = hang
     return Path(root)
 
@@ -115,15 +119,15 @@ def test_a_recording_that_hangs_fails_with_the_reason_and_once(
     settings = load_benchmark(root / "benchmark.yaml", ())
     chair, table = (Job(settings, recording, root) for recording in settings.recordings)
     hangs, listener = replace(chair, root=Hanging(root)), Listener()
-    started = time.monotonic()
     with cluster("local:2") if place == "cluster" else nullcontext() as where:
-        outcomes = build([hangs, table], "pairs", ("pairs",), 2, listener, limit_s=8, executor=where)
-    wanted = "pairs: hangs: did not end or go on for 16.5 s, with --time-limit 8 (seconds)"
+        outcomes = build([hangs, table], "pairs", ("pairs",), 2, listener, limit_s=LIMIT_S, executor=where)
+    wanted = "pairs: hangs: did not end or go on for 5 s, with --time-limit 60 (seconds)"
     assert outcomes[0].error is not None and outcomes[0].error.startswith(wanted)
     assert json.loads((root / "build" / "chair" / "failed.json").read_text())["error"] == outcomes[0].error
     assert outcomes[1].error is None and outcomes[1].made == ("pairs",)
     assert hashes(root / "build" / "table") == hashes(small / "build" / "table")
-    assert listener.warnings == [] and time.monotonic() - started < 33, listener.warnings  # hung once only
+    # It hung once only: no other attempt is told. What is beside it begins again if it has not ended.
+    assert all("those beside it begin again" in line for line in listener.warnings), listener.warnings
     assert build([chair])[0].error is None and leftovers(root) == []
 
 
