@@ -14,8 +14,8 @@ from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
 
-# Values in one text: those of a quarter of a million lines of targets.csv, of forty-five thousand rows of
-# scores, or of a benchmark.json of eleven thousand recordings. Read as a model, a value takes 150 bytes, and
+# Values in one text: those of a quarter of a million lines of targets.csv, or of a benchmark.json of eleven
+# thousand recordings. Read as a model, a value takes 150 bytes, and
 # an object 700: it counts as three (own choice).
 MOST_VALUES = 2_000_000
 OBJECT_VALUES = 3
@@ -26,23 +26,24 @@ WIDE_CHARACTERS = 16 << 20
 _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
-def strict_json(text: str) -> Any:
+def strict_json(text: str, most_values: int = MOST_VALUES) -> Any:
     """`parsed_json` without NaN and infinities, which are no JSON, and without a key twice: which counts?"""
-    return parsed_json(text, constants=False)
+    return parsed_json(text, constants=False, most_values=most_values)
 
 
-def parsed_json(text: str, *, constants: bool) -> Any:
+def parsed_json(text: str, *, constants: bool, most_values: int = MOST_VALUES) -> Any:
     """Parse JSON.
 
     Args:
         text: JSON.
         constants: accept NaN, Infinity and -Infinity, as many programs write them; of a key that is there
             twice the last counts.
+        most_values: that it may have; an object counts as three.
 
     Raises:
         ValueError: it is malformed, or has too many values or keys; RecursionError: it is nested without end.
     """
-    _check_values(text, ",[" + "{" * OBJECT_VALUES)
+    _check_values(text, ",[" + "{" * OBJECT_VALUES, most_values)
     if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):
         raise ValueError(f"it has more than {WIDE_CHARACTERS} characters, some beyond U+FFFF")
     if len(text) <= MOST_KEYS:  # which cannot have more keys
@@ -106,7 +107,7 @@ def csv_rows(text: str) -> list[list[str]]:
     return rows
 
 
-def _check_values(text: str, signs: str) -> None:
+def _check_values(text: str, signs: str, most: int = MOST_VALUES) -> None:
     """Refuse a text with so many of the signs that stand between values."""
-    if len(text) > MOST_VALUES and sum(text.count(sign) for sign in signs) > MOST_VALUES:
-        raise ValueError(f"it has more than {MOST_VALUES} values")
+    if len(text) > most and sum(text.count(sign) for sign in signs) > most:
+        raise ValueError(f"it has more than {most} values")

@@ -22,8 +22,7 @@ from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import Missing, Rounds, plan
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
 
-# Rows of a table, one for each test pair and protocol. A row has 44 values and a kilobyte; a JSON file may
-# have two million values and 64 MB.
+# Rows of a table, one for each test pair and protocol: what `ScoreTable` has room for.
 MOST_ROWS = 45_000
 
 

@@ -1,7 +1,9 @@
 """Tables of many rows, objects and categories: time and memory grow with them, no faster."""
 
+import json
 import time
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +12,11 @@ from score_rows import row
 
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted_text import OBJECT_VALUES
 from kinectbench.report.tables import truth_of_objects
 from kinectbench.scoring import uncertainty
 from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.score import MOST_ROWS
 from kinectbench.scoring.uncertainty import bootstrap_interval, sign_flip_ps, student_interval
 
 EARLIER = [0.14906275222793647, 0.4262096330836071]
@@ -31,6 +35,37 @@ def test_pairs_that_are_all_unknown_are_counted_once() -> None:
     assert time.process_time() - started < 10  # with a scan for each: over a minute
     assert len(found.all_unknown_pairs["known"]) == 60_000
     assert found.by_category is not None and found.by_category["known"]["chair"].pairs == 1
+
+
+def test_a_table_of_the_most_rows_can_be_read() -> None:
+    """With all figures of a row, and what is kept of each pair and recording beside its rows."""
+    frozen = json.loads((Path(__file__).parent / "frozen_scores.json").read_text(encoding="utf-8"))["rows"][
+        :3
+    ]
+    quality = {"verdict": "good", "warnings": ["w" * 60] * 40}
+    hashes = {"truth": "0" * 64, "prediction": f"blake3:{'0' * 64}"}
+
+    def text_of(pairs: int) -> str:
+        names = [f"a_recording_{number:06d}" for number in range(pairs)]
+        rows = [
+            {**of, "recording": name, "iou_by_threshold": [0.1234567890123456] * 17}
+            for name in names
+            for of in frozen
+        ]
+        values = {
+            "rows": rows,
+            "hashes": {f"{name}/000": hashes for name in names},
+            "truth_unknown_share": dict.fromkeys(names, 0.25),
+            "truth_quality": dict.fromkeys(names, quality),
+        }
+        return ScoreTable.model_validate_json(json.dumps({"method": "a", **values})).text()
+
+    few, many = text_of(20), text_of(220)
+    pairs = MOST_ROWS // 3
+    assert (len(many) - len(few)) / 200 * pairs < ScoreTable.MAX_BYTES
+    signs = [sum(text.count(sign) for sign in ",[" + "{" * OBJECT_VALUES) for text in (few, many)]
+    assert (signs[1] - signs[0]) / 200 * pairs < ScoreTable.MAX_VALUES
+    assert (len(many) - len(few)) / 200 > 6000  # no less than a real one
 
 
 def test_the_truth_of_many_objects_is_looked_up_once() -> None:

@@ -36,7 +36,7 @@ from kinectbench.core.errors import KinectBenchError, StorageError
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable, read_plain_text
-from kinectbench.core.untrusted_text import strict_json
+from kinectbench.core.untrusted_text import MOST_VALUES, strict_json
 
 # Of one file: 32 bytes for each value that it may have.
 JSON_BYTES = 64 << 20
@@ -113,12 +113,14 @@ class Stored(Part):
         ADVICE: what a person can do if it is damaged.
         ERROR: what is raised if it is.
         MAX_BYTES: a larger file is not read: it may be a stranger's.
+        MAX_VALUES: one of more values is not, either.
     """
 
     FILE: ClassVar[str]
     ADVICE: ClassVar[str] = "`kinectbench build --force` makes it again"
     ERROR: ClassVar[type[KinectBenchError]] = StorageError
     MAX_BYTES: ClassVar[int] = JSON_BYTES
+    MAX_VALUES: ClassVar[int] = MOST_VALUES
 
     def text(self) -> str:
         """The file's content."""
@@ -165,7 +167,7 @@ class Stored(Part):
             KinectBenchError: `cls.ERROR`, in one line that names the first key that is wrong.
         """
         try:
-            content = strict_json(text)
+            content = strict_json(text, cls.MAX_VALUES)
             if len(text) > LONG_TEXT and (missing := cls._missing(content)):
                 raise cls.ERROR(f"{where}: '{missing}': Field required; {cls.ADVICE}")
             return cls.validated(text)
