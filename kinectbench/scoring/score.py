@@ -23,7 +23,7 @@ from kinectbench.scoring.rounds import Missing, Rounds, plan
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
 
 # Rows of a table, one for each test pair and protocol: what `ScoreTable` has room for.
-MOST_ROWS = 45_000
+MOST_ROWS = 30_000
 
 
 def score(

@@ -92,10 +92,15 @@ try:
 except StorageError as error:
     assert sys.argv[2] in str(error), error
 """
-STRINGS = json.dumps([f"s{n}" for n in range(1_900_000)])
+STRINGS = json.dumps([f"s{n}" for n in range(2_900_000)])
 COSTLY = {
     "keys": ("scores.json", "{" + ",".join(f'"k{n}":0' for n in range(1_900_000)) + "}", "300000 keys"),
-    "objects": ("scores.json", '{"x":[' + ",".join(['{"a":0}'] * 990_000) + "]}", "2000000 values"),
+    "objects": ("scores.json", '{"x":[' + ",".join(['{"a":0}'] * 1_000_000) + "]}", "3000000 values"),
+    "as many as may be": (
+        "scores.json",
+        '{"x":[' + ",".join(['{"a":0}'] * 740_000) + "]}",
+        "'method': Field required",
+    ),
     "a key that lacks": ("scores.json", f'{{"x":{STRINGS}}}', "'method': Field required"),
     "wrong rows": ("frames.json", "[" + ",".join(['{"a":0}'] * 490_000) + "]", "'0.index': Field required"),
     "wrong values": (
