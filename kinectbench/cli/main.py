@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Annotated, Any, cast
 
 import typer
@@ -192,7 +193,9 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
     Raises:
         SettingsError: one lacks its bucket or host, or has another scheme.
     """
-    for argument in arguments:
+    for before, argument in pairwise(("", *arguments)):
+        if before == "--cluster" or argument.startswith("--cluster="):  # tcp://, tls://: judged by the engine
+            continue
         # `--config=URL`, `-cURL`, or the URL itself.
         written = re.sub(r"--[a-z-]+=|-[a-z]=?", "", argument, count=1) if argument[:1] == "-" else argument
         if said := unusable(written):

@@ -226,3 +226,9 @@ def test_no_traceback_shows_a_password(tmp_path: Path) -> None:
                 assert secret not in traceback.format_exc()
             else:
                 pytest.fail("no server answers there")
+
+
+@pytest.mark.parametrize("written", [["--cluster", "tcp://127.0.0.1:1"], ["--cluster=tls://127.0.0.1:1"]])
+def test_the_address_of_a_cluster_is_no_place(command: Command, tmp_path: Path, written: list[str]) -> None:
+    made = command(tmp_path, "build", *written)
+    assert made.status == 2 and made.err.startswith("error: benchmark.yaml: no such file")
