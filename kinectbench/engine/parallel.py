@@ -18,6 +18,7 @@ from kinectbench.engine.place import (
     waits_for_others,
 )
 from kinectbench.engine.pool import Pool
+from kinectbench.engine.scratch import clear_scratch
 from kinectbench.engine.stages import Job
 from kinectbench.engine.time_limit import watched
 
@@ -104,6 +105,8 @@ def build(
     except BaseException:
         for job in jobs if not alone else ():
             clear_away(job)
+        if not alone:
+            clear_scratch()
         raise
     return [outcomes.by_id[job.recording.id] for job in jobs]
 

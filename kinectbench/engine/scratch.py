@@ -1,6 +1,7 @@
 """Folders of this machine that last as long as something is built in them, and no longer if it is killed."""
 
 import contextlib
+import multiprocessing
 import os
 import shutil
 import stat
@@ -34,18 +35,36 @@ def scratch_folder() -> Iterator[Path]:
     _sweep(base)
     with contextlib.ExitStack() as stack:
         with storage_errors(base):
-            name = stack.enter_context(tempfile.TemporaryDirectory(prefix=PREFIX, dir=base))
+            name = stack.enter_context(tempfile.TemporaryDirectory(prefix=_prefix(), dir=base))
         folder = Path(name)
         stack.enter_context(locked(folder))
         yield folder
 
 
+def clear_scratch() -> None:
+    """Remove what worker processes of this one left there when they were ended."""
+    for folder in Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir()).glob(f"{_prefix()}*"):
+        _remove(folder)
+
+
+def _prefix() -> str:
+    """Names what a process and its workers make: by the number of the process that is not one of ours."""
+    parent = multiprocessing.parent_process()
+    return f"{PREFIX}{os.getpid() if parent is None else parent.pid}-"
+
+
 def _sweep(base: Path) -> None:
     """Remove our own folders that nobody works in."""
     for folder in base.glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError, StorageError):
-            found = folder.lstat()
-            old = time.time() - found.st_mtime > YOUNG_S
-            if old and stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid():
-                with locked(folder, wait=False):
-                    shutil.rmtree(folder)
+        with contextlib.suppress(OSError):
+            if time.time() - folder.lstat().st_mtime > YOUNG_S:
+                _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of ours, unless somebody works in it."""
+    with contextlib.suppress(OSError, StorageError):
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid():
+            with locked(folder, wait=False):
+                shutil.rmtree(folder)

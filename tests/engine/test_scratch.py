@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from kinectbench.core.errors import StorageError
-from kinectbench.engine.scratch import PREFIX, SCRATCH_VARIABLE, YOUNG_S, scratch_folder
+from kinectbench.engine.processes import CONTEXT
+from kinectbench.engine.scratch import PREFIX, SCRATCH_VARIABLE, YOUNG_S, clear_scratch, scratch_folder
 
 
 @pytest.fixture(autouse=True)
@@ -49,3 +50,27 @@ def test_a_place_that_is_no_folder_is_told(scratch: Path, monkeypatch: pytest.Mo
     said = f"none: no such folder; make it, or correct {SCRATCH_VARIABLE}"
     with pytest.raises(StorageError, match=said), scratch_folder():
         pass
+
+
+def test_what_a_worker_left_that_was_ended_goes_with_the_run(scratch: Path) -> None:
+    """At once, however young it is; but not what another run's worker has, nor one that still works."""
+    worker = CONTEXT.Process(target=hold_scratch, args=(str(scratch),))
+    worker.start()
+    while not list(scratch.glob("*/begun")):
+        time.sleep(0.01)
+    (left,) = scratch.iterdir()
+    other = scratch / f"{PREFIX}1-abc"
+    other.mkdir()
+    clear_scratch()
+    assert left.is_dir()  # it is still locked
+    worker.terminate()
+    worker.join()
+    clear_scratch()
+    assert list(scratch.iterdir()) == [other]
+
+
+def hold_scratch(base: str) -> None:
+    os.environ[SCRATCH_VARIABLE] = base
+    with scratch_folder() as folder:
+        (folder / "begun").touch()
+        time.sleep(60)
