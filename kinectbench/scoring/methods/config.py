@@ -1,0 +1,115 @@
+"""The settings of a method: its network, its loss, and how it is trained. A configuration is one YAML file."""
+
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from kinectbench.core.storage import canonical_json, name_problem, sha256_text
+from kinectbench.settings.models import Settings
+
+NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
+# Networks whose encoder and decoder are the generator's: they alone have widths and sides to choose.
+GENERATORS = ("3d-recgan++", "3d-recae")
+
+
+class NetworkSettings(Settings):
+    """Which network, and how large."""
+
+    kind: NetworkName = Field(description="the network, by the paper's name")
+    channel_divisor: int = Field(
+        1, ge=1, le=64, description="hidden channels are divided by it; 1: the size that was published"
+    )
+    output_cells: Literal[64, 128, 256] = Field(
+        256, description="3d-recgan++ and 3d-recae: side of the output; 256 is the paper's"
+    )
+    axes: Literal["kinectbench", "recgan"] = Field(
+        "kinectbench", description="recgan: x to the left and y up, as in the authors' files"
+    )
+
+    @model_validator(mode="after")
+    def _sides(self) -> Self:
+        if self.kind not in GENERATORS and self.output_cells != 256:
+            raise ValueError(f"output_cells cannot be chosen for {self.kind}: leave it out")
+        return self
+
+
+class LossSettings(Settings):
+    """What is minimised."""
+
+    kind: Literal["cross-entropy", "weighted-cross-entropy"] = Field(
+        "weighted-cross-entropy", description="of each voxel; weighted: by alpha"
+    )
+    alpha: float = Field(
+        0.85, gt=0, lt=1, description="weight of occupied voxels, 1 - alpha of empty ones (paper: 0.85)"
+    )
+    probability_floor: float = Field(
+        0.0, ge=0, lt=0.5, description="predictions are held above it, and learn nothing below"
+    )
+    unknown: Literal["count", "mask"] = Field(
+        "count", description="voxels whose truth is unknown: counted as published, or left out"
+    )
+
+
+class AdversarialSettings(Settings):
+    """How the discriminator takes part (3d-recgan++)."""
+
+    beta: float = Field(ge=0, le=1, description="weight of the reconstruction; 1 - beta of the discriminator")
+    loss_scale: float = Field(1.0, gt=0, description="the generator's loss is multiplied by it")
+    gradient_penalty: float = Field(10.0, ge=0, description="lambda of WGAN-GP (paper: 10)")
+    epsilon: Literal["voxel", "sample"] = Field(
+        "sample", description="what has a random mixture of truth and prediction of its own"
+    )
+    penalty_on: Literal["mean", "sum"] = Field(
+        "mean", description="gradient of the features' mean, or of their sum as in the authors' code"
+    )
+    learning_rate: float = Field(5e-5, gt=0, le=1, description="of the discriminator (paper: 5e-5)")
+
+
+class TrainingSettings(Settings):
+    """How it is trained."""
+
+    batch: int = Field(4, ge=1, le=4096, description="pairs of a step")
+    epochs: int = Field(10, ge=1, le=100_000, description="how often every pair is seen")
+    learning_rate: float = Field(1e-4, gt=0, le=1, description="of Adam")
+    halve_every_epochs: int | None = Field(None, ge=1, description="the learning rate is halved so often")
+    seed: int = Field(0, ge=0, le=2**31, description="of the weights, the order of pairs and all chance")
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="of convolutions and matrix products; losses are float32"
+    )
+    validate_every_steps: int = Field(500, ge=1, description="steps between looks at the validation pairs")
+    validation_pairs: int = Field(
+        20, ge=0, description="of the validation split, spread over it; 0: none are looked at"
+    )
+    keep: Literal["last", "best"] = Field(
+        "last", description="weights: those of the last step, or of the best validation IoU"
+    )
+
+
+class MethodSettings(Settings):
+    """A whole configuration."""
+
+    name: str = Field(description="of the method; its predictions lie in a folder of this name")
+    network: NetworkSettings
+    loss: LossSettings = LossSettings()
+    adversarial: AdversarialSettings | None = Field(
+        None, description="3d-recgan++ only, which cannot be trained without it"
+    )
+    training: TrainingSettings = TrainingSettings()
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, value: str) -> str:
+        if problem := name_problem(value, also="+"):
+            raise ValueError(problem)
+        return value
+
+    @model_validator(mode="after")
+    def _adversarial(self) -> Self:
+        if (self.network.kind == "3d-recgan++") != (self.adversarial is not None):
+            raise ValueError("adversarial belongs to 3d-recgan++, and 3d-recgan++ needs it")
+        return self
+
+    @property
+    def sha256(self) -> str:
+        """Of the configuration with all its defaults."""
+        return sha256_text(canonical_json(self.model_dump(mode="json")))
