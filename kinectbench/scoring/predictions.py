@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Progress
@@ -62,7 +63,7 @@ def _matched(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
     files: dict[Target, Path] = {}
     missing: list[Target] = []
     problems: dict[Target, str] = {}
-    expected: set[str] = set()
+    expected = {MethodFile.FILE}
     for target in targets:
         expected.update(target.name + suffix for suffix in SUFFIXES)
         candidates = [folder / target.recording / (target.view + suffix) for suffix in SUFFIXES]

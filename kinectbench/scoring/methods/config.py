@@ -1,4 +1,4 @@
-"""The settings of a method: its network, its loss, and how it is trained. A configuration is one YAML file."""
+"""The settings of a method: its network, its loss, and how it is trained. A configuration is a YAML file."""
 
 from typing import Literal, Self
 

@@ -70,7 +70,9 @@ def _line(root: yaml.Node, error: object) -> str:
     begin = f"{where}: {key}: " if key else f"{where}: "
     if kind == "extra_forbidden":
         inner = model_of(annotation)
-        return begin + f"unknown key; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
+        return (
+            begin + f"unknown key; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
+        )
     if kind == "value_error":
         return begin + str(error["msg"]).removeprefix("Value error, ")
     if kind == "missing" and used == len(location):

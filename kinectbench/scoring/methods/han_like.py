@@ -76,7 +76,8 @@ class Views(nn.Module):
         super().__init__()
         vector, context = IMAGE_VECTOR // divisor, CONTEXT_VECTOR // divisor
         self.convolutions = nn.ModuleList(
-            nn.Conv2d(a, b, KERNEL, stride=2, padding=1) for a, b in zip([1, *channels], channels, strict=False)
+            nn.Conv2d(a, b, KERNEL, stride=2, padding=1)
+            for a, b in zip([1, *channels], channels, strict=False)
         )
         self.to_vector = nn.Linear(channels[-1] * 8 * 8, vector)
         self.lstm = nn.LSTM(vector, context, batch_first=True)
@@ -93,7 +94,7 @@ class Views(nn.Module):
 
 
 class HanLike(Network):
-    """7.5 M parameters: `coarse` at 32^3 from views and volume, `patch` of 32^3 at the resolution of 256^3."""
+    """7.5 M parameters: `coarse` at 32^3 from views and volume, `patch` of 32^3 at 256^3's resolution."""
 
     def __init__(self, divisor: int = 1) -> None:
         """Hidden channels and vectors are divided by `divisor`."""
@@ -190,11 +191,10 @@ def _cut(grid: Tensor, corners: Tensor) -> Tensor:
 
 
 def _undecided(probability: Tensor) -> Tensor:
-    """Patches (8, 8, 8) bool in which a coarse grid (32, 32, 32), with a cell around, is neither empty nor full."""
+    """Patches (8, 8, 8) bool where a coarse grid (32, 32, 32), a cell around included, is not decided."""
     cells = GLOBAL_CELLS // PATCHES
-    around = {"kernel_size": cells + 2, "stride": cells, "padding": 1}
-    highest = functional.max_pool3d(probability[None, None], **around)[0, 0]
-    lowest = -functional.max_pool3d(-probability[None, None], **around)[0, 0]
+    highest = functional.max_pool3d(probability[None, None], cells + 2, cells, 1)[0, 0]
+    lowest = -functional.max_pool3d(-probability[None, None], cells + 2, cells, 1)[0, 0]
     return (highest > DECIDED) & (lowest < 1 - DECIDED)
 
 

@@ -45,7 +45,7 @@ class Discriminator(nn.Module):
 
 
 class RecGAN(RecAE):
-    """The generator, with its discriminator beside it: together 167,077,217 parameters, the paper's 167.1 M."""
+    """The generator, with its discriminator beside it: 167,077,217 parameters in all, the paper's 167.1 M."""
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
         """As `RecAE`; the discriminator is narrowed by the same divisor."""
@@ -54,9 +54,7 @@ class RecGAN(RecAE):
 
     def generator_parameters(self) -> list[nn.Parameter]:
         """Those that run when shapes are completed."""
-        return [
-            values for name, values in self.named_parameters() if not name.startswith("discriminator.")
-        ]
+        return [values for name, values in self.named_parameters() if not name.startswith("discriminator.")]
 
 
 def discriminator_loss(

@@ -1,0 +1,126 @@
+"""The pairs of a release as batches, in an order that the seed alone decides: any step can be repeated."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.threads import ahead, using_threads
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.methods.config import MethodSettings
+from kinectbench.scoring.methods.grids import TruthBatch
+from kinectbench.scoring.truth import read_parts
+
+# Batches are read by one thread while the one before is learnt from.
+READING_THREADS = 2
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some pairs.
+
+    Attributes:
+        partial: (b, 1, 64, 64, 64) float32.
+        truth: of the same pairs.
+    """
+
+    partial: Tensor
+    truth: TruthBatch
+
+
+def training_targets(release: Release) -> tuple[Target, ...]:
+    """The pairs that are learnt from.
+
+    Raises:
+        ReleaseError: there are none, or their truth is held back.
+    """
+    release.require_truth(("train",))
+    targets = release.split("train")
+    if not targets:
+        raise ReleaseError(
+            f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair --train "
+            "40 --validation 4 --test 8` makes some"
+        )
+    return targets
+
+
+def validation_targets(release: Release, most: int) -> tuple[Target, ...]:
+    """Up to `most` pairs of the validation split, spread evenly over it."""
+    targets = release.open_split("validation")
+    count = min(most, len(targets))
+    return tuple(targets[int((k + 0.5) * len(targets) / count)] for k in range(count))
+
+
+def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
+    """Which pairs a step learns from: every epoch is a shuffle of its own, and steps go on over its end."""
+    shuffled: dict[int, NDArray[np.int64]] = {}
+    found = []
+    for place in range(step * batch, (step + 1) * batch):
+        epoch, index = divmod(place, pairs)
+        if epoch not in shuffled:
+            shuffled[epoch] = np.random.default_rng([seed, epoch]).permutation(pairs)
+        found.append(int(shuffled[epoch][index]))
+    return found
+
+
+def steps_in_all(pairs: int, config: MethodSettings) -> int:
+    """Steps of a whole training."""
+    return -(-pairs * config.training.epochs // config.training.batch)
+
+
+def batches(
+    release: Release,
+    targets: Sequence[Target],
+    config: MethodSettings,
+    steps: range,
+    device: str,
+    part: tuple[int, int] = (0, 1),
+) -> Iterator[Batch]:
+    """Yield the batch of each step, the next one read ahead.
+
+    Args:
+        release: whose pairs.
+        targets: the training pairs.
+        config: how many make a batch, and in which axes.
+        steps: that are wanted.
+        device: where the tensors come to lie.
+        part: rank and number of processes that share each batch.
+
+    Raises:
+        ReleaseError: a pair is missing or changed.
+    """
+    training, (rank, size) = config.training, part
+
+    def made(step: int) -> tuple[NDArray[np.bool_], ...]:
+        chosen = pairs_of_step(step, len(targets), training.batch, training.seed)[rank::size]
+        read = [_grids(release, targets[index], config) for index in chosen]
+        return tuple(np.stack(grids) for grids in zip(*read, strict=True))
+
+    with using_threads(READING_THREADS):
+        for partial, *truth in ahead(made, steps):
+            full, *known = (as_tensor(grid, device) for grid in truth)
+            yield Batch(as_tensor(partial, device), TruthBatch(full, known[0] if known else None))
+
+
+def _grids(release: Release, target: Target, config: MethodSettings) -> list[NDArray[np.bool_]]:
+    """A pair's partial view, full shape and, where the unknown is left out, what is known."""
+    names = ("partial", "full", "known") if config.loss.unknown == "mask" else ("partial", "full")
+    parts = read_parts(release.pair_path(target), target.sha256, names)
+    return [turned(unpack(part), config) for part in parts]
+
+
+def turned(grid: NDArray[Any], config: MethodSettings) -> NDArray[Any]:
+    """A grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
+    return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
+
+
+def as_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
+    """Grids (b, n, n, n) as (b, 1, n, n, n) float32."""
+    values = torch.from_numpy(np.ascontiguousarray(grids).view(np.uint8))
+    return values.to(device)[:, None].float()

@@ -1,0 +1,109 @@
+"""Predictions of a trained network for the pairs of a release, as any method's, with their method.json."""
+
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.storage import replaced_file, write_below
+from kinectbench.core.types import Progress, Split
+from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
+from kinectbench.core.voxels.pair_file import pack, read_input, unpack
+from kinectbench.core.voxels.resample import upsampled_planes
+from kinectbench.release.release import Release
+from kinectbench.scoring.methods.run_folder import hardware
+from kinectbench.scoring.methods.trained import Trained
+from kinectbench.scoring.methods.validate import completed
+
+SPLITS: tuple[Split, ...] = ("validation", "test")
+# Probabilities at 256^3 take 34 MB: to squeeze them further costs more time than to make them.
+LEVEL = 1
+
+
+def predict(
+    trained: Trained,
+    release: Release,
+    out: Path,
+    *,
+    threshold: float | None = None,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Path:
+    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json.
+
+    Args:
+        trained: the network, on its device.
+        release: what is predicted.
+        out: a folder of methods.
+        threshold: predictions are packed bits, set above it; None: probabilities, float16.
+        device: that the network is on.
+        progress: called with (pairs done, pairs in all).
+
+    Returns:
+        The method's folder.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+        StorageError: the disk is full or read-only.
+    """
+    folder = out / trained.config.name
+    targets = [target for split in SPLITS for target in release.split(split)]
+    seconds = []
+    for done, target in enumerate(targets, start=1):
+        pair = read_input(release.pair_path(target))
+        started = time.perf_counter()
+        probability = completed(trained.network, unpack(pair.partial), trained.config, device)
+        seconds.append(time.perf_counter() - started)
+        with replaced_file(folder / target.recording / f"{target.view}.npz") as temporary:
+            temporary.write_bytes(prediction_bytes(probability, threshold))
+        if progress:
+            progress(done, len(targets))
+    text = _method(trained, threshold, seconds, device).text()
+    with replaced_file(folder / MethodFile.FILE) as temporary:
+        write_below(temporary, text.encode())
+    return folder
+
+
+def prediction_bytes(probability: NDArray[np.float16], threshold: float | None) -> bytes:
+    """A prediction's file: probabilities as they are, or bits at 256^3, packed along the last axis."""
+    if threshold is None:
+        return npz_bytes({"prediction": probability}, level=LEVEL)
+    return packed_npz_bytes(
+        {"prediction": np.stack([pack(p > threshold) for p in upsampled_planes(probability)])}
+    )
+
+
+def _method(trained: Trained, threshold: float | None, seconds: list[float], device: str) -> MethodFile:
+    config, training = trained.config, trained.training
+    return MethodFile(
+        name=config.name,
+        version=f"kinectbench {__version__}",
+        inputs=("depth", "mask", "intrinsics", "framing"),
+        parameter_count=trained.running_parameters,
+        settings={
+            "config": config.model_dump(mode="json"),
+            "config_sha256": config.sha256,
+            "weights_sha256": trained.weights_sha256,
+            "threshold": threshold,
+        },
+        training=training.model_dump(
+            mode="json", exclude={"rows", "format_version", "name", "config_sha256"}
+        ),
+        hardware=hardware(device),
+        seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
+        peak_memory_mb=round(_peak_bytes(device) / 1e6, 1),
+    )
+
+
+def _peak_bytes(device: str) -> float:
+    """Most memory so far: of the GPU, or of this process."""
+    if device.startswith("cuda"):
+        return float(torch.cuda.max_memory_allocated(device))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else peak * 1024)

@@ -1,0 +1,65 @@
+"""Several processes that train one network, as torchrun starts them: each takes its part of every batch."""
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor, distributed, nn
+
+from kinectbench.core.errors import SettingsError
+
+
+def rank_and_size() -> tuple[int, int]:
+    """Which process this is, and how many there are; torchrun says so."""
+    return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def chosen_device(asked: str | None) -> str:
+    """Where the network runs: what was asked for, else this process's GPU, else the CPU.
+
+    Raises:
+        SettingsError: there is no such device.
+    """
+    if asked in (None, "cuda"):
+        there = torch.cuda.is_available()
+        if asked and not there:
+            raise SettingsError("--device cuda: torch finds no GPU here; leave the option out")
+        return f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if there else "cpu"
+    return str(asked)
+
+
+@contextmanager
+def joined(device: str) -> Iterator[tuple[int, int]]:
+    """Within the block the processes that torchrun started know each other; yields rank and size."""
+    rank, size = rank_and_size()
+    if size == 1:
+        yield 0, 1
+        return
+    distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
+    try:
+        yield rank, size
+    finally:
+        distributed.destroy_process_group()
+
+
+def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
+    """Make every process's gradients their mean; nothing to do for one process.
+
+    After `backward`, rather than by DistributedDataParallel, which does not carry a penalty on gradients.
+    """
+    if size == 1:
+        return
+    for values in parameters:
+        if values.grad is not None:
+            distributed.all_reduce(values.grad)
+            values.grad /= size
+
+
+def agreed(value: bool, size: int, device: str) -> bool:
+    """What the first process says, in all of them."""
+    if size == 1:
+        return value
+    said: Tensor = torch.tensor(int(value), device=device)
+    distributed.broadcast(said, 0)
+    return bool(said.item())

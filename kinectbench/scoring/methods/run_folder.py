@@ -1,0 +1,135 @@
+"""A training's folder: its configuration, a checkpoint to go on from, weights, course and curves."""
+
+import pickle
+import platform
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
+from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.storage import replaced_file
+from kinectbench.core.untrusted import open_plain
+from kinectbench.scoring.methods.config import MethodSettings
+from kinectbench.scoring.methods.config_file import read_config, write_config
+from kinectbench.scoring.methods.curves import curves_png
+from kinectbench.scoring.methods.steps import Learner, Losses
+from kinectbench.scoring.methods.weights import FILE as WEIGHTS
+from kinectbench.scoring.methods.weights import arrays_of_network, write_weights
+
+CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
+DAMAGED = (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
+
+
+@dataclass
+class State:
+    """How far a training is; with the learner's values all that its course depends on.
+
+    Attributes:
+        step: steps that were done.
+        rows: of the course so far.
+        sums: losses summed since the last row, and their number as `steps`.
+        best_iou: the best validation IoU so far, and its step.
+        seconds: of training.
+    """
+
+    step: int = 0
+    rows: list[TrainingRow] = field(default_factory=list)
+    sums: Losses = field(default_factory=dict)
+    best_iou: float = -1.0
+    best_step: int = 0
+    seconds: float = 0.0
+
+    def add(self, losses: Losses) -> None:
+        """Count a step that was done."""
+        self.step += 1
+        for name, value in {**losses, "steps": 1.0}.items():
+            self.sums[name] = self.sums.get(name, 0.0) + value
+
+
+def prepare(folder: Path, config: MethodSettings) -> None:
+    """Make the folder, or see that it is of the same configuration.
+
+    Raises:
+        SettingsError: another configuration is trained there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / CONFIG
+    if path.exists() and read_config(path).sha256 != config.sha256:
+        raise SettingsError(f"{folder}: trained with other settings, see {path}; choose another folder")
+    with replaced_file(path) as temporary:
+        write_config(config, temporary)
+
+
+def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
+    """Write the checkpoint, the course and, unless the best ones are kept, the weights.
+
+    Args:
+        folder: of the training.
+        learner: its values.
+        state: how far it is.
+        facts: of training.json that do not change; `benchmark_sha256` must be the same to go on.
+        config: what is kept.
+    """
+    if config.training.keep == "last":
+        write_weights(arrays_of_network(learner.network), folder / WEIGHTS)
+    content = {
+        "benchmark_sha256": facts["benchmark_sha256"],
+        "network": learner.network.state_dict(),
+        "optimisers": [optimiser.state_dict() for optimiser in learner.optimisers],
+        "state": {**vars(state), "rows": [row.json_value() for row in state.rows]},
+    }
+    with replaced_file(folder / CHECKPOINT) as temporary:
+        torch.save(content, temporary)
+    step = state.step if config.training.keep == "last" else state.best_step
+    file = TrainingFile(
+        name=config.name,
+        config_sha256=config.sha256,
+        steps=state.step,
+        weights_step=step,
+        seconds=round(state.seconds, 3),
+        rows=tuple(state.rows),
+        **facts,
+    )
+    with replaced_file(folder / TrainingFile.FILE) as temporary:
+        temporary.write_text(file.text(), encoding="utf-8")
+    with replaced_file(folder / CURVES) as temporary:
+        temporary.write_bytes(curves_png(config.name, state.rows))
+
+
+def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:
+    """How far the training in a folder is; the learner gets its values. From the start if there is none.
+
+    Raises:
+        SettingsError: it learns from another release.
+        StorageError: the checkpoint is damaged.
+    """
+    path = folder / CHECKPOINT
+    if not path.exists():
+        return State()
+    try:
+        with open_plain(path) as file:
+            content = torch.load(file, map_location=device, weights_only=True)
+        found = content["benchmark_sha256"]
+        if found == facts["benchmark_sha256"]:
+            learner.network.load_state_dict(content["network"])
+            for optimiser, values in zip(learner.optimisers, content["optimisers"], strict=True):
+                optimiser.load_state_dict(values)
+        state = content["state"]
+        rows = [TrainingRow.model_validate(row) for row in state["rows"]]
+        restored = State(**{**state, "rows": rows})
+    except DAMAGED as error:
+        raise StorageError(f"{path}: cannot be read; remove it to train from the start") from error
+    if found != facts["benchmark_sha256"]:
+        raise SettingsError(f"{folder}: was trained on another release ({found[:8]}…); choose another folder")
+    return restored
+
+
+def hardware(device: str) -> str:
+    """What a network runs on, in words."""
+    if device.startswith("cuda"):
+        return str(torch.cuda.get_device_name(device))
+    return f"{platform.machine()}, {torch.get_num_threads()} threads"

@@ -1,0 +1,111 @@
+"""One optimisation step: the generator's alone, or the discriminator's and then the generator's."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Generator, Tensor, nn
+from torch.optim import Adam
+
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.scoring.methods.config import MethodSettings
+from kinectbench.scoring.methods.data import Batch
+from kinectbench.scoring.methods.losses import reconstruction_loss
+from kinectbench.scoring.methods.network import Network
+from kinectbench.scoring.methods.processes import average_gradients
+from kinectbench.scoring.methods.recgan import RecGAN, discriminator_loss
+
+# Means of each step's losses, by name.
+Losses = dict[str, float]
+
+
+class LossError(KinectBenchError):
+    """A training that cannot go on."""
+
+
+class Learner:
+    """A network with its optimisers; a step's chance comes from the seed and the step's number alone.
+
+    Attributes:
+        network: that learns.
+        optimisers: Adam of the network and, for 3d-recgan++, of its discriminator.
+    """
+
+    def __init__(self, network: Network, config: MethodSettings, device: str, part: tuple[int, int]) -> None:
+        """Nothing was learnt yet; `part` is rank and number of processes."""
+        self.network, self._config, self._device = network, config, device
+        self._rank, self._size = part
+        rate = config.training.learning_rate
+        self.optimisers: Sequence[Adam]
+        if isinstance(network, RecGAN):
+            assert config.adversarial is not None
+            mine, theirs = network.generator_parameters(), list(network.discriminator.parameters())
+            self.optimisers = (Adam(mine, lr=rate), Adam(theirs, lr=config.adversarial.learning_rate))
+        else:
+            self.optimisers = (Adam(list(network.parameters()), lr=rate),)
+        self._rates = [optimiser.param_groups[0]["lr"] for optimiser in self.optimisers]
+
+    def step(self, batch: Batch, number: int, epoch: int) -> Losses:
+        """Learn from a batch; the losses are those before it.
+
+        Args:
+            batch: of this process.
+            number: of the step, from 0.
+            epoch: decides the learning rate.
+        """
+        self.network.train()
+        every = self._config.training.halve_every_epochs
+        for optimiser, rate in zip(self.optimisers, self._rates, strict=True):
+            optimiser.param_groups[0]["lr"] = rate * (0.5 ** (epoch // every) if every else 1.0)
+        generator = torch.Generator(self._device)
+        generator.manual_seed(_mixed(self._config.training.seed, number, self._rank))
+        if isinstance(self.network, RecGAN):
+            return self._adversarial(self.network, batch, generator)
+        with self._autocast():
+            parts = list(self.network.taught(batch.partial, batch.truth, generator))
+        loss = reconstruction_loss(parts, self._config.loss)
+        self._descend(loss, 0)
+        return {"loss": loss.item()}
+
+    def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
+        """A step of the discriminator, then one of the generator with what it predicted before."""
+        settings = self._config.adversarial
+        assert settings is not None
+        with self._autocast():
+            (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
+        fake = logits.float().sigmoid()
+        with self._autocast():
+            told = discriminator_loss(
+                network.discriminator, batch.partial, fake.detach(), target, settings, generator
+            )
+        self._descend(told, 1)
+        rebuilt = reconstruction_loss([(logits, target, weight)], self._config.loss)
+        with self._autocast():
+            fooled = -network.discriminator(batch.partial, fake).mean()
+        loss = settings.loss_scale * (settings.beta * rebuilt + (1 - settings.beta) * fooled)
+        self._descend(loss, 0)
+        return {
+            "loss": loss.item(),
+            "reconstruction": rebuilt.item(),
+            "discriminator": told.item(),
+        }
+
+    def _descend(self, loss: Tensor, index: int) -> None:
+        """One step of one optimiser; the other's gradients are not kept."""
+        if not torch.isfinite(loss):
+            raise LossError("the loss is no number any more; choose a lower learning rate, and train anew")
+        optimiser = self.optimisers[index]
+        self.network.zero_grad(set_to_none=True)
+        loss.backward()
+        parameters: list[nn.Parameter] = optimiser.param_groups[0]["params"]
+        average_gradients(parameters, self._size)
+        optimiser.step()
+
+    def _autocast(self) -> torch.autocast:
+        wanted = self._config.training.precision == "bfloat16"
+        return torch.autocast(self._device.partition(":")[0], torch.bfloat16, enabled=wanted)
+
+
+def _mixed(seed: int, step: int, rank: int) -> int:
+    """A seed of its own for each step and process (63 bits)."""
+    mixed = (seed * 1_000_003 + step) * 1_000_003 + rank
+    return mixed & (2**63 - 1)

@@ -1,0 +1,203 @@
+"""Train a network on the pairs of a release; whatever stops it, the same course goes on from there."""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from kinectbench.core.artefacts.method import TrainingRow
+from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.types import Progress
+from kinectbench.engine.interrupts import interrupts_held
+from kinectbench.engine.locks import locked
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.methods.config import MethodSettings
+from kinectbench.scoring.methods.data import batches, steps_in_all, training_targets, validation_targets
+from kinectbench.scoring.methods.processes import agreed, chosen_device, joined
+from kinectbench.scoring.methods.registry import make_network
+from kinectbench.scoring.methods.run_folder import State, hardware, prepare, restore, save
+from kinectbench.scoring.methods.steps import Learner, LossError
+from kinectbench.scoring.methods.validate import validation_iou
+from kinectbench.scoring.methods.weights import FILE as WEIGHTS
+from kinectbench.scoring.methods.weights import arrays_of_network, write_weights
+
+# A run that is killed loses no more than this; 2 GB are written in some seconds (own choice).
+SAVE_EVERY_S = 300.0
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training that is under way in this process.
+
+    Attributes:
+        config: of the method.
+        release: whose pairs.
+        targets: of the training split.
+        validation: the pairs that are looked at.
+        folder: of the training.
+        device: where the network lies.
+        part: rank and number of processes.
+        learner: network and optimisers.
+        state: how far it is.
+        facts: what training.json says whatever happens.
+    """
+
+    config: MethodSettings
+    release: Release
+    targets: Sequence[Target]
+    validation: Sequence[Target]
+    folder: Path
+    device: str
+    part: tuple[int, int]
+    learner: Learner
+    state: State
+    facts: dict[str, Any]
+
+    @property
+    def steps(self) -> int:
+        """Steps of the whole training."""
+        return steps_in_all(len(self.targets), self.config)
+
+    def save(self) -> None:
+        """Write what is needed to go on; one process does it for all."""
+        if self.part[0] == 0:
+            save(self.folder, self.learner, self.state, self.facts, self.config)
+
+
+def train(
+    config: MethodSettings,
+    release: Release,
+    folder: Path,
+    *,
+    minutes: float | None = None,
+    device: str | None = None,
+    wait: bool = True,
+    progress: Progress | None = None,
+    watch: Callable[[TrainingRow], None] | None = None,
+) -> State:
+    """Train a network, or go on where an earlier run in the same folder stopped.
+
+    On one machine, with the same number of threads, a training gives the same weights however often it was
+    stopped. torchrun starts it in several processes, which share each batch.
+
+    Args:
+        config: of the method.
+        release: its train split is learnt from, its validation split looked at.
+        folder: of the training.
+        minutes: stop after so long; default: when all epochs are done.
+        device: "cpu", "cuda" or another name of torch's; default: the GPU if there is one.
+        wait: whether to wait for another run in the folder, or to stop.
+        progress: called with (steps done, steps in all).
+        watch: called with each row of the course.
+
+    Returns:
+        How far it is.
+
+    Raises:
+        ReleaseError: a pair is missing or changed, or nothing can be learnt from.
+        SettingsError: the folder is another training's, or there is no such device.
+        StorageError: the disk is full or read-only, or the checkpoint is damaged.
+    """
+    targets = training_targets(release)
+    validation = validation_targets(release, config.training.validation_pairs)
+    if config.training.keep == "best" and not validation:
+        raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
+    where = chosen_device(device)
+    _deterministic(where)
+    with joined(where) as part:
+        if config.training.batch % part[1]:
+            raise SettingsError(
+                f"training.batch: {config.training.batch} pairs cannot be shared by {part[1]} processes; "
+                "choose a multiple"
+            )
+        with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
+            if part[0] == 0:
+                prepare(folder, config)
+            network = make_network(config.network, config.training.seed, where)
+            learner = Learner(network, config, where, part)
+            facts = {
+                "parameter_count": network.parameter_count,
+                "benchmark_sha256": release.benchmark_sha256,
+                "pairs": len(targets),
+                "hardware": hardware(where),
+            }
+            state = restore(folder, learner, facts, where)
+            facts["steps_in_all"] = steps_in_all(len(targets), config)
+            training = Training(
+                config, release, targets, validation, folder, where, part, learner, state, facts
+            )
+            _run(training, minutes, progress, watch)
+            return state
+
+
+def _deterministic(device: str) -> None:
+    """Ask torch for the same bits every time; it warns where it cannot, as of pooling on a GPU."""
+    torch.use_deterministic_algorithms(True, warn_only=device != "cpu")
+    torch.backends.cudnn.benchmark = False
+
+
+def _run(
+    training: Training,
+    minutes: float | None,
+    progress: Progress | None,
+    watch: Callable[[TrainingRow], None] | None,
+) -> None:
+    """Step by step until all is done or the time is over; what was done is saved whatever ends it."""
+    config, state, device = training.config, training.state, training.device
+    started = saved = time.monotonic()
+    steps = range(state.step, training.steps)
+    if not steps:
+        return
+    try:
+        for batch in batches(training.release, training.targets, config, steps, device, training.part):
+            with interrupts_held():  # a step is done whole or not at all
+                before = time.monotonic()
+                epoch = state.step * config.training.batch // len(training.targets)
+                state.add(training.learner.step(batch, state.step, epoch))
+                state.seconds += time.monotonic() - before
+                if state.step % config.training.validate_every_steps == 0 or state.step == training.steps:
+                    row = _look(training)
+                    if watch and training.part[0] == 0:
+                        watch(row)
+            if progress:
+                progress(state.step, training.steps)
+            now = time.monotonic()
+            over = minutes is not None and now - started >= 60 * minutes
+            if agreed(over, training.part[1], device):
+                break
+            if now - saved >= SAVE_EVERY_S:
+                training.save()
+                saved = time.monotonic()
+    except LossError:  # half a step was done: what was saved before stands
+        raise
+    except (KeyboardInterrupt, KinectBenchError):
+        with interrupts_held():
+            training.save()
+        raise
+    training.save()
+
+
+def _look(training: Training) -> TrainingRow:
+    """Look at the validation pairs and add a row to the course; the best weights are kept, if asked for."""
+    config, state = training.config, training.state
+    count = state.sums.pop("steps")
+    losses = {name: value / count for name, value in state.sums.items()}
+    state.sums.clear()
+    found: dict[str, float] = {}
+    if training.validation:
+        iou, threshold = validation_iou(
+            training.learner.network, training.release, training.validation, config, training.device
+        )
+        found = {"validation_iou": round(iou, 6), "threshold": threshold}
+        if iou > state.best_iou:
+            state.best_iou, state.best_step = iou, state.step
+            if config.training.keep == "best" and training.part[0] == 0:
+                write_weights(arrays_of_network(training.learner.network), training.folder / WEIGHTS)
+    epoch = round(state.step * config.training.batch / len(training.targets), 6)
+    row = TrainingRow(step=state.step, epoch=epoch, **losses, **found)
+    state.rows.append(row)
+    return row

@@ -1,0 +1,80 @@
+"""A trained network: from a training's folder, or by its name from those that the package holds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench.core.artefacts.method import TrainingFile
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import sha256_file
+from kinectbench.core.untrusted import printable
+from kinectbench.scoring.methods.config import MethodSettings
+from kinectbench.scoring.methods.config_file import read_config
+from kinectbench.scoring.methods.network import Network
+from kinectbench.scoring.methods.recgan import RecGAN
+from kinectbench.scoring.methods.registry import make_network
+from kinectbench.scoring.methods.run_folder import CONFIG
+from kinectbench.scoring.methods.weights import FILE, read_weights, set_weights
+from kinectbench.settings.words import listed
+
+# A folder for each network that is shipped, as `train` writes it, without its checkpoint.
+FOLDER = Path(__file__).parent / "trained"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A network with its weights.
+
+    Attributes:
+        config: of the method.
+        network: on its device.
+        weights_sha256: of weights.npz.
+        training: how they came to be.
+    """
+
+    config: MethodSettings
+    network: Network
+    weights_sha256: str
+    training: TrainingFile
+
+    @property
+    def running_parameters(self) -> int:
+        """Parameters that take part in a prediction: no discriminator does."""
+        if isinstance(self.network, RecGAN):
+            return sum(values.numel() for values in self.network.generator_parameters())
+        return self.network.parameter_count
+
+
+def packaged_methods() -> tuple[str, ...]:
+    """Names of the networks that the package holds with their weights, sorted."""
+    return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{FILE}")))
+
+
+def folder_of(name: str) -> Path:
+    """The folder of a method by its path, or by its name in the package.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    if name in packaged_methods():
+        return FOLDER / name
+    folder = Path(name)
+    if not (folder / CONFIG).is_file():
+        known = packaged_methods()
+        more = f", and no method of the package: {listed(known)}" if known else ""
+        raise SettingsError(f"{printable(name)}: no folder of `kinectbench train` or `convert`{more}")
+    return folder
+
+
+def open_trained(folder: Path, device: str = "cpu") -> Trained:
+    """Read a trained network.
+
+    Raises:
+        SettingsError: its configuration is wrong.
+        StorageError: its weights are missing, damaged, or another network's.
+    """
+    config = read_config(folder / CONFIG)
+    training = TrainingFile.read(folder)
+    network = make_network(config.network)
+    path = folder / FILE
+    set_weights(network, read_weights(path), str(path))
+    return Trained(config, network.to(device).eval(), sha256_file(path), training)
