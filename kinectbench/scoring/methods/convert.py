@@ -52,21 +52,21 @@ class Mapped:
         if self.axes is not None:
             return np.ascontiguousarray(values.transpose(self.axes))
         if self.rows is not None:
-            cells = 3 * (BOTTOM_CELLS,)
-            count = values.shape[self.rows] // BOTTOM_CELLS**3
-            apart = np.moveaxis(values, self.rows, 0).reshape(*cells, count, -1)
-            values = np.moveaxis(
-                apart.transpose(3, 0, 1, 2, 4).reshape(values.shape[self.rows], -1), 0, self.rows
-            )
-        return np.ascontiguousarray(
-            values.T if values.ndim == 2 and values.shape[1] > 1 else values.reshape(-1)
-        )
+            values = _channels_first(values, self.rows)
+        return np.ascontiguousarray(values.T)  # of a vector it is the vector
 
     def stored_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
         """The shape in the checkpoint of what has `shape` in the network."""
         if self.axes is not None:
             return tuple(shape[self.axes.index(axis)] for axis in range(len(shape)))
         return tuple(reversed(shape))
+
+
+def _channels_first(values: Float32, axis: int) -> Float32:
+    """An axis in the order x, y, z, channel in the order channel, x, y, z."""
+    first = np.moveaxis(values, axis, 0)
+    cells = first.reshape(*3 * (BOTTOM_CELLS,), -1, *first.shape[1:])
+    return np.moveaxis(np.moveaxis(cells, 3, 0).reshape(first.shape), 0, axis)
 
 
 @dataclass(frozen=True)

@@ -138,12 +138,13 @@ class HanLike(Network):
         logits, structure = self.coarse(partial)
         target, weight = truth.at(GLOBAL_CELLS)
         yield logits, target, weight
-        fine = torch.cat([_fine(logits.sigmoid()), _finer(partial)], dim=1)
         targets, weights = truth.at(OUTPUT_CELLS)
+        probability = logits.sigmoid()
         for index in range(len(partial)):
             corners = _drawn(target[index, 0], generator)
+            cells = patch_inputs(probability[index], partial[index], corners)
             yield (
-                self.patch(_cut(fine[index], corners), structure[[index] * len(corners)], corners),
+                self.patch(cells, structure[[index] * len(corners)], corners),
                 _cut(targets[index], corners),
                 _cut(weights[index], corners),
             )
@@ -153,11 +154,11 @@ class HanLike(Network):
         logits, structure = self.coarse(partial)
         probability = logits.float().sigmoid()
         out = functional.interpolate(logits.float(), size=OUTPUT_CELLS, mode="trilinear", align_corners=False)
-        fine = torch.cat([_fine(probability), _finer(partial)], dim=1)
         for index in range(len(partial)):
             corners = torch.nonzero(_undecided(probability[index, 0]))
             for some in corners.split(TAUGHT_PATCHES):
-                found = self.patch(_cut(fine[index], some), structure[[index] * len(some)], some)
+                inputs = patch_inputs(probability[index], partial[index], some)
+                found = self.patch(inputs, structure[[index] * len(some)], some)
                 for cells, (i, j, k) in zip(found, (some * PATCH_CELLS).tolist(), strict=True):
                     ends = (slice(i, i + PATCH_CELLS), slice(j, j + PATCH_CELLS), slice(k, k + PATCH_CELLS))
                     out[(index, slice(None), *ends)] = cells.to(out.dtype)
@@ -175,18 +176,28 @@ def depth_images(partial: Tensor) -> Tensor:
     return torch.stack(images, dim=1)
 
 
-def _fine(coarse: Tensor) -> Tensor:
-    return functional.interpolate(coarse, size=OUTPUT_CELLS, mode="trilinear", align_corners=False)
+def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tensor:
+    """What the local network sees of patches: (p, 2, 32, 32, 32).
+
+    Args:
+        probability: (1, 32, 32, 32) coarse; resampled trilinearly, its outermost cells repeated outwards.
+        partial: (1, 64, 64, 64); each cell becomes 4^3.
+        corners: (p, 3) int64, which patch along each axis.
+    """
+    # One cell more on each side than a patch has: its own cells then come out as of the whole grid.
+    around = functional.pad(probability[None], [1] * 6, mode="replicate")[0]
+    coarse = _cut(around, corners, GLOBAL_CELLS // PATCHES, 2)
+    scale = PATCH_CELLS * PATCHES // GLOBAL_CELLS
+    wide = functional.interpolate(coarse, scale_factor=scale, mode="trilinear", align_corners=False)
+    inner = slice(scale, scale + PATCH_CELLS)
+    seen = functional.interpolate(_cut(partial, corners, partial.shape[-1] // PATCHES), size=PATCH_CELLS)
+    return torch.cat([wide[:, :, inner, inner, inner], seen], dim=1)
 
 
-def _finer(partial: Tensor) -> Tensor:
-    return functional.interpolate(partial, size=OUTPUT_CELLS, mode="nearest")
-
-
-def _cut(grid: Tensor, corners: Tensor) -> Tensor:
-    """Patches (p, c, 32, 32, 32) of a grid (c, 256, 256, 256)."""
-    n = PATCH_CELLS
-    places = (corners * n).tolist()
+def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0) -> Tensor:
+    """Patches (p, c, n, n, n) of a grid (c, m, m, m): `cells` apart, n = `cells` + `more`."""
+    n = cells + more
+    places = (corners * cells).tolist()
     return torch.stack([grid[:, i : i + n, j : j + n, k : k + n] for i, j, k in places])
 
 

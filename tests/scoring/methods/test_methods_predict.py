@@ -1,0 +1,137 @@
+"""Predictions of a trained network: ordinary files that are checked and scored, and what is said of them."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_benchmark import Run
+from small_method import TINY
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import sha256_file
+from kinectbench.core.voxels.resample import upsampled_planes
+from kinectbench.release.release import Release
+from kinectbench.scoring.methods.config_file import read_config
+from kinectbench.scoring.methods.train import train
+from kinectbench.scoring.methods.trained import open_trained
+from kinectbench.scoring.methods.weights import read_weights, write_weights
+
+Command = Callable[..., Run]
+
+
+@pytest.fixture(scope="module")
+def trained(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("trained")
+    (root / "tiny.yaml").write_text(TINY.replace("epochs: 2", "epochs: 1"))
+    train(read_config(root / "tiny.yaml"), learning, root / "run", device="cpu")
+    return root / "run"
+
+
+def test_predictions_are_ordinary_ones(
+    command: Command, trained: Path, learning: Release, tmp_path: Path
+) -> None:
+    benchmark = str(learning.folder)
+    made = command(tmp_path, "predict", str(trained), benchmark, "--device", "cpu")
+    assert (made.status, made.out, made.err) == (0, "wrote predictions/tiny\n", "")
+    with np.load(tmp_path / "predictions" / "tiny" / "chair_03" / "001.npz") as arrays:
+        assert arrays.files == ["prediction"]
+        assert (arrays["prediction"].shape, arrays["prediction"].dtype) == ((64, 64, 64), np.float16)
+    checked = command(tmp_path, "check", "predictions/tiny", "--benchmark", benchmark)
+    assert (checked.status, checked.err) == (0, "")
+    scored = command(
+        tmp_path, "score", "predictions", "--benchmark", benchmark, "--no-surface", "--no-baselines"
+    )
+    assert (scored.status, scored.err) == (0, ""), scored.err
+
+    told = json.loads((tmp_path / "predictions" / "tiny" / "method.json").read_text())
+    training = json.loads((trained / "training.json").read_text())
+    assert told["name"] == "tiny" and told["parameter_count"] == training["parameter_count"]
+    assert told["settings"]["weights_sha256"] == sha256_file(trained / "weights.npz")
+    assert told["settings"]["config_sha256"] == training["config_sha256"]
+    assert told["training"]["benchmark_sha256"] == learning.benchmark_sha256
+    assert told["seconds_per_view"] > 0 and told["peak_memory_mb"] > 1
+
+
+def test_bits_are_probabilities_above_the_threshold(
+    command: Command, trained: Path, learning: Release, tmp_path: Path
+) -> None:
+    arguments = ("predict", str(trained), str(learning.folder), "--device", "cpu", "--out")
+    assert command(tmp_path, *arguments, "plain").status == 0
+    assert command(tmp_path, *arguments, "bits", "--threshold", "0.4").status == 0
+    name = Path("tiny") / "chair_03" / "000.npz"
+    with np.load(tmp_path / "plain" / name) as plain, np.load(tmp_path / "bits" / name) as bits:
+        full = np.stack([plane.copy() for plane in upsampled_planes(plain["prediction"])])
+        packed = bits["prediction"]
+    assert (packed.shape, packed.dtype) == ((256, 256, 32), np.uint8)
+    assert (np.unpackbits(packed, axis=-1).astype(bool) == (full > 0.4)).all()
+    checked = command(tmp_path, "check", "bits", "--benchmark", str(learning.folder))
+    assert (checked.status, checked.err) == (0, "")
+
+
+def test_the_same_network_predicts_the_same_bytes(
+    command: Command, trained: Path, learning: Release, tmp_path: Path
+) -> None:
+    for out in ("one", "two"):
+        made = command(
+            tmp_path, "predict", str(trained), str(learning.folder), "--device", "cpu", "--out", out
+        )
+        assert made.status == 0
+    files = sorted((tmp_path / "one").rglob("*.npz"))
+    assert len(files) == 3
+    for file in files:
+        assert file.read_bytes() == (tmp_path / "two" / file.relative_to(tmp_path / "one")).read_bytes()
+
+
+def test_weights_come_back_as_they_were(tmp_path: Path) -> None:
+    arrays = {
+        "a.b": np.arange(6, dtype=np.float32).reshape(2, 3),
+        "n": np.asarray(3),
+        "half": np.ones(4, np.float16),
+    }
+    for name in ("one", "two"):
+        write_weights(arrays, tmp_path / name)
+    found = read_weights(tmp_path / "one")
+    assert list(found) == list(arrays)
+    assert all((found[k] == arrays[k]).all() and found[k].dtype == arrays[k].dtype for k in arrays)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+def test_half_precision_weights_are_read(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained, tmp_path / "run")
+    arrays = read_weights(trained / "weights.npz")
+    write_weights({k: v.astype(np.float16) for k, v in arrays.items()}, tmp_path / "run" / "weights.npz")
+    values = dict(open_trained(tmp_path / "run").network.named_parameters())
+    for name, array in arrays.items():
+        np.testing.assert_allclose(values[name].detach().numpy(), array, rtol=1e-3, atol=1e-6)
+
+
+BAD_WEIGHTS = {
+    "missing": (None, "missing; train the method again"),
+    "damaged": (lambda arrays: b"PK\3\4", "cannot be read as weights"),
+    "a shape": (lambda arrays: arrays | {"down.0.bias": np.zeros(3, np.float32)}, r"'down.0.bias' is \(3,\)"),
+    "a name": (lambda arrays: arrays | {"more": np.zeros(3, np.float32)}, "'more' is in no such network"),
+    "not a number": (
+        lambda arrays: arrays | {"down.0.bias": np.full(4, np.nan, np.float32)},
+        "'down.0.bias' holds what are no finite numbers",
+    ),
+    "text": (lambda arrays: arrays | {"down.0.bias": np.array(["a"] * 4)}, "'down.0.bias' holds"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_WEIGHTS)
+def test_weights_that_do_not_fit_are_told(trained: Path, tmp_path: Path, name: str) -> None:
+    change, words = BAD_WEIGHTS[name]
+    shutil.copytree(trained, tmp_path / "run")
+    path = tmp_path / "run" / "weights.npz"
+    changed = change(read_weights(path)) if change else None
+    path.unlink()
+    if isinstance(changed, bytes):
+        path.write_bytes(changed)
+    elif changed is not None:
+        write_weights(changed, path)
+    with pytest.raises(StorageError, match=words) as error:
+        open_trained(tmp_path / "run")
+    assert str(path) in str(error.value)

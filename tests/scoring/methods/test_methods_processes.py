@@ -1,0 +1,68 @@
+"""Several processes that share each batch learn what one learns."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.release.release import Release
+from kinectbench.scoring.methods.config_file import read_config
+from kinectbench.scoring.methods.processes import chosen_device
+from kinectbench.scoring.methods.train import train
+
+Tiny = Callable[..., Path]
+ALL = ("unknown: mask", "unknown: count")  # the mean of means is that of all
+PROGRAM = """
+import sys, torch
+from pathlib import Path
+torch.set_num_threads(1)
+from kinectbench.release.release import open_release
+from kinectbench.scoring.methods.config_file import read_config
+from kinectbench.scoring.methods.train import train
+config, release, out = map(Path, sys.argv[1:])
+train(read_config(config), open_release(release), out, device="cpu")
+"""
+
+
+def test_two_processes_learn_what_one_learns(learning: Release, tiny: Tiny, tmp_path: Path) -> None:
+    config = tiny(ALL, ("epochs: 2", "epochs: 1"))
+    train(read_config(config), learning, tmp_path / "one", device="cpu")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    arguments = [sys.executable, "-W", "ignore", "-c", PROGRAM, config, learning.folder, tmp_path / "two"]
+    shared = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    started = [subprocess.Popen(arguments, env={**shared, "RANK": str(rank)}) for rank in range(2)]
+    assert [process.wait(timeout=240) for process in started] == [0, 0]
+    with np.load(tmp_path / "one" / "weights.npz") as one, np.load(tmp_path / "two" / "weights.npz") as two:
+        assert one.files == two.files
+        for name in one.files:
+            # Adam turns gradients of rounding errors into whole steps: a thousandth of a step is allowed.
+            np.testing.assert_allclose(two[name], one[name], atol=1e-4)
+
+
+def test_a_batch_that_cannot_be_shared_is_told(
+    learning: Release, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from contextlib import nullcontext
+
+    from kinectbench.scoring.methods import train as module
+
+    monkeypatch.setattr(module, "joined", lambda device: nullcontext((0, 3)))
+    with pytest.raises(SettingsError, match=r"2 pairs cannot be shared by 3 processes"):
+        train(read_config(tiny()), learning, tmp_path / "run", device="cpu")
+
+
+def test_a_gpu_that_is_not_there_is_told() -> None:
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(SettingsError, match="torch finds no GPU here"):
+        chosen_device("cuda")
+    assert chosen_device(None) == "cpu"

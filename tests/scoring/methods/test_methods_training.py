@@ -1,0 +1,162 @@
+"""Training: its course depends on the settings alone, however often it is stopped."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_method import TINY
+
+from kinectbench.core.artefacts.method import TrainingRow
+from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.release.release import Release
+from kinectbench.scoring.methods import train as training
+from kinectbench.scoring.methods.config_file import read_config
+from kinectbench.scoring.methods.data import pairs_of_step, steps_in_all, validation_targets
+
+Tiny = Callable[..., Path]
+
+
+class Killed(BaseException):
+    """As if the process ended: nothing is saved any more."""
+
+
+def run(
+    tiny: Path, release: Release, folder: Path, stop: tuple[int, type[BaseException]] | None = None
+) -> None:
+    def progress(done: int, total: int) -> None:
+        assert total == 5
+        if stop and done == stop[0]:
+            raise stop[1]
+
+    training.train(read_config(tiny), release, folder, device="cpu", progress=progress)
+
+
+def made(folder: Path) -> tuple[bytes, list[TrainingRow], bytes]:
+    """What must not depend on how the training was stopped."""
+    rows = json.loads((folder / "training.json").read_text())["rows"]
+    curves = (folder / "curves.png").read_bytes()
+    return (folder / "weights.npz").read_bytes(), [TrainingRow.model_validate(row) for row in rows], curves
+
+
+@pytest.fixture(scope="module")
+def whole(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training that nothing stopped."""
+    root = tmp_path_factory.mktemp("whole")
+    (root / "tiny.yaml").write_text(TINY)
+    run(root / "tiny.yaml", learning, root / "run")
+    return root / "run"
+
+
+def test_a_training_leaves_what_it_is_known_by(whole: Path) -> None:
+    _, rows, curves = made(whole)
+    assert [row.step for row in rows] == [2, 4, 5]
+    assert all(row.validation_iou is not None and row.threshold is not None for row in rows)
+    assert rows[-1].loss < rows[0].loss
+    assert curves.startswith(b"\x89PNG")
+    assert read_config(whole / "config.yaml").name == "tiny"
+    told = json.loads((whole / "training.json").read_text())
+    assert (told["steps"], told["steps_in_all"], told["pairs"]) == (5, 5, 5)
+    with np.load(whole / "weights.npz") as arrays:
+        assert sum(arrays[name].size for name in arrays.files) == told["parameter_count"]
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_an_interrupted_training_goes_on_the_same_course(
+    whole: Path, learning: Release, tiny: Tiny, tmp_path: Path, step: int
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(tiny(), learning, tmp_path / "run", (step, KeyboardInterrupt))
+    assert json.loads((tmp_path / "run" / "training.json").read_text())["steps"] == step
+    run(tiny(), learning, tmp_path / "run")
+    assert made(tmp_path / "run") == made(whole)
+
+
+def test_a_killed_training_goes_on_from_its_checkpoint(
+    whole: Path, learning: Release, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps after the last checkpoint are done again, and come out the same."""
+    monkeypatch.setattr(training, "SAVE_EVERY_S", 0.0)
+    with pytest.raises(Killed):
+        run(tiny(), learning, tmp_path / "run", (4, Killed))
+    assert json.loads((tmp_path / "run" / "training.json").read_text())["steps"] == 3
+    run(tiny(), learning, tmp_path / "run")
+    assert made(tmp_path / "run") == made(whole)
+
+
+def test_minutes_stop_a_training_and_it_goes_on(
+    whole: Path, learning: Release, tiny: Tiny, tmp_path: Path
+) -> None:
+    for expected in (1, 2):
+        state = training.train(read_config(tiny()), learning, tmp_path / "run", minutes=0, device="cpu")
+        assert state.step == expected
+    run(tiny(), learning, tmp_path / "run")
+    assert made(tmp_path / "run") == made(whole)
+
+
+def test_a_training_that_is_done_is_not_done_again(whole: Path, learning: Release, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "run")
+    before = (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns
+    state = training.train(read_config(whole / "config.yaml"), learning, tmp_path / "run", device="cpu")
+    assert state.step == 5
+    assert (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns == before
+
+
+def test_the_best_weights_are_kept(learning: Release, tiny: Tiny, tmp_path: Path) -> None:
+    config = read_config(tiny(("validation_pairs: 1", "validation_pairs: 1, keep: best")))
+    state = training.train(config, learning, tmp_path / "run", device="cpu")
+    ious = [row.validation_iou for row in state.rows]
+    told = json.loads((tmp_path / "run" / "training.json").read_text())
+    assert told["weights_step"] == state.rows[int(np.argmax(np.array(ious, float)))].step
+
+
+def test_a_folder_of_other_settings_is_refused(
+    whole: Path, learning: Release, tiny: Tiny, tmp_path: Path
+) -> None:
+    shutil.copytree(whole, tmp_path / "run")
+    with pytest.raises(SettingsError, match="trained with other settings"):
+        run(tiny(("batch: 2", "batch: 2, seed: 1")), learning, tmp_path / "run")
+    assert made(tmp_path / "run") == made(whole)
+
+
+def test_a_folder_of_another_release_is_refused(
+    whole: Path, learning: Release, release: Release, tmp_path: Path
+) -> None:
+    from dataclasses import replace
+
+    shutil.copytree(whole, tmp_path / "run")
+    other = replace(learning, metadata=release.metadata)
+    with pytest.raises(SettingsError, match="was trained on another release"):
+        training.train(read_config(whole / "config.yaml"), other, tmp_path / "run", device="cpu")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\3\4 no archive", b"\x80\x04cos\nsystem\n"])
+def test_a_damaged_checkpoint_is_told(whole: Path, learning: Release, tmp_path: Path, content: bytes) -> None:
+    shutil.copytree(whole, tmp_path / "run")
+    (tmp_path / "run" / "checkpoint.pt").write_bytes(content)
+    with pytest.raises(StorageError, match=r"checkpoint.pt: cannot be read; remove it"):
+        training.train(read_config(whole / "config.yaml"), learning, tmp_path / "run", device="cpu")
+
+
+def test_a_release_without_training_pairs_is_told(release: Release, tiny: Tiny, tmp_path: Path) -> None:
+    with pytest.raises(ReleaseError, match="no training pairs; `kinectbench synthesize"):
+        training.train(read_config(tiny()), release, tmp_path / "run", device="cpu")
+
+
+def test_every_epoch_sees_every_pair_once() -> None:
+    seen = [index for step in range(10) for index in pairs_of_step(step, 5, 3, seed=7)]
+    assert all(sorted(seen[5 * epoch : 5 * epoch + 5]) == [0, 1, 2, 3, 4] for epoch in range(6))
+    assert len({tuple(seen[5 * epoch : 5 * epoch + 5]) for epoch in range(6)}) > 1
+    assert pairs_of_step(4, 5, 3, seed=7) == seen[12:15]
+
+
+def test_steps_cover_all_epochs(tiny: Tiny) -> None:
+    config = read_config(tiny())
+    assert [steps_in_all(pairs, config) for pairs in (1, 4, 5)] == [1, 4, 5]
+
+
+def test_validation_pairs_are_spread(learning: Release) -> None:
+    assert [target.name for target in validation_targets(learning, 9)] == ["chair_02/000"]
+    assert validation_targets(learning, 0) == ()
