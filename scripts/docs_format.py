@@ -12,6 +12,7 @@ from typing import Any
 
 from kinectbench.core.artefacts.benchmark import PublishStamp, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Failed, Manifest
+from kinectbench.core.artefacts.method import MethodFile, TrainingFile
 from kinectbench.core.artefacts.object import CandidatesFile, FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
@@ -41,6 +42,8 @@ MODELS: tuple[type[Stored], ...] = (
     Lineage,
     Privacy,
     ThresholdsFile,
+    MethodFile,
+    TrainingFile,
     ScoreTable,
 )
 TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(<!-- end -->\n)", re.DOTALL)

@@ -85,6 +85,8 @@ RAW = {
     "release/publish/small_files.py": "Croissant",
     "report/gallery.py": "text in the page",
     "scoring/baselines/predict.py": "predictions, as any method's",
+    "scoring/methods/predict.py": "predictions, as any method's",
+    "scoring/methods/weights.py": "owner of weights.npz",
     "settings/edit.py": "values of YAML",
 }
 RAW_CALLS = {
@@ -182,6 +184,7 @@ OF_STRANGERS = (
     "release/",
     "scoring/api.py",
     "scoring/baselines/",
+    "scoring/methods/",
     "scoring/truth.py",
 )
 OPENING = {
@@ -206,6 +209,7 @@ OPENED = {
     ("stages/ingest/bags/rosbag2_sqlite.py", "sqlite3.connect"): "read-only, by its name, after open_plain",
     ("core/zip_files.py", "ZipFile"): "of a file that open_plain opened",
     ("core/voxels/npz.py", "ZipFile"): "one that is written",
+    ("scoring/methods/weights.py", "ZipFile"): "one that is written",
     ("release/publish/archive.py", "ZipFile"): "one that is written",
     ("release/publish/archive.py", "open"): "a release that was just written",
     ("release/publish/card.py", "read_text"): "the package's own file",
