@@ -40,6 +40,8 @@ def narrow_recgan() -> dict[str, Float32]:
             shape = (4, 4, 4, *channels)
         else:
             shape = tuple(sizes[count] for count in shape)
-        scale = 1.5 / np.sqrt(np.prod(shape[:-1])) if len(shape) > 1 else 0.1
+        # So that what comes in comes out about as strong: a cell of a transposed convolution has 8 terms a channel.
+        terms = 8 * shape[-1] if name.startswith("aeu/d") else int(np.prod(shape[:-1]))
+        scale = np.sqrt(2.9 / terms) if len(shape) > 1 else 0.1
         found[name] = generator.normal(0, scale, shape).astype(np.float32)
     return found

@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.storage import replaced_file, write_below
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
-from kinectbench.core.voxels.pair_file import pack, read_input, unpack
+from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.release.release import Release
 from kinectbench.scoring.methods.run_folder import hardware
@@ -56,7 +56,8 @@ def predict(
     targets = [target for split in SPLITS for target in release.split(split)]
     seconds = []
     for done, target in enumerate(targets, start=1):
-        pair = read_input(release.pair_path(target))
+        where = str(release.pair_path(target))
+        pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
         started = time.perf_counter()
         probability = completed(trained.network, unpack(pair.partial), trained.config, device)
         seconds.append(time.perf_counter() - started)

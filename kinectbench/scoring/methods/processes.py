@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, distributed, nn
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable
 
 
 def rank_and_size() -> tuple[int, int]:
@@ -21,12 +22,17 @@ def chosen_device(asked: str | None) -> str:
     Raises:
         SettingsError: there is no such device.
     """
-    if asked in (None, "cuda"):
-        there = torch.cuda.is_available()
-        if asked and not there:
-            raise SettingsError("--device cuda: torch finds no GPU here; leave the option out")
-        return f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if there else "cpu"
-    return str(asked)
+    if asked is None:
+        asked = "cuda" if torch.cuda.is_available() else "cpu"
+    if asked == "cuda":
+        asked = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
+    try:
+        torch.Generator(asked)
+    except (RuntimeError, AssertionError):
+        raise SettingsError(
+            f"--device {printable(asked)}: torch has none here; leave the option out"
+        ) from None
+    return asked
 
 
 @contextmanager

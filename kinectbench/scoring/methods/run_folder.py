@@ -11,7 +11,7 @@ import torch
 
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.errors import SettingsError, StorageError
-from kinectbench.core.storage import replaced_file
+from kinectbench.core.storage import replaced_file, storage_errors
 from kinectbench.core.untrusted import open_plain
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.config_file import read_config, write_config
@@ -50,13 +50,26 @@ class State:
             self.sums[name] = self.sums.get(name, 0.0) + value
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder where there is none.
+
+    Raises:
+        StorageError: the way to it holds a file, or the disk cannot be written.
+    """
+    try:
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise StorageError(f"{folder}: the way to it holds a file; choose another folder") from None
+
+
 def prepare(folder: Path, config: MethodSettings) -> None:
     """Make the folder, or see that it is of the same configuration.
 
     Raises:
         SettingsError: another configuration is trained there.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     path = folder / CONFIG
     if path.exists() and read_config(path).sha256 != config.sha256:
         raise SettingsError(f"{folder}: trained with other settings, see {path}; choose another folder")
@@ -82,10 +95,10 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
         "optimisers": [optimiser.state_dict() for optimiser in learner.optimisers],
         "state": {**vars(state), "rows": [row.json_value() for row in state.rows]},
     }
-    with replaced_file(folder / CHECKPOINT) as temporary:
-        torch.save(content, temporary)
+    with replaced_file(folder / CHECKPOINT) as temporary, temporary.open("wb") as file:
+        torch.save(content, file)
     step = state.step if config.training.keep == "last" else state.best_step
-    file = TrainingFile(
+    course = TrainingFile(
         name=config.name,
         config_sha256=config.sha256,
         steps=state.step,
@@ -95,7 +108,7 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
         **facts,
     )
     with replaced_file(folder / TrainingFile.FILE) as temporary:
-        temporary.write_text(file.text(), encoding="utf-8")
+        temporary.write_text(course.text(), encoding="utf-8")
     with replaced_file(folder / CURVES) as temporary:
         temporary.write_bytes(curves_png(config.name, state.rows))
 

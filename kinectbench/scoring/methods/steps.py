@@ -18,7 +18,7 @@ from kinectbench.scoring.methods.recgan import RecGAN, discriminator_loss
 Losses = dict[str, float]
 
 
-class LossError(KinectBenchError):
+class StepError(KinectBenchError):
     """A training that cannot go on."""
 
 
@@ -92,7 +92,7 @@ class Learner:
     def _descend(self, loss: Tensor, index: int) -> None:
         """One step of one optimiser; the other's gradients are not kept."""
         if not torch.isfinite(loss):
-            raise LossError("the loss is no number any more; choose a lower learning rate, and train anew")
+            raise StepError("the loss is no number any more; choose a lower learning rate, and train anew")
         optimiser = self.optimisers[index]
         self.network.zero_grad(set_to_none=True)
         loss.backward()

@@ -1,5 +1,6 @@
 """Train a network on the pairs of a release; whatever stops it, the same course goes on from there."""
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -16,11 +17,17 @@ from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.methods.config import MethodSettings
-from kinectbench.scoring.methods.data import batches, steps_in_all, training_targets, validation_targets
+from kinectbench.scoring.methods.data import (
+    Batch,
+    batches,
+    steps_in_all,
+    training_targets,
+    validation_targets,
+)
 from kinectbench.scoring.methods.processes import agreed, chosen_device, joined
 from kinectbench.scoring.methods.registry import make_network
-from kinectbench.scoring.methods.run_folder import State, hardware, prepare, restore, save
-from kinectbench.scoring.methods.steps import Learner, LossError
+from kinectbench.scoring.methods.run_folder import State, hardware, make_folder, prepare, restore, save
+from kinectbench.scoring.methods.steps import Learner, Losses, StepError
 from kinectbench.scoring.methods.validate import validation_iou
 from kinectbench.scoring.methods.weights import FILE as WEIGHTS
 from kinectbench.scoring.methods.weights import arrays_of_network, write_weights
@@ -107,6 +114,7 @@ def train(
     if config.training.keep == "best" and not validation:
         raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
     where = chosen_device(device)
+    make_folder(folder)
     _deterministic(where)
     with joined(where) as part:
         if config.training.batch % part[1]:
@@ -136,6 +144,7 @@ def train(
 
 def _deterministic(device: str) -> None:
     """Ask torch for the same bits every time; it warns where it cannot, as of pooling on a GPU."""
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # or else products on a GPU vary
     torch.use_deterministic_algorithms(True, warn_only=device != "cpu")
     torch.backends.cudnn.benchmark = False
 
@@ -157,7 +166,7 @@ def _run(
             with interrupts_held():  # a step is done whole or not at all
                 before = time.monotonic()
                 epoch = state.step * config.training.batch // len(training.targets)
-                state.add(training.learner.step(batch, state.step, epoch))
+                state.add(_stepped(training, batch, epoch))
                 state.seconds += time.monotonic() - before
                 if state.step % config.training.validate_every_steps == 0 or state.step == training.steps:
                     row = _look(training)
@@ -172,13 +181,25 @@ def _run(
             if now - saved >= SAVE_EVERY_S:
                 training.save()
                 saved = time.monotonic()
-    except LossError:  # half a step was done: what was saved before stands
+    except StepError:  # half a step was done: what was saved before stands
         raise
     except (KeyboardInterrupt, KinectBenchError):
         with interrupts_held():
             training.save()
         raise
     training.save()
+
+
+def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
+    """One step.
+
+    Raises:
+        StepError: memory is full, or the loss is no number.
+    """
+    try:
+        return training.learner.step(batch, training.state.step, epoch)
+    except torch.OutOfMemoryError as error:
+        raise StepError("the GPU's memory is full; choose a smaller training.batch, or bfloat16") from error
 
 
 def _look(training: Training) -> TrainingRow:

@@ -11,7 +11,7 @@ from kinectbench.scoring.methods.config import MethodSettings, NetworkName
 from kinectbench.scoring.methods.data import Batch, as_tensor
 from kinectbench.scoring.methods.grids import TruthBatch
 from kinectbench.scoring.methods.registry import NETWORKS, make_network
-from kinectbench.scoring.methods.steps import Learner, LossError
+from kinectbench.scoring.methods.steps import Learner, StepError
 
 ADVERSARIAL = {"beta": 0.8, "loss_scale": 100.0, "epsilon": "voxel", "penalty_on": "sum"}
 # Hidden channels divided by, side of the generators' output, learning rate, steps until it is learnt.
@@ -103,7 +103,7 @@ def test_a_loss_that_is_no_number_is_told() -> None:
     network = make_network(config.network)
     with torch.no_grad():
         next(network.parameters()).fill_(float("nan"))
-    with pytest.raises(LossError, match="choose a lower learning rate"):
+    with pytest.raises(StepError, match="choose a lower learning rate"):
         Learner(network, config, "cpu", (0, 1)).step(random_batch(1), 0, 0)
 
 

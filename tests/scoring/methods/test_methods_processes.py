@@ -59,10 +59,8 @@ def test_a_batch_that_cannot_be_shared_is_told(
         train(read_config(tiny()), learning, tmp_path / "run", device="cpu")
 
 
-def test_a_gpu_that_is_not_there_is_told() -> None:
-    torch = pytest.importorskip("torch")
-    if torch.cuda.is_available():
-        pytest.skip("there is one")
-    with pytest.raises(SettingsError, match="torch finds no GPU here"):
-        chosen_device("cuda")
-    assert chosen_device(None) == "cpu"
+@pytest.mark.parametrize("name", ["cuda:77", "gpu", "meta", "a\x1bb"])
+def test_a_device_that_is_not_there_is_told(name: str) -> None:
+    with pytest.raises(SettingsError, match=r"--device \S+: torch has none here") as error:
+        chosen_device(name)
+    assert str(error.value).isprintable()
