@@ -40,7 +40,7 @@ def narrow_recgan() -> dict[str, Float32]:
             shape = (4, 4, 4, *channels)
         else:
             shape = tuple(sizes[count] for count in shape)
-        # So that what comes in comes out about as strong: a cell of a transposed convolution has 8 terms a channel.
+        # So that what comes in comes out about as strong: of a transposed convolution 8 cells meet in one.
         terms = 8 * shape[-1] if name.startswith("aeu/d") else int(np.prod(shape[:-1]))
         scale = np.sqrt(2.9 / terms) if len(shape) > 1 else 0.1
         found[name] = generator.normal(0, scale, shape).astype(np.float32)

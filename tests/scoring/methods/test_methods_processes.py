@@ -37,7 +37,13 @@ def test_two_processes_learn_what_one_learns(learning: Release, tiny: Tiny, tmp_
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     arguments = [sys.executable, "-W", "ignore", "-c", PROGRAM, config, learning.folder, tmp_path / "two"]
-    shared = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    shared = {
+        **os.environ,
+        "WORLD_SIZE": "2",
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": str(port),
+        "GLOO_SOCKET_IFNAME": "lo",
+    }
     started = [subprocess.Popen(arguments, env={**shared, "RANK": str(rank)}) for rank in range(2)]
     assert [process.wait(timeout=240) for process in started] == [0, 0]
     with np.load(tmp_path / "one" / "weights.npz") as one, np.load(tmp_path / "two" / "weights.npz") as two:
