@@ -125,6 +125,9 @@ def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) 
         return State()
     try:
         with open_plain(path) as file:
+            if not zipfile.is_zipfile(file):  # of older formats torch warns, and then reads on
+                raise ValueError("no archive")
+            file.seek(0)
             content = torch.load(file, map_location=device, weights_only=True)
         found = content["benchmark_sha256"]
         if found == facts["benchmark_sha256"]:
