@@ -117,11 +117,7 @@ def train(
     make_folder(folder)
     _deterministic(where)
     with joined(where) as part:
-        if config.training.batch % part[1]:
-            raise SettingsError(
-                f"training.batch: {config.training.batch} pairs cannot be shared by {part[1]} processes; "
-                "choose a multiple"
-            )
+        _check_shared(config.training.batch, part[1])
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
                 prepare(folder, config)
@@ -140,6 +136,14 @@ def train(
             )
             _run(training, minutes, progress, watch)
             return state
+
+
+def _check_shared(batch: int, processes: int) -> None:
+    """Refuse a batch that processes cannot share evenly."""
+    if batch % processes:
+        raise SettingsError(
+            f"training.batch: {batch} pairs cannot be shared by {processes} processes; choose a multiple"
+        )
 
 
 def _deterministic(device: str) -> None:
