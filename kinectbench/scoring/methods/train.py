@@ -131,10 +131,8 @@ def train(
             }
             state = restore(folder, learner, facts, where)
             facts["steps_in_all"] = steps_in_all(len(targets), config)
-            training = Training(
-                config, release, targets, validation, folder, where, part, learner, state, facts
-            )
-            _run(training, minutes, progress, watch)
+            made = Training(config, release, targets, validation, folder, where, part, learner, state, facts)
+            _run(made, minutes, progress, watch)
             return state
 
 
