@@ -52,8 +52,8 @@ def measured(name: str, device: str, threads: int, step: bool) -> dict[str, Any]
             cpus.append(time.process_time() - cpu)
     found |= {"forward_s": min(walls), "forward_cpu_s": min(cpus), "peak_mb": _peak_mb(device)}
     if step:
-        full = torch.zeros(1, 1, 256, 256, 256, device=device)
-        full[..., 80:176, 80:176, 120:200] = 1
+        full = torch.zeros(1, 1, 256, 256, 256, dtype=torch.bool, device=device)
+        full[..., 80:176, 80:176, 120:200] = True
         learner = Learner(network, config, device, (0, 1))
         batch = Batch(partial, TruthBatch(full, None))
         learner.step(batch, 0, 0)

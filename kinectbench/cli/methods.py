@@ -31,7 +31,7 @@ def train(
             metavar="CONFIG", help="a YAML file, or a name of ours", autocompletion=_known_configs
         ),
     ],
-    data: Annotated[Path, typer.Option(help="the release to learn from")],
+    data: Annotated[list[Path], typer.Option(help="the release to learn from; again for one more")],
     out: Annotated[Path, typer.Option(help="a new folder, or that of a training to go on with")],
     minutes: Annotated[
         float | None, typer.Option(min=0, help="stop after so long; run again to go on")
@@ -47,12 +47,12 @@ def train(
     from kinectbench.scoring.methods.config_file import find_config
     from kinectbench.scoring.methods.train import train as run
 
-    settings, release = find_config(config), open_release(data)
+    settings, releases = find_config(config), [open_release(folder) for folder in data]
     limit = None if minutes is None or math.isinf(minutes) else minutes
     with console.bar(f"train {settings.name}") as progress:
         state = run(
             settings,
-            release,
+            releases,
             out,
             minutes=limit,
             device=device,

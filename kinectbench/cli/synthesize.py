@@ -20,6 +20,9 @@ def synthesize(
     train: Annotated[int | None, typer.Option(help="training models per category; default: 220")] = None,
     validation: Annotated[int | None, typer.Option(help="validation models; default: 12")] = None,
     test: Annotated[int | None, typer.Option(help="test models; default: 40")] = None,
+    framing: Annotated[
+        str | None, typer.Option(help="object: cube around the full shape; view: the view's")
+    ] = None,
     layout: Annotated[str | None, typer.Option(help="release, or recgan: the paper authors' files")] = None,
 ) -> None:
     """Write the paper's synthetic pairs, from CAD meshes or from parametric furniture."""
@@ -34,6 +37,7 @@ def synthesize(
         "train": train,
         "validation": validation,
         "test": test,
+        "framing": framing,
         "layout": layout,
     }
     values = {key: value for key, value in given.items() if value is not None}

@@ -19,12 +19,10 @@ from kinectbench.core.voxels.pair_file import Pair, pack, packed_count, pair_byt
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.core.voxels.view_grids import object_cube, partial_grids, view_cube
+from kinectbench.core.voxels.view_grids import MAX_CUT_SHARE, object_cube, partial_grids, view_cube
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.sample_views.views import View
 from kinectbench.stages.segment.object_model import ObjectModel
-
-MAX_CUT_SHARE = 0.05
 
 
 @dataclass(frozen=True)

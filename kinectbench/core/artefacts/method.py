@@ -63,6 +63,7 @@ class TrainingFile(Stored):
     config_sha256: str = Field(pattern=SHA256, description="of config.yaml's values, defaults included")
     parameter_count: int = Field(description="values that are learnt, those of a discriminator as well")
     benchmark_sha256: str | None = Field(None, description="of the release that was learnt from")
+    further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases beside it")
     pairs: int | None = Field(None, description="that were learnt from")
     steps: int | None = Field(None, description="that were done")
     steps_in_all: int | None = Field(None, description="of the whole training")

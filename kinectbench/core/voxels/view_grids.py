@@ -12,6 +12,8 @@ from kinectbench.core.voxels.pair_file import BLOCK, FULL_CELLS
 OBJECT_SCALE = FULL_CELLS / (FULL_CELLS - 4)
 VIEW_SCALE = 1.4
 VIEW_FRONT_MARGIN = 0.1
+# A pair whose cube of framing `view` cuts off more of the shape is refused (own choice).
+MAX_CUT_SHARE = 0.05
 
 
 def object_cube(vertices_world: Float64, T_world_camera: Float64) -> Grid:

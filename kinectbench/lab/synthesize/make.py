@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from kinectbench.core.artefacts.object import MadeGroup, MadeModel, SynthesisedQualityFile
 from kinectbench.core.artefacts.views import Refused, SynthesisedCamera, ViewRow, ViewsFile
 from kinectbench.core.geometry import Camera
@@ -74,10 +76,19 @@ def make_model(task: Task) -> None:
     with artefact.write() as folder:
         groups = {}
         for name, steps in task.groups.items():
-            pairs = ((view, *make_pair(checked, eye, view, settings)) for view in all_views(steps))
+            pairs = ((view, *make_pair(checked, eye, view, settings)) for view in drawn_views(task, steps))
             write = _write_recgan if settings.layout == "recgan" else _write_release
             groups[name] = write(task, name, folder / FILES, checked, eye.camera, pairs)
         MadeModel(split=task.split, quality=_quality(task.model, checked), groups=groups).write(folder)
+
+
+def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
+    """The orientations of one group, or those that are drawn of them, by the model's name alone."""
+    views, most = all_views(steps), task.settings.most_views
+    if most is None or most >= len(views):
+        return views
+    drawn = np.random.default_rng([steps, *task.model.name.encode()]).permutation(len(views))[:most]
+    return tuple(views[index] for index in sorted(drawn))
 
 
 def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
-from kinectbench.core.types import Split
+from kinectbench.core.types import Framing, Split
 from kinectbench.release.exchange.layouts import SYNSETS
 from kinectbench.settings.models import Settings, check_name
 
@@ -35,9 +35,13 @@ class SynthesisSettings(Settings):
         None,
         description="axis that points up; default: y in mesh files (ShapeNet), z in parametric furniture",
     )
+    most_views: int | None = Field(
+        None, ge=1, description="of a model's same or cross views only so many, drawn; default: all (paper)"
+    )
     image_px: int = Field(320, ge=64, le=2048, description="width and height of the virtual depth image")
     max_faces: int = Field(1_000_000, ge=1, description="meshes with more are left out")
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
+    framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
     layout: Layout = Field("release", description="release, or recgan: the paper authors' files")
 
     _name = field_validator("name")(check_name)

@@ -1,14 +1,16 @@
 """One synthetic pair: depth by a virtual camera, the whole shape as it stands, and the authors' files."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinectbench.core.voxels.morphology import containment, packed_shell
+from kinectbench.core.geometry import Grid
+from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
 from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.core.voxels.view_grids import object_cube, partial_grids
+from kinectbench.core.voxels.view_grids import MAX_CUT_SHARE, object_cube, partial_grids, view_cube
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose
@@ -21,14 +23,15 @@ def make_pair(
 ) -> tuple[Pair, str | None]:
     """See a model from one side, and voxelise what is seen and all of it in one cube.
 
-    The cube is the paper's: around the full shape's box in the view's axes. The world's frame is the
-    model's own, and its unit stands for a metre. All cells are known, and the surface is exact.
+    The cube is the paper's, around the full shape's box in the view's axes, or that of framing `view`, from
+    what is seen alone. The world's frame is the model's own, and its unit stands for a metre. All cells are
+    known, and the surface is exact.
 
     Args:
         checked: the model.
         eye: the virtual camera before it.
         view: the orientation.
-        settings: `up_axis` and `min_containment` count.
+        settings: `up_axis`, `framing` and `min_containment` count.
 
     Returns:
         The pair, and why it must not be used, or None.
@@ -36,8 +39,11 @@ def make_pair(
     mesh, camera = checked.mesh, eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
     depth_m = eye.depth_m(T_world_camera)
-    grid = object_cube(eye.corners_world, T_world_camera)
+    whole = grid = object_cube(eye.corners_world, T_world_camera)
+    if settings.framing == "view" and depth_m.any():
+        grid = view_cube(camera.backproject(depth_m)[depth_m > 0], T_world_camera)
     full = VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, grid)
+    cut_share = 0.0 if grid is whole else _cut_share(full, grid, checked, whole)
     partial_256, partial = partial_grids(depth_m, camera, T_world_camera, grid)
     pair = Pair(
         partial=partial,
@@ -51,15 +57,25 @@ def make_pair(
         K=camera.K,
         voxel_size_m=grid.voxel_size_m,
         surface_sigma_m=0.0,
-        framing="object",
+        framing=settings.framing,
         partial_rule="any",
         occupancy_rule=checked.rule,
     )
-    return pair, _reason(pair, settings.min_containment)
+    return pair, _reason(pair, settings.min_containment, cut_share)
 
 
-def _reason(pair: Pair, min_containment: float) -> str | None:
+def _cut_share(full: NDArray[np.uint8], grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
+    """The share of a shape that a cube cuts off, by the cells of the cube around the whole of it."""
+    mesh = checked.mesh
+    there = VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, whole)
+    volume_m3 = packed_count(there) * whole.voxel_size_m**3
+    return max(0.0, 1 - packed_count(full) * grid.voxel_size_m**3 / volume_m3) if volume_m3 else 0.0
+
+
+def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
     """Why a pair must not be used, or None."""
+    if cut_share > MAX_CUT_SHARE:
+        return f"the cube of framing view cuts off {cut_share:.1%} of it, more than {MAX_CUT_SHARE:.0%}"
     if not pair.full.any():
         return "no cell's centre lies in the shape: its walls are thinner than a cell"
     if not pair.partial.any():

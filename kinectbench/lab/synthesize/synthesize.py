@@ -126,9 +126,9 @@ def _complete(
                     refused=len(views.refused),
                     quality=QualityFile.model_validate(content.quality.json_value()),
                 )
-    pair_settings = PairSettings(min_containment=settings["min_containment"]).model_dump(mode="json")
-    public = {"pairs": pair_settings, "synthesis": settings}
-    head = Head(settings["name"], settings["license"], "object", "any", public, TEXTS)
+    pairs = PairSettings(framing=settings["framing"], min_containment=settings["min_containment"])
+    public = {"pairs": pairs.model_dump(mode="json"), "synthesis": settings}
+    head = Head(settings["name"], settings["license"], settings["framing"], "any", public, TEXTS)
     return write_small_files(head, folder, tuple(sorted(targets)), infos, lines)
 
 

@@ -48,6 +48,11 @@ class LossSettings(Settings):
     unknown: Literal["count", "mask"] = Field(
         "count", description="voxels whose truth is unknown: counted as published, or left out"
     )
+    tile_cells: Literal[32, 64, 128] | None = Field(
+        None,
+        description="3d-recae beyond 64^3: the loss is that of one tile of so many cells a pair and step, "
+        "drawn anew; default: of the whole output",
+    )
 
 
 class AdversarialSettings(Settings):
@@ -107,6 +112,15 @@ class MethodSettings(Settings):
     def _adversarial(self) -> Self:
         if (self.network.kind == "3d-recgan++") != (self.adversarial is not None):
             raise ValueError("adversarial belongs to 3d-recgan++, and 3d-recgan++ needs it")
+        return self
+
+    @model_validator(mode="after")
+    def _tiles(self) -> Self:
+        tile, network = self.loss.tile_cells, self.network
+        if tile and (network.kind != "3d-recae" or network.output_cells == 64):
+            raise ValueError("loss.tile_cells belongs to 3d-recae with output_cells 128 or 256")
+        if tile and tile >= network.output_cells:
+            raise ValueError("loss.tile_cells is as large as the output: leave it out")
         return self
 
     @property

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.threads import ahead, using_threads
 from kinectbench.core.voxels.pair_file import unpack
-from kinectbench.release.release import Release, Target
+from kinectbench.release.release import Release
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.grids import TruthBatch
 from kinectbench.scoring.truth import read_parts
@@ -34,27 +35,41 @@ class Batch:
     truth: TruthBatch
 
 
-def training_targets(release: Release) -> tuple[Target, ...]:
-    """The pairs that are learnt from.
+class PairFile(NamedTuple):
+    """Where a pair of a release lies, and what it must be."""
+
+    path: Path
+    sha256: str
+
+
+def training_pairs(releases: Sequence[Release]) -> tuple[PairFile, ...]:
+    """The pairs that are learnt from, of one release after another.
 
     Raises:
-        ReleaseError: there are none, or their truth is held back.
+        ReleaseError: a release has none, or their truth is held back.
     """
-    release.require_truth(("train",))
-    targets = release.split("train")
-    if not targets:
-        raise ReleaseError(
-            f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair --train "
-            "40 --validation 4 --test 8` makes some"
-        )
-    return targets
+    found: list[PairFile] = []
+    for release in releases:
+        release.require_truth(("train",))
+        targets = release.split("train")
+        if not targets:
+            raise ReleaseError(
+                f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair "
+                "--train 40 --validation 4 --test 8` makes some"
+            )
+        found += (PairFile(release.pair_path(target), target.sha256) for target in targets)
+    return tuple(found)
 
 
-def validation_targets(release: Release, most: int) -> tuple[Target, ...]:
-    """Up to `most` pairs of the validation split, spread evenly over it."""
-    targets = release.open_split("validation")
-    count = min(most, len(targets))
-    return tuple(targets[int((k + 0.5) * len(targets) / count)] for k in range(count))
+def validation_pairs(releases: Sequence[Release], most: int) -> tuple[PairFile, ...]:
+    """Up to `most` pairs of the validation splits, spread evenly over them."""
+    pairs = [
+        PairFile(release.pair_path(target), target.sha256)
+        for release in releases
+        for target in release.open_split("validation")
+    ]
+    count = min(most, len(pairs))
+    return tuple(pairs[int((k + 0.5) * len(pairs) / count)] for k in range(count))
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
@@ -75,8 +90,7 @@ def steps_in_all(pairs: int, config: MethodSettings) -> int:
 
 
 def batches(
-    release: Release,
-    targets: Sequence[Target],
+    pairs: Sequence[PairFile],
     config: MethodSettings,
     steps: range,
     device: str,
@@ -85,8 +99,7 @@ def batches(
     """Yield the batch of each step, the next one read ahead.
 
     Args:
-        release: whose pairs.
-        targets: the training pairs.
+        pairs: of the training splits.
         config: how many make a batch, and in which axes.
         steps: that are wanted.
         device: where the tensors come to lie.
@@ -98,20 +111,20 @@ def batches(
     training, (rank, size) = config.training, part
 
     def made(step: int) -> tuple[NDArray[np.bool_], ...]:
-        chosen = pairs_of_step(step, len(targets), training.batch, training.seed)[rank::size]
-        read = [_grids(release, targets[index], config) for index in chosen]
+        chosen = pairs_of_step(step, len(pairs), training.batch, training.seed)[rank::size]
+        read = [_grids(pairs[index], config) for index in chosen]
         return tuple(np.stack(grids) for grids in zip(*read, strict=True))
 
     with using_threads(READING_THREADS):
         for partial, *truth in ahead(made, steps):
-            full, *known = (as_tensor(grid, device) for grid in truth)
+            full, *known = (bits_tensor(grid, device) for grid in truth)
             yield Batch(as_tensor(partial, device), TruthBatch(full, known[0] if known else None))
 
 
-def _grids(release: Release, target: Target, config: MethodSettings) -> list[NDArray[np.bool_]]:
+def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
     """A pair's partial view, full shape and, where the unknown is left out, what is known."""
     names = ("partial", "full", "known") if config.loss.unknown == "mask" else ("partial", "full")
-    parts = read_parts(release.pair_path(target), target.sha256, names)
+    parts = read_parts(pair.path, pair.sha256, names)
     return [turned(unpack(part), config) for part in parts]
 
 
@@ -120,7 +133,11 @@ def turned(grid: NDArray[Any], config: MethodSettings) -> NDArray[Any]:
     return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
 
 
+def bits_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
+    """Grids (b, n, n, n) as (b, 1, n, n, n) bool."""
+    return torch.from_numpy(np.ascontiguousarray(grids)).to(device)[:, None]
+
+
 def as_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
     """Grids (b, n, n, n) as (b, 1, n, n, n) float32."""
-    values = torch.from_numpy(np.ascontiguousarray(grids).view(np.uint8))
-    return values.to(device)[:, None].float()
+    return bits_tensor(grids, device).float()

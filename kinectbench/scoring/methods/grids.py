@@ -1,8 +1,8 @@
 """Grids of a batch as tensors, at the side that a network takes or gives."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
+import torch
 from torch import Tensor
 from torch.nn import functional
 
@@ -20,8 +20,8 @@ class TruthBatch:
     """The truth of a batch.
 
     Attributes:
-        full: (b, 1, 256, 256, 256) float32, 0 or 1.
-        known: the same, 1 where the truth is trusted; None: every voxel counts.
+        full: (b, 1, 256, 256, 256) bool.
+        known: the same, set where the truth is trusted; None: every voxel counts.
     """
 
     full: Tensor
@@ -36,16 +36,20 @@ class TruthBatch:
         if self.known is None:
             return _shares(self.full, cells), self._ones(cells)
         weight = _shares(self.known, cells)
-        return _shares(self._occupied, cells) / weight.clamp(min=1e-6), weight
+        return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
 
-    @cached_property
-    def _occupied(self) -> Tensor:
-        assert self.known is not None
-        return self.full * self.known
+    def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
+        """The truth of a tile of one pair, where each side is cut into `count`: (1, 1, n, n, n)."""
+        cells = self.full.shape[-1] // count
+        box = tuple(slice(cells * k, cells * (k + 1)) for k in place)
+        cut = (slice(index, index + 1), slice(None), *box)
+        return TruthBatch(self.full[cut], None if self.known is None else self.known[cut])
 
     def _ones(self, cells: int) -> Tensor:
-        return self.full.new_ones(()).expand(len(self.full), 1, cells, cells, cells)
+        ones = self.full.new_ones((), dtype=torch.float32)
+        return ones.expand(len(self.full), 1, cells, cells, cells)
 
 
 def _shares(grid: Tensor, cells: int) -> Tensor:
-    return grid if grid.shape[-1] == cells else functional.adaptive_avg_pool3d(grid, cells)
+    values = grid.float()
+    return values if grid.shape[-1] == cells else functional.adaptive_avg_pool3d(values, cells)

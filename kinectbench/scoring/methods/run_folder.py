@@ -84,13 +84,13 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
         folder: of the training.
         learner: its values.
         state: how far it is.
-        facts: of training.json that do not change; `benchmark_sha256` must be the same to go on.
+        facts: of training.json that do not change; the releases must be the same to go on.
         config: what is kept.
     """
     if config.training.keep == "last":
         write_weights(arrays_of_network(learner.network), folder / WEIGHTS)
     content = {
-        "benchmark_sha256": facts["benchmark_sha256"],
+        "benchmarks_sha256": benchmarks(facts),
         "network": learner.network.state_dict(),
         "optimisers": [optimiser.state_dict() for optimiser in learner.optimisers],
         "state": {**vars(state), "rows": [row.json_value() for row in state.rows]},
@@ -113,6 +113,11 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
         temporary.write_bytes(curves_png(config.name, state.rows))
 
 
+def benchmarks(facts: dict[str, Any]) -> list[str]:
+    """The releases that are learnt from, in order, by `benchmark_sha256`."""
+    return [facts["benchmark_sha256"], *facts["further_benchmarks_sha256"]]
+
+
 def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:
     """How far the training in a folder is; the learner gets its values. From the start if there is none.
 
@@ -129,19 +134,32 @@ def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) 
                 raise ValueError("no archive")
             file.seek(0)
             content = torch.load(file, map_location=device, weights_only=True)
-        found = content["benchmark_sha256"]
-        if found == facts["benchmark_sha256"]:
+        found = content["benchmarks_sha256"]
+        if found == benchmarks(facts):
             learner.network.load_state_dict(content["network"])
             for optimiser, values in zip(learner.optimisers, content["optimisers"], strict=True):
                 optimiser.load_state_dict(values)
+                _lay_out(optimiser)
         state = content["state"]
         rows = [TrainingRow.model_validate(row) for row in state["rows"]]
         restored = State(**{**state, "rows": rows})
     except DAMAGED as error:
         raise StorageError(f"{path}: cannot be read; remove it to train from the start") from error
-    if found != facts["benchmark_sha256"]:
-        raise SettingsError(f"{folder}: was trained on another release ({found[:8]}…); choose another folder")
+    if found != benchmarks(facts):
+        named = ", ".join(f"{sha256[:8]}…" for sha256 in found)
+        raise SettingsError(f"{folder}: was trained on another release ({named}); choose another folder")
     return restored
+
+
+def _lay_out(optimiser: torch.optim.Optimizer) -> None:
+    """Have what an optimiser keeps lie in memory as its parameters do, as if it had been made with them.
+
+    Otherwise sums are rounded in another order, and the course is another one.
+    """
+    for parameter, kept in optimiser.state.items():
+        for name, values in kept.items():
+            if values.shape == parameter.shape:
+                kept[name] = torch.empty_like(parameter).copy_(values)
 
 
 def hardware(device: str) -> str:

@@ -1,6 +1,6 @@
 """One optimisation step: the generator's alone, or the discriminator's and then the generator's."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Generator, Tensor, nn
@@ -12,6 +12,7 @@ from kinectbench.scoring.methods.data import Batch
 from kinectbench.scoring.methods.losses import reconstruction_loss
 from kinectbench.scoring.methods.network import Network
 from kinectbench.scoring.methods.processes import average_gradients
+from kinectbench.scoring.methods.recae import RecAE
 from kinectbench.scoring.methods.recgan import RecGAN, discriminator_loss
 
 # Means of each step's losses, by name.
@@ -61,10 +62,17 @@ class Learner:
         if isinstance(self.network, RecGAN):
             return self._adversarial(self.network, batch, generator)
         with self._autocast():
-            parts = list(self.network.taught(batch.partial, batch.truth, generator))
+            parts = list(self._taught(batch, generator))
         loss = reconstruction_loss(parts, self._config.loss)
         self._descend(loss, 0)
         return {"loss": loss.item()}
+
+    def _taught(self, batch: Batch, generator: Generator) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        cells = self._config.loss.tile_cells
+        if cells:
+            assert isinstance(self.network, RecAE)
+            return self.network.taught_tiles(batch.partial, batch.truth, generator, cells)
+        return self.network.taught(batch.partial, batch.truth, generator)
 
     def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
         """A step of the discriminator, then one of the generator with what it predicted before."""

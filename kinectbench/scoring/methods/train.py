@@ -1,4 +1,4 @@
-"""Train a network on the pairs of a release; whatever stops it, the same course goes on from there."""
+"""Train a network on the pairs of releases; whatever stops it, the same course goes on from there."""
 
 import os
 import time
@@ -15,14 +15,15 @@ from kinectbench.core.errors import KinectBenchError, SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
-from kinectbench.release.release import Release, Target
+from kinectbench.release.release import Release
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.data import (
     Batch,
+    PairFile,
     batches,
     steps_in_all,
-    training_targets,
-    validation_targets,
+    training_pairs,
+    validation_pairs,
 )
 from kinectbench.scoring.methods.processes import agreed, chosen_device, joined
 from kinectbench.scoring.methods.registry import make_network
@@ -42,9 +43,8 @@ class Training:
 
     Attributes:
         config: of the method.
-        release: whose pairs.
-        targets: of the training split.
-        validation: the pairs that are looked at.
+        pairs: that are learnt from.
+        validation: pairs that are looked at.
         folder: of the training.
         device: where the network lies.
         part: rank and number of processes.
@@ -54,9 +54,8 @@ class Training:
     """
 
     config: MethodSettings
-    release: Release
-    targets: Sequence[Target]
-    validation: Sequence[Target]
+    pairs: Sequence[PairFile]
+    validation: Sequence[PairFile]
     folder: Path
     device: str
     part: tuple[int, int]
@@ -67,7 +66,7 @@ class Training:
     @property
     def steps(self) -> int:
         """Steps of the whole training."""
-        return steps_in_all(len(self.targets), self.config)
+        return steps_in_all(len(self.pairs), self.config)
 
     def save(self) -> None:
         """Write what is needed to go on; one process does it for all."""
@@ -77,7 +76,7 @@ class Training:
 
 def train(
     config: MethodSettings,
-    release: Release,
+    releases: Sequence[Release],
     folder: Path,
     *,
     minutes: float | None = None,
@@ -93,7 +92,7 @@ def train(
 
     Args:
         config: of the method.
-        release: its train split is learnt from, its validation split looked at.
+        releases: their train splits are learnt from, their validation splits looked at.
         folder: of the training.
         minutes: stop after so long; default: when all epochs are done.
         device: "cpu", "cuda" or another name of torch's; default: the GPU if there is one.
@@ -109,8 +108,8 @@ def train(
         SettingsError: the folder is another training's, or there is no such device.
         StorageError: the disk is full or read-only, or the checkpoint is damaged.
     """
-    targets = training_targets(release)
-    validation = validation_targets(release, config.training.validation_pairs)
+    pairs = training_pairs(releases)
+    validation = validation_pairs(releases, config.training.validation_pairs)
     if config.training.keep == "best" and not validation:
         raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
     where = chosen_device(device)
@@ -125,13 +124,14 @@ def train(
             learner = Learner(network, config, where, part)
             facts = {
                 "parameter_count": network.parameter_count,
-                "benchmark_sha256": release.benchmark_sha256,
-                "pairs": len(targets),
+                "benchmark_sha256": releases[0].benchmark_sha256,
+                "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
+                "pairs": len(pairs),
                 "hardware": hardware(where),
             }
             state = restore(folder, learner, facts, where)
-            facts["steps_in_all"] = steps_in_all(len(targets), config)
-            made = Training(config, release, targets, validation, folder, where, part, learner, state, facts)
+            facts["steps_in_all"] = steps_in_all(len(pairs), config)
+            made = Training(config, pairs, validation, folder, where, part, learner, state, facts)
             _run(made, minutes, progress, watch)
             return state
 
@@ -164,10 +164,10 @@ def _run(
     if not steps:
         return
     try:
-        for batch in batches(training.release, training.targets, config, steps, device, training.part):
+        for batch in batches(training.pairs, config, steps, device, training.part):
             with interrupts_held():  # a step is done whole or not at all
                 before = time.monotonic()
-                epoch = state.step * config.training.batch // len(training.targets)
+                epoch = state.step * config.training.batch // len(training.pairs)
                 state.add(_stepped(training, batch, epoch))
                 state.seconds += time.monotonic() - before
                 if state.step % config.training.validate_every_steps == 0 or state.step == training.steps:
@@ -213,14 +213,14 @@ def _look(training: Training) -> TrainingRow:
     found: dict[str, float] = {}
     if training.validation:
         iou, threshold = validation_iou(
-            training.learner.network, training.release, training.validation, config, training.device
+            training.learner.network, training.validation, config, training.device
         )
         found = {"validation_iou": round(iou, 6), "threshold": threshold}
         if iou > state.best_iou:
             state.best_iou, state.best_step = iou, state.step
             if config.training.keep == "best" and training.part[0] == 0:
                 write_weights(arrays_of_network(training.learner.network), training.folder / WEIGHTS)
-    epoch = round(state.step * config.training.batch / len(training.targets), 6)
+    epoch = round(state.step * config.training.batch / len(training.pairs), 6)
     row = TrainingRow(step=state.step, epoch=epoch, **losses, **found)
     state.rows.append(row)
     return row

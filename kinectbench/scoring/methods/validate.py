@@ -7,10 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from kinectbench.core.voxels.pair_file import unpack
-from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
 from kinectbench.scoring.methods.config import MethodSettings
-from kinectbench.scoring.methods.data import as_tensor, turned
+from kinectbench.scoring.methods.data import PairFile, as_tensor, turned
 from kinectbench.scoring.methods.network import Network
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.truth import read_parts, read_truth
@@ -33,23 +32,21 @@ def completed(
 
 
 def validation_iou(
-    network: Network, release: Release, targets: Sequence[Target], config: MethodSettings, device: str
+    network: Network, pairs: Sequence[PairFile], config: MethodSettings, device: str
 ) -> tuple[float, float]:
     """The highest mean IoU over some pairs, protocol known, and the threshold that it is reached at.
 
     Args:
         network: that is judged.
-        release: whose pairs.
-        targets: at least one.
+        pairs: at least one.
         config: axes and precision.
         device: where the network lies.
     """
     curves = []
-    for target in targets:
-        path = release.pair_path(target)
-        (partial,) = read_parts(path, target.sha256, ("partial",))
+    for path, sha256 in pairs:
+        (partial,) = read_parts(path, sha256, ("partial",))
         prediction = completed(network, unpack(partial), config, device)
-        counted = tally(prediction, read_truth(path, target.sha256))
+        counted = tally(prediction, read_truth(path, sha256))
         curves.append(ious(protocol_counts(counted, PROTOCOL)))
     mean = np.mean(curves, axis=0)
     best = int(np.argmax(mean))

@@ -14,7 +14,7 @@ from kinectbench.release.release import Release, open_release
 collect_ignore_glob = [] if find_spec("torch") else ["test_methods_*.py"]
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="session")
 def _one_thread() -> None:
     """The same sums in the same order on every machine, and no more than a processor for each worker."""
     import torch

@@ -40,12 +40,12 @@ def test_plain_cross_entropy_weighs_both_alike() -> None:
 
 
 def truth_of(unknown: slice | None) -> TruthBatch:
-    full = torch.zeros(1, 1, 256, 256, 256)
-    full[..., :128] = 1
+    full = torch.zeros(1, 1, 256, 256, 256, dtype=torch.bool)
+    full[..., :128] = True
     if unknown is None:
         return TruthBatch(full, None)
     known = torch.ones_like(full)
-    known[..., unknown] = 0
+    known[..., unknown] = False
     return TruthBatch(full, known)
 
 
@@ -75,7 +75,8 @@ def test_the_truth_at_its_own_side_is_itself() -> None:
     truth = truth_of(slice(100, 110))
     target, weight = truth.at(256)
     assert truth.known is not None
-    assert torch.equal(weight, truth.known) and torch.equal(target * weight, truth.full * truth.known)
+    assert torch.equal(weight, truth.known.float())
+    assert torch.equal(target * weight, (truth.full & truth.known).float())
 
 
 @pytest.mark.parametrize("cells", [32, 40])

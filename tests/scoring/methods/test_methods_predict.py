@@ -26,7 +26,7 @@ Command = Callable[..., Run]
 def trained(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("trained")
     (root / "tiny.yaml").write_text(TINY.replace("epochs: 2", "epochs: 1"))
-    train(read_config(root / "tiny.yaml"), learning, root / "run", device="cpu")
+    train(read_config(root / "tiny.yaml"), [learning], root / "run", device="cpu")
     return root / "run"
 
 

@@ -26,13 +26,13 @@ from kinectbench.release.release import open_release
 from kinectbench.scoring.methods.config_file import read_config
 from kinectbench.scoring.methods.train import train
 config, release, out = map(Path, sys.argv[1:])
-train(read_config(config), open_release(release), out, device="cpu")
+train(read_config(config), [open_release(release)], out, device="cpu")
 """
 
 
 def test_two_processes_learn_what_one_learns(learning: Release, tiny: Tiny, tmp_path: Path) -> None:
     config = tiny(ALL, ("epochs: 2", "epochs: 1"))
-    train(read_config(config), learning, tmp_path / "one", device="cpu")
+    train(read_config(config), [learning], tmp_path / "one", device="cpu")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -62,7 +62,7 @@ def test_a_batch_that_cannot_be_shared_is_told(
 
     monkeypatch.setattr(module, "joined", lambda device: nullcontext((0, 3)))
     with pytest.raises(SettingsError, match=r"2 pairs cannot be shared by 3 processes"):
-        train(read_config(tiny()), learning, tmp_path / "run", device="cpu")
+        train(read_config(tiny()), [learning], tmp_path / "run", device="cpu")
 
 
 @pytest.mark.parametrize("name", ["cuda:77", "gpu", "meta", "a\x1bb"])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small_method import TINY
 
-from kinectbench.core.artefacts.method import TrainingRow
+from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
 from kinectbench.release.release import Release
 from kinectbench.scoring.methods import train as training
 from kinectbench.scoring.methods.config_file import read_config
-from kinectbench.scoring.methods.data import pairs_of_step, steps_in_all, validation_targets
+from kinectbench.scoring.methods.data import pairs_of_step, steps_in_all, validation_pairs
 
 Tiny = Callable[..., Path]
 
@@ -31,7 +31,7 @@ def run(
         if stop and done == stop[0]:
             raise stop[1]
 
-    training.train(read_config(tiny), release, folder, device="cpu", progress=progress)
+    training.train(read_config(tiny), [release], folder, device="cpu", progress=progress)
 
 
 def made(folder: Path) -> tuple[bytes, list[TrainingRow], bytes]:
@@ -90,7 +90,7 @@ def test_minutes_stop_a_training_and_it_goes_on(
     whole: Path, learning: Release, tiny: Tiny, tmp_path: Path
 ) -> None:
     for expected in (1, 2):
-        state = training.train(read_config(tiny()), learning, tmp_path / "run", minutes=0, device="cpu")
+        state = training.train(read_config(tiny()), [learning], tmp_path / "run", minutes=0, device="cpu")
         assert state.step == expected
     run(tiny(), learning, tmp_path / "run")
     assert made(tmp_path / "run") == made(whole)
@@ -99,14 +99,14 @@ def test_minutes_stop_a_training_and_it_goes_on(
 def test_a_training_that_is_done_is_not_done_again(whole: Path, learning: Release, tmp_path: Path) -> None:
     shutil.copytree(whole, tmp_path / "run")
     before = (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns
-    state = training.train(read_config(whole / "config.yaml"), learning, tmp_path / "run", device="cpu")
+    state = training.train(read_config(whole / "config.yaml"), [learning], tmp_path / "run", device="cpu")
     assert state.step == 5
     assert (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns == before
 
 
 def test_the_best_weights_are_kept(learning: Release, tiny: Tiny, tmp_path: Path) -> None:
     config = read_config(tiny(("validation_pairs: 1", "validation_pairs: 1, keep: best")))
-    state = training.train(config, learning, tmp_path / "run", device="cpu")
+    state = training.train(config, [learning], tmp_path / "run", device="cpu")
     ious = [row.validation_iou for row in state.rows]
     told = json.loads((tmp_path / "run" / "training.json").read_text())
     assert told["weights_step"] == state.rows[int(np.argmax(np.array(ious, float)))].step
@@ -129,7 +129,7 @@ def test_a_folder_of_another_release_is_refused(
     shutil.copytree(whole, tmp_path / "run")
     other = replace(learning, metadata=release.metadata)
     with pytest.raises(SettingsError, match="was trained on another release"):
-        training.train(read_config(whole / "config.yaml"), other, tmp_path / "run", device="cpu")
+        training.train(read_config(whole / "config.yaml"), [other], tmp_path / "run", device="cpu")
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\3\4 no archive", b"\x80\x04cos\nsystem\n"])
@@ -137,12 +137,12 @@ def test_a_damaged_checkpoint_is_told(whole: Path, learning: Release, tmp_path: 
     shutil.copytree(whole, tmp_path / "run")
     (tmp_path / "run" / "checkpoint.pt").write_bytes(content)
     with pytest.raises(StorageError, match=r"checkpoint.pt: cannot be read; remove it"):
-        training.train(read_config(whole / "config.yaml"), learning, tmp_path / "run", device="cpu")
+        training.train(read_config(whole / "config.yaml"), [learning], tmp_path / "run", device="cpu")
 
 
 def test_a_release_without_training_pairs_is_told(release: Release, tiny: Tiny, tmp_path: Path) -> None:
     with pytest.raises(ReleaseError, match="no training pairs; `kinectbench synthesize"):
-        training.train(read_config(tiny()), release, tmp_path / "run", device="cpu")
+        training.train(read_config(tiny()), [release], tmp_path / "run", device="cpu")
 
 
 def test_every_epoch_sees_every_pair_once() -> None:
@@ -158,5 +158,16 @@ def test_steps_cover_all_epochs(tiny: Tiny) -> None:
 
 
 def test_validation_pairs_are_spread(learning: Release) -> None:
-    assert [target.name for target in validation_targets(learning, 9)] == ["chair_02/000"]
-    assert validation_targets(learning, 0) == ()
+    only = learning.folder / "pairs/chair_02/000.npz"
+    assert [pair.path for pair in validation_pairs([learning], 9)] == [only]
+    assert [pair.path for pair in validation_pairs([learning, learning], 2)] == [only, only]
+    assert validation_pairs([learning], 0) == ()
+
+
+def test_several_releases_are_learnt_from(tiny: Tiny, learning: Release, tmp_path: Path) -> None:
+    state = training.train(read_config(tiny()), [learning, learning], tmp_path / "run", device="cpu")
+    told = TrainingFile.read(tmp_path / "run")
+    assert told.pairs == 2 * len(learning.split("train")) and state.step == told.steps
+    assert told.further_benchmarks_sha256 == (learning.benchmark_sha256,)
+    with pytest.raises(SettingsError, match="trained on another release"):
+        training.train(read_config(tiny()), [learning], tmp_path / "run", device="cpu")
