@@ -74,9 +74,14 @@ class TrainingSettings(Settings):
     """How it is trained."""
 
     batch: int = Field(4, ge=1, le=4096, description="pairs of a step")
-    epochs: int = Field(10, ge=1, le=100_000, description="how often every pair is seen")
+    epochs: float = Field(
+        10, gt=0, le=100_000, description="how often every pair is seen; 0.5: half of them, once"
+    )
     learning_rate: float = Field(1e-4, gt=0, le=1, description="of Adam")
     halve_every_epochs: int | None = Field(None, ge=1, description="the learning rate is halved so often")
+    schedule: Literal["constant", "cosine"] = Field(
+        "constant", description="cosine: the learning rate falls to 0 along half a cosine"
+    )
     seed: int = Field(0, ge=0, le=2**31, description="of the weights, the order of pairs and all chance")
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="of convolutions and matrix products; losses are float32"

@@ -1,5 +1,6 @@
 """The pairs of a release as batches, in an order that the seed alone decides: any step can be repeated."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +87,7 @@ def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
 
 def steps_in_all(pairs: int, config: MethodSettings) -> int:
     """Steps of a whole training."""
-    return -(-pairs * config.training.epochs // config.training.batch)
+    return math.ceil(pairs * config.training.epochs / config.training.batch)
 
 
 def batches(

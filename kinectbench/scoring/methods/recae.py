@@ -81,10 +81,10 @@ class RecAE(Network):
         base = torch.cat([functional.relu(self._until_64(partial)), partial], dim=1)
         count = self.output_cells // cells
         parts = []
-        for index in range(len(partial)):
+        for index, one in enumerate(base.split(1)):
             drawn = torch.randint(count, (3,), generator=generator, device=generator.device)
             place = tuple(int(k) for k in drawn)
-            logits = tile_of(self._finer, base[index : index + 1], place, cells)
+            logits = tile_of(self._finer, one, place, cells)
             parts.append((logits, *truth.tile(index, place, count).at(cells)))
         yield tuple(torch.cat(each) for each in zip(*parts, strict=True))
 

@@ -1,5 +1,6 @@
 """One optimisation step: the generator's alone, or the discriminator's and then the generator's."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 import torch
@@ -45,18 +46,18 @@ class Learner:
             self.optimisers = (Adam(list(network.parameters()), lr=rate),)
         self._rates = [optimiser.param_groups[0]["lr"] for optimiser in self.optimisers]
 
-    def step(self, batch: Batch, number: int, epoch: int) -> Losses:
+    def step(self, batch: Batch, number: int, epoch: int, share: float = 0.0) -> Losses:
         """Learn from a batch; the losses are those before it.
 
         Args:
             batch: of this process.
             number: of the step, from 0.
-            epoch: decides the learning rate.
+            epoch: decides the learning rate, where it is halved.
+            share: of the whole training that is done, in [0, 1); decides it where it follows a cosine.
         """
         self.network.train()
-        every = self._config.training.halve_every_epochs
         for optimiser, rate in zip(self.optimisers, self._rates, strict=True):
-            optimiser.param_groups[0]["lr"] = rate * (0.5 ** (epoch // every) if every else 1.0)
+            optimiser.param_groups[0]["lr"] = rate * self._rate_factor(epoch, share)
         generator = torch.Generator(self._device)
         generator.manual_seed(_mixed(self._config.training.seed, number, self._rank))
         if isinstance(self.network, RecGAN):
@@ -66,6 +67,12 @@ class Learner:
         loss = reconstruction_loss(parts, self._config.loss)
         self._descend(loss, 0)
         return {"loss": loss.item()}
+
+    def _rate_factor(self, epoch: int, share: float) -> float:
+        """What the learning rates are multiplied by."""
+        training = self._config.training
+        halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
+        return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
 
     def _taught(self, batch: Batch, generator: Generator) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         cells = self._config.loss.tile_cells

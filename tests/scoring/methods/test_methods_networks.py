@@ -132,6 +132,17 @@ def test_the_learning_rate_is_halved() -> None:
     assert rates == [1e-2, 1e-2, 0.5e-2, 0.25e-2]
 
 
+def test_the_learning_rate_falls_along_a_cosine() -> None:
+    learner = Learner(
+        make_network(config_of("3d-epn").network), config_of("3d-epn", schedule="cosine"), "cpu", (0, 1)
+    )
+    rates = []
+    for share in (0.0, 0.5, 0.75):
+        learner.step(random_batch(1), 0, 0, share)
+        rates.append(learner.optimisers[0].param_groups[0]["lr"])
+    assert rates == pytest.approx([1e-2, 0.5e-2, 1e-2 * (1 - 2**-0.5) / 2])
+
+
 def test_a_loss_that_is_no_number_is_told() -> None:
     config = config_of("varley")
     network = make_network(config.network)
