@@ -22,9 +22,15 @@ CAMERA = virtual_camera(320)
 VIEW = ViewAngles((1, 2, 4), 6)
 
 
-def pair_of(shape: trimesh.Trimesh, view: ViewAngles = VIEW) -> Pair:
+def made(
+    shape: trimesh.Trimesh, view: ViewAngles = VIEW, settings: SynthesisSettings = SETTINGS
+) -> tuple[Pair, str | None]:
     checked = check_mesh(mesh_of(shape), 10**6)
-    pair, refused = make_pair(checked, DepthCamera(checked.mesh, CAMERA), view, SETTINGS)
+    return make_pair(checked, DepthCamera(checked.mesh, CAMERA), view, settings)
+
+
+def pair_of(shape: trimesh.Trimesh, view: ViewAngles = VIEW) -> Pair:
+    pair, refused = made(shape, view)
     assert refused is None
     return pair
 
@@ -139,3 +145,27 @@ def test_walls_thinner_than_a_cell_are_refused():
     eye = DepthCamera(checked.mesh, CAMERA)
     reasons = {make_pair(checked, eye, view, SETTINGS)[1] for view in all_views(2)}
     assert reasons and all(reason for reason in reasons)
+
+
+def test_the_cube_of_framing_view_tells_nothing_of_the_hidden_part():
+    """Two boxes that look alike from the front, one of them twice as deep: the same cube before both."""
+    settings = SynthesisSettings(up="y", framing="view")
+    front = ViewAngles((0, 0, 0), 5)
+    pairs = []
+    for depth in (0.2, 0.4):
+        shape = trimesh.creation.box([1.0, 1.0, depth])
+        shape.apply_translation([0, 0, -depth / 2])  # fronts at z = 0
+        pair, refused = made(shape, front, settings)
+        assert refused is None and pair.framing == "view"
+        assert list(pair_problems(pair, min_containment=0.99, framing="view", partial_rule="any")) == []
+        pairs.append(pair)
+    assert pairs[0].voxel_size_m * 256 == pytest.approx(1.4, rel=0.02)
+    assert pairs[0].voxel_size_m == pytest.approx(pairs[1].voxel_size_m, rel=0.02)
+    assert unpack(pairs[1].full).sum() == pytest.approx(2 * unpack(pairs[0].full).sum(), rel=0.05)
+
+
+def test_a_view_whose_cube_cuts_the_shape_is_refused():
+    beam = trimesh.creation.box([0.1, 0.1, 1.0])
+    _, refused = made(beam, ViewAngles((0, 0, 0), 5), SynthesisSettings(up="y", framing="view"))
+    assert refused is not None and "cuts off" in refused
+    assert made(beam, ViewAngles((0, 0, 0), 5))[1] is None

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from synthesis_shapes import write_shapenet
 
+from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.lab.synthesize import make
@@ -70,6 +71,22 @@ def test_the_release_verifies(report: Report, release: Release):
     groups = Counter((target.split, target.recording.rpartition("-")[2]) for target in release.targets)
     assert groups["validation", "cv"] == groups["test", "cv"] == 2 and groups["train", "cv"] == 0
     assert not (report.folder.parent / "out.work").exists()
+
+
+def test_framing_view_and_few_views(models: Path, tmp_path: Path):
+    """The views are drawn by the model alone, so that other framings have the same."""
+    found = {}
+    for framing in ("view", "object"):
+        given = settings(models, framing=framing, most_views=3)
+        report = synthesize(given, tmp_path / framing)
+        assert verify(report.folder) == []
+        release = open_release(report.folder)
+        assert release.metadata.framing == framing
+        rows = [ViewsFile.read(folder) for folder in sorted((report.folder / "views").iterdir())]
+        assert all(len(file.views) + len(file.refused) == min(3, file.steps_per_turn**3) for file in rows)
+        found[framing] = [{row.steps for row in (*file.views, *file.refused)} for file in rows]
+    assert found["view"] == found["object"]
+    assert len({frozenset(steps) for steps in found["view"] if len(steps) == 3}) > 1
 
 
 def test_the_files_say_which_rule_filled_them(release: Release):
