@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Grid
-from kinectbench.core.voxels.morphology import containment, packed_count, packed_shell
+from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
-from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.core.voxels.pair_file import Pair, packed_count, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
