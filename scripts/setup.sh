@@ -56,13 +56,13 @@ install_packages() {
   rm -f "$log"
 }
 
-# torch, which the tests of networks need, without CUDA's libraries: 0.2 GB to download in place of some GB. That build
-# is not on PyPI: it is taken from where pip is told to look, or else from PyTorch's own index.
+# torch, which the tests of networks need, without CUDA's libraries: 0.2 GB to download in place of some GB. On Linux
+# that build has a version of its own, found where pip is told to look; elsewhere it is the usual one.
 install_torch() {
-  local version pip=(.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt)
+  local version
   version=$(sed -n 's/^torch==//p' constraints.txt)
-  "${pip[@]}" "torch==$version+cpu" 2>/dev/null ||
-    "${pip[@]}" --retries 1 --index-url https://download.pytorch.org/whl/cpu "torch==$version"
+  [ "$(uname -s)" != Linux ] || version+=+cpu
+  .venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt "torch==$version"
 }
 
 # A line every half minute, as long as this script runs.
@@ -101,7 +101,7 @@ tell_time 9>&- &
 trap "kill $! 2>/dev/null || true" EXIT
 .venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev,docs]' ||
   fail "the packages could not be installed; pip's reason is above"
-install_torch || say "torch could not be installed, pip's reason is above: the tests of networks are left out"
+install_torch || say "torch for CPUs could not be installed, pip's reason is above: the tests of networks are left out"
 say "compiling the kernels (a minute or two)"
 .venv/bin/python scripts/compile_kernels.py || say "not all kernels were compiled, as said above; the first build does it"
 printf '%s\n%s\n' "$place" "$wanted" >"$stamp"
