@@ -4,8 +4,9 @@
     python benchmarks/methods_cost.py --device cuda
     python benchmarks/methods_cost.py --only 3d-recgan++ --step      # a training step of one pair as well
 
-The bar is on 3D-RecGAN++, 64^3 to 256^3: within 5 s and 2.5 GB on two cores. On a machine that others use the
-wall clock says little: the CPU seconds of both threads stand beside it, and half of them is judged.
+The bar is on 3D-RecGAN++, 64^3 to 256^3: within 5 s and 2.5 GB on two cores, the best of three by the wall
+clock. The CPU seconds of both threads stand beside it: on a machine that others use the wall clock says more
+of them than of the network.
 """
 
 import argparse
@@ -116,8 +117,7 @@ def main() -> None:
         options.json.write_text(json.dumps(rows, indent=1))
     bar = rows.get("3d-recgan++")
     if bar and options.device == "cpu":
-        seconds = min(bar["forward_s"], bar["forward_cpu_s"] / options.threads)
-        well = seconds <= MOST_SECONDS and bar["peak_mb"] <= MOST_MB
+        well = bar["forward_s"] <= MOST_SECONDS and bar["peak_mb"] <= MOST_MB
         print(f"3d-recgan++ within {MOST_SECONDS} s and {MOST_MB} MB: {'pass' if well else 'FAIL'}")
         sys.exit(not well)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import KinectBenchError
 from kinectbench.scoring.published import CATEGORIES, SYNTHETIC, Four, PublishedTable
 from kinectbench.scoring.read_table import read_table
 
@@ -31,10 +32,9 @@ def of_categories(rows: Sequence[ScoreRow], figure: str) -> Four | None:
     return bench, chair, couch, table
 
 
-def line(name: str, iou: Four, ce: Four | None) -> str:
+def line(name: str, iou: Four, ce: Four) -> str:
     """A row of Markdown."""
-    cells = [f"{value:.3f}" for value in iou] + ([f"{value:.3f}" for value in ce] if ce else [""] * 4)
-    return f"| {name} | {' | '.join(cells)} |"
+    return f"| {name} | {' | '.join(f'{value:.3f}' for value in (*iou, *ce))} |"
 
 
 def table_lines(
@@ -48,9 +48,10 @@ def table_lines(
     ours = []
     for table in scores:
         rows = [row for row in table.rows if row.protocol == "paper" and row.recording.endswith(f"-{group}")]
-        iou = of_categories(rows, "iou")
-        if iou:
-            ours.append((iou, line(table.method, iou, of_categories(rows, "ce"))))
+        iou, ce = of_categories(rows, "iou"), of_categories(rows, "ce")
+        if iou is None or ce is None:
+            raise KinectBenchError(f"{table.method}: has no {group} pair of each of {', '.join(CATEGORIES)}")
+        ours.append((iou, line(table.method, iou, ce)))
     yield from (text for _, text in sorted(ours, key=lambda each: -sum(each[0])))
     for row in beside.rows:
         yield line(f"*{row.method}, published: ShapeNet*", row.iou, row.ce)
@@ -64,6 +65,8 @@ def main() -> None:
     parser.add_argument("scores", type=Path, nargs="+", help="folders with scores.json")
     folders = parser.parse_args().scores
     scores = [read_table(folder / ScoreTable.FILE) for folder in folders]
+    if len({table.benchmark_sha256 for table in scores}) > 1:
+        raise KinectBenchError("the scores are of different releases")
     for group, beside in GROUPS.items():
         print("\n".join(table_lines(TITLES[group], group, scores, beside)))
 

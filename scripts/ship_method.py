@@ -1,15 +1,20 @@
-"""Put a trained network into the package, with its weights in half precision.
+"""Put a trained network into the package, with its weights in half precision, if it beats the simple methods.
 
-    .venv/bin/python scripts/ship_method.py runs/recae-small scores/recae-small/scores.json
+    .venv/bin/python scripts/ship_method.py runs/recae-small object/ view/
 
-`kinectbench predict <name> RELEASE` then runs it. Its folder, kinectbench/scoring/methods/trained/<name>/,
-holds the configuration, the weights, how they came to be, the course as a picture, and the scores that it is
-shipped for.
+The weights are halved first, and judged as they are shipped, on test pairs of the releases given (see
+benchmarks/trained_method.py). `kinectbench predict <name> RELEASE` then runs them. The method's folder,
+kinectbench/scoring/methods/trained/<name>/, holds the configuration, the weights, how they came to be, the
+course as a picture, and the figures that it is shipped for.
 """
 
 import argparse
+import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -20,6 +25,19 @@ from kinectbench.scoring.methods.trained import FOLDER, open_trained
 from kinectbench.scoring.methods.weights import FILE, read_weights, write_weights
 
 MOST_BYTES = 6_000_000
+FIGURES = "figures.json"
+JUDGE = Path(__file__).parents[1] / "benchmarks" / "trained_method.py"
+
+
+def halved(run: Path, out: Path) -> None:
+    """What is shipped of a training, in a folder of its own."""
+    for name in (CONFIG, TrainingFile.FILE, CURVES):
+        shutil.copyfile(run / name, out / name)
+    arrays = read_weights(run / FILE)
+    write_weights(
+        {k: v.astype(np.float16) if v.dtype == np.float32 else v for k, v in arrays.items()}, out / FILE
+    )
+    open_trained(out)  # it can be run
 
 
 def main() -> None:
@@ -27,22 +45,26 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("run", type=Path, help="a folder of `kinectbench train`")
-    parser.add_argument("scores", type=Path, help="scores.json of its predictions on held-out objects")
+    parser.add_argument("releases", type=Path, nargs="+", help="with test objects that it never saw")
     options = parser.parse_args()
-    out = FOLDER / read_config(options.run / CONFIG).name
-    out.mkdir(parents=True, exist_ok=True)
-    for name in (CONFIG, TrainingFile.FILE, CURVES):
-        shutil.copyfile(options.run / name, out / name)
-    shutil.copyfile(options.scores, out / "scores.json")
-    arrays = read_weights(options.run / FILE)
-    halved = {k: v.astype(np.float16) if v.dtype == np.float32 else v for k, v in arrays.items()}
-    write_weights(halved, out / FILE)
-    size = (out / FILE).stat().st_size
-    if size > MOST_BYTES:
-        shutil.rmtree(out)
-        parser.error(f"{size} bytes of weights; {MOST_BYTES} is the most that the package takes")
-    open_trained(out)  # it can be run
-    print(f"{out}: {size} bytes of weights")
+    training = TrainingFile.read(options.run)
+    if training.steps != training.steps_in_all:
+        parser.error(f"{options.run}: {training.steps} of {training.steps_in_all} steps are done; train on")
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / read_config(options.run / CONFIG).name
+        out.mkdir()
+        halved(options.run, out)
+        size = (out / FILE).stat().st_size
+        if size > MOST_BYTES:
+            parser.error(f"{size} bytes of weights; {MOST_BYTES} is the most that the package takes")
+        judged = subprocess.run([sys.executable, JUDGE, out, *options.releases, "--json", out / FIGURES])
+        if judged.returncode:
+            parser.error("it is not shipped: see the figures above")
+        figures = json.loads((out / FIGURES).read_text(encoding="utf-8"))["figures"]
+        (out / FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        shutil.rmtree(FOLDER / out.name, ignore_errors=True)
+        shutil.copytree(out, FOLDER / out.name)
+    print(f"{FOLDER / out.name}: {size} bytes of weights")
 
 
 if __name__ == "__main__":

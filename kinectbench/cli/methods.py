@@ -47,6 +47,8 @@ def train(
     from kinectbench.scoring.methods.config_file import find_config
     from kinectbench.scoring.methods.train import train as run
 
+    if minutes is not None and math.isnan(minutes):
+        raise typer.BadParameter("is no number", param_hint="--minutes")
     settings, releases = find_config(config), [open_release(folder) for folder in data]
     limit = None if minutes is None or math.isinf(minutes) else minutes
     with console.bar(f"train {settings.name}") as progress:
@@ -84,6 +86,7 @@ def predict(
 
     require_torch()
     from kinectbench.release.release import open_release
+    from kinectbench.scoring.methods.predict import notes
     from kinectbench.scoring.methods.predict import predict as run
     from kinectbench.scoring.methods.processes import chosen_device
     from kinectbench.scoring.methods.trained import folder_of, open_trained
@@ -91,6 +94,8 @@ def predict(
     folder, where = folder_of(method), chosen_device(device)
     benchmark = open_release(release)
     trained = open_trained(folder, where)
+    if said := notes(trained, benchmark):
+        console.lines(trained.config.name, said, "yellow")
     with console.bar(f"predict {trained.config.name}") as progress:
         written = run(trained, benchmark, out, threshold=threshold, device=where, progress=progress)
     common.tell_written(written)

@@ -18,6 +18,7 @@ class MethodFile(Stored):
 
     name: str = Field(description="of the method")
     version: str | None = Field(None, description="of the method or of what ran it")
+    benchmark_sha256: str | None = Field(None, description="of the release that was predicted")
     frame: Literal["grid", "camera"] = Field(
         "grid", description="axes of the predictions; grid: those of `full`"
     )
@@ -64,6 +65,8 @@ class TrainingFile(Stored):
     parameter_count: int = Field(description="values that are learnt, those of a discriminator as well")
     benchmark_sha256: str | None = Field(None, description="of the release that was learnt from")
     further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases beside it")
+    framings: tuple[str, ...] = Field((), description="of the pairs that were learnt from")
+    objects: tuple[str, ...] = Field((), description="that were learnt from")
     pairs: int | None = Field(None, description="that were learnt from")
     steps: int | None = Field(None, description="that were done")
     steps_in_all: int | None = Field(None, description="of the whole training")

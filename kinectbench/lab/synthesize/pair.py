@@ -1,12 +1,11 @@
 """One synthetic pair: depth by a virtual camera, the whole shape as it stands, and the authors' files."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Grid
+from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
-from kinectbench.core.voxels.pair_file import Pair, packed_count, unpack
+from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
@@ -43,7 +42,7 @@ def make_pair(
     if settings.framing == "view" and depth_m.any():
         grid = view_cube(camera.backproject(depth_m)[depth_m > 0], T_world_camera)
     full = VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, grid)
-    cut_share = 0.0 if grid is whole else _cut_share(full, grid, checked, whole)
+    cut_share = 0.0 if grid is whole else _cut_share(grid, checked, whole)
     partial_256, partial = partial_grids(depth_m, camera, T_world_camera, grid)
     pair = Pair(
         partial=partial,
@@ -64,12 +63,16 @@ def make_pair(
     return pair, _reason(pair, settings.min_containment, cut_share)
 
 
-def _cut_share(full: NDArray[np.uint8], grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """The share of a shape that a cube cuts off, by the cells of the cube around the whole of it."""
-    mesh = checked.mesh
-    there = VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, whole)
-    volume_m3 = packed_count(there) * whole.voxel_size_m**3
-    return max(0.0, 1 - packed_count(full) * grid.voxel_size_m**3 / volume_m3) if volume_m3 else 0.0
+def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
+    """The share of a shape's cells, in the cube around all of it, whose centres lie outside another cube."""
+    corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
+    side_m = grid.shape[0] * grid.voxel_size_m
+    if corners.min() >= 0 and corners.max() <= side_m:
+        return 0.0
+    cells = np.argwhere(unpack(VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, whole)))
+    centres = transform_points(grid.T_grid_world @ whole.T_world_grid, (cells + 0.5) * whole.voxel_size_m)
+    outside = ((centres < 0) | (centres > side_m)).any(axis=1)
+    return float(outside.mean()) if len(cells) else 0.0
 
 
 def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:

@@ -1,6 +1,6 @@
 """The settings of a method: its network, its loss, and how it is trained. A configuration is a YAML file."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -54,6 +54,13 @@ class LossSettings(Settings):
         "drawn anew; default: of the whole output",
     )
 
+    @model_validator(mode="after")
+    def _weights(self) -> Self:
+        for name in ("alpha", "probability_floor") if self.kind == "cross-entropy" else ():
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name} belongs to weighted-cross-entropy: leave it out")
+        return self
+
 
 class AdversarialSettings(Settings):
     """How the discriminator takes part (3d-recgan++)."""
@@ -89,6 +96,9 @@ class TrainingSettings(Settings):
     validate_every_steps: int = Field(500, ge=1, description="steps between looks at the validation pairs")
     validation_pairs: int = Field(
         20, ge=0, description="of the validation split, spread over it; 0: none are looked at"
+    )
+    leave_out: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        (), description="objects of the training split that are not learnt from, such as those of a test"
     )
     keep: Literal["last", "best"] = Field(
         "last", description="weights: those of the last step, or of the best validation IoU"

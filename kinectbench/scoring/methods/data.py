@@ -1,7 +1,7 @@
 """The pairs of a release as batches, in an order that the seed alone decides: any step can be repeated."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from torch import Tensor
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.threads import ahead, using_threads
 from kinectbench.core.voxels.pair_file import unpack
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, Target
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.grids import TruthBatch
 from kinectbench.scoring.truth import read_parts
@@ -43,23 +43,44 @@ class PairFile(NamedTuple):
     sha256: str
 
 
-def training_pairs(releases: Sequence[Release]) -> tuple[PairFile, ...]:
+def training_targets(
+    releases: Sequence[Release], leave_out: Collection[str] = ()
+) -> tuple[tuple[Release, Target], ...]:
     """The pairs that are learnt from, of one release after another.
 
+    Args:
+        releases: different ones.
+        leave_out: objects that are not learnt from.
+
     Raises:
-        ReleaseError: a release has none, or their truth is held back.
+        ReleaseError: a release has no training pairs, or their truth is held back; or it is given twice; or
+            an object is learnt from in one and tested on in another.
     """
-    found: list[PairFile] = []
+    found: list[tuple[Release, Target]] = []
     for release in releases:
         release.require_truth(("train",))
-        targets = release.split("train")
+        targets = [target for target in release.split("train") if target.object not in leave_out]
         if not targets:
             raise ReleaseError(
                 f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair "
                 "--train 40 --validation 4 --test 8` makes some"
             )
-        found += (PairFile(release.pair_path(target), target.sha256) for target in targets)
+        found += ((release, target) for target in targets)
+    _check_apart(releases, {target.object for _, target in found})
     return tuple(found)
+
+
+def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
+    """Refuse a release that is there twice, and objects that are learnt from here and tested on there."""
+    if len({release.benchmark_sha256 for release in releases}) < len(releases):
+        raise ReleaseError("--data: the same release is given twice; leave one out")
+    for release in releases:
+        held = {target.object for target in release.targets if target.split != "train"}
+        if shared := sorted(held.intersection(learnt)):
+            raise ReleaseError(
+                f"{release.folder}: {shared[0]} is to be tested on, and learnt from in another release of "
+                "--data; name it in training.leave_out, or make both releases with the same numbers of models"
+            )
 
 
 def validation_pairs(releases: Sequence[Release], most: int) -> tuple[PairFile, ...]:

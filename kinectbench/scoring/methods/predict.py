@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import replaced_file, write_below
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
@@ -53,6 +54,8 @@ def predict(
         StorageError: the disk is full or read-only.
     """
     folder = out / trained.config.name
+    _check_folder(folder, release)
+    (folder / MethodFile.FILE).unlink(missing_ok=True)  # until all is there, nothing says what it is of
     targets = [target for split in SPLITS for target in release.split(split)]
     seconds = []
     for done, target in enumerate(targets, start=1):
@@ -65,7 +68,7 @@ def predict(
             temporary.write_bytes(prediction_bytes(probability, threshold))
         if progress:
             progress(done, len(targets))
-    text = _method(trained, threshold, seconds, device).text()
+    text = _method(trained, release, threshold, seconds, device).text()
     with replaced_file(folder / MethodFile.FILE) as temporary:
         write_below(temporary, text.encode())
     return folder
@@ -80,10 +83,42 @@ def prediction_bytes(probability: NDArray[np.float16], threshold: float | None) 
     )
 
 
-def _method(trained: Trained, threshold: float | None, seconds: list[float], device: str) -> MethodFile:
+def notes(trained: Trained, release: Release) -> list[str]:
+    """What a reader of the scores must know, a line each: test objects that were learnt, other framings."""
+    training = trained.training
+    found = []
+    learnt = sorted({target.object for target in release.split("test")}.intersection(training.objects))
+    if learnt:
+        found.append(f"learnt from {len(learnt)} of the test objects, such as {learnt[0]}: no fair scores")
+    framing = release.metadata.framing
+    if training.framings and framing not in training.framings:
+        found.append(
+            f"learnt in framing {' and '.join(training.framings)}, and predicts in framing {framing}"
+        )
+    return found
+
+
+def _check_folder(folder: Path, release: Release) -> None:
+    """Refuse a folder that holds predictions for another release.
+
+    Raises:
+        SettingsError: it does.
+    """
+    kept = MethodFile.read_if_there(folder)
+    of = kept.benchmark_sha256 if kept else None
+    if of and of != release.benchmark_sha256:
+        raise SettingsError(
+            f"{folder}: holds predictions for another release ({of[:8]}…); choose another folder by --out"
+        )
+
+
+def _method(
+    trained: Trained, release: Release, threshold: float | None, seconds: list[float], device: str
+) -> MethodFile:
     config, training = trained.config, trained.training
     return MethodFile(
         name=config.name,
+        benchmark_sha256=release.benchmark_sha256,
         version=f"kinectbench {__version__}",
         inputs=("depth", "mask", "intrinsics", "framing"),
         parameter_count=trained.running_parameters,
@@ -94,8 +129,9 @@ def _method(trained: Trained, threshold: float | None, seconds: list[float], dev
             "threshold": threshold,
         },
         training=training.model_dump(
-            mode="json", exclude={"rows", "format_version", "name", "config_sha256"}
-        ),
+            mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
+        )
+        | {"notes": notes(trained, release)},
         hardware=hardware(device),
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
         peak_memory_mb=round(_peak_bytes(device) / 1e6, 1),

@@ -28,6 +28,9 @@ def chosen_device(asked: str | None) -> str:
         asked = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
     try:
         torch.Generator(asked)
+        # Of the CPU torch takes any number.
+        if asked.startswith("cpu") and asked != "cpu":
+            raise RuntimeError
     except (RuntimeError, AssertionError):
         raise SettingsError(
             f"--device {printable(asked)}: torch has none here; leave the option out"
@@ -49,6 +52,12 @@ def joined(device: str) -> Iterator[tuple[int, int]]:
         distributed.destroy_process_group()
 
 
+def wait_for_all(size: int) -> None:
+    """Go on when every process has come here."""
+    if size > 1:
+        distributed.barrier()
+
+
 def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
     """Make every process's gradients their mean; nothing to do for one process.
 
@@ -60,6 +69,25 @@ def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
         if values.grad is not None:
             distributed.all_reduce(values.grad)
             values.grad /= size
+
+
+def average_buffers(network: nn.Module, size: int) -> None:
+    """Make what a network keeps besides its parameters, as of batch normalisation, the mean of all."""
+    if size == 1:
+        return
+    for values in network.buffers():
+        if values.is_floating_point():
+            distributed.all_reduce(values)
+            values /= size
+
+
+def mean_of_all(values: dict[str, float], size: int, device: str) -> dict[str, float]:
+    """The mean of each value over the processes."""
+    if size == 1:
+        return values
+    summed = torch.tensor([*values.values()], dtype=torch.float64, device=device)
+    distributed.all_reduce(summed)
+    return dict(zip(values, (summed / size).tolist(), strict=True))
 
 
 def agreed(value: bool, size: int, device: str) -> bool:

@@ -78,7 +78,7 @@ def prepare(folder: Path, config: MethodSettings) -> None:
 
 
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
-    """Write the checkpoint, the course and, unless the best ones are kept, the weights.
+    """Write the checkpoint, the course and, unless `validate` keeps the best ones, the weights.
 
     Args:
         folder: of the training.
@@ -87,7 +87,8 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
         facts: of training.json that do not change; the releases must be the same to go on.
         config: what is kept.
     """
-    if config.training.keep == "last":
+    latest = config.training.keep == "last" or state.best_step == 0  # of the best the course takes care
+    if latest:
         write_weights(arrays_of_network(learner.network), folder / WEIGHTS)
     content = {
         "benchmarks_sha256": benchmarks(facts),
@@ -97,7 +98,7 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
     }
     with replaced_file(folder / CHECKPOINT) as temporary, temporary.open("wb") as file:
         torch.save(content, file)
-    step = state.step if config.training.keep == "last" else state.best_step
+    step = state.step if latest else state.best_step
     course = TrainingFile(
         name=config.name,
         config_sha256=config.sha256,
@@ -116,6 +117,16 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
 def benchmarks(facts: dict[str, Any]) -> list[str]:
     """The releases that are learnt from, in order, by `benchmark_sha256`."""
     return [facts["benchmark_sha256"], *facts["further_benchmarks_sha256"]]
+
+
+def check_weights_are_there(folder: Path, config: MethodSettings, state: State) -> None:
+    """Refuse to go on where the best weights are gone, which no later step brings back.
+
+    Raises:
+        StorageError: they are.
+    """
+    if config.training.keep == "best" and state.best_step and not (folder / WEIGHTS).is_file():
+        raise StorageError(f"{folder / WEIGHTS}: gone; remove {CHECKPOINT} beside it to train from the start")
 
 
 def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:

@@ -12,7 +12,7 @@ from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.data import Batch
 from kinectbench.scoring.methods.losses import reconstruction_loss
 from kinectbench.scoring.methods.network import Network
-from kinectbench.scoring.methods.processes import average_gradients
+from kinectbench.scoring.methods.processes import average_buffers, average_gradients
 from kinectbench.scoring.methods.recae import RecAE
 from kinectbench.scoring.methods.recgan import RecGAN, discriminator_loss
 
@@ -87,7 +87,8 @@ class Learner:
         assert settings is not None
         with self._autocast():
             (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
-        fake = logits.float().sigmoid()
+        # Where the unknown is masked, the truth says "empty" and so does this: nothing is learnt there.
+        fake = logits.float().sigmoid() * weight
         with self._autocast():
             told = discriminator_loss(
                 network.discriminator, batch.partial, fake.detach(), target, settings, generator
@@ -114,6 +115,7 @@ class Learner:
         parameters: list[nn.Parameter] = optimiser.param_groups[0]["params"]
         average_gradients(parameters, self._size)
         optimiser.step()
+        average_buffers(self.network, self._size)
 
     def _autocast(self) -> torch.autocast:
         wanted = self._config.training.precision == "bfloat16"

@@ -2,8 +2,8 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,20 @@ from kinectbench.scoring.methods.data import (
     PairFile,
     batches,
     steps_in_all,
-    training_pairs,
+    training_targets,
     validation_pairs,
 )
-from kinectbench.scoring.methods.processes import agreed, chosen_device, joined
+from kinectbench.scoring.methods.processes import agreed, chosen_device, joined, mean_of_all, wait_for_all
 from kinectbench.scoring.methods.registry import make_network
-from kinectbench.scoring.methods.run_folder import State, hardware, make_folder, prepare, restore, save
+from kinectbench.scoring.methods.run_folder import (
+    State,
+    check_weights_are_there,
+    hardware,
+    make_folder,
+    prepare,
+    restore,
+    save,
+)
 from kinectbench.scoring.methods.steps import Learner, Losses, StepError
 from kinectbench.scoring.methods.validate import validation_iou
 from kinectbench.scoring.methods.weights import FILE as WEIGHTS
@@ -108,28 +116,32 @@ def train(
         SettingsError: the folder is another training's, or there is no such device.
         StorageError: the disk is full or read-only, or the checkpoint is damaged.
     """
-    pairs = training_pairs(releases)
+    targets = training_targets(releases, config.training.leave_out)
+    pairs = [PairFile(release.pair_path(target), target.sha256) for release, target in targets]
     validation = validation_pairs(releases, config.training.validation_pairs)
     if config.training.keep == "best" and not validation:
         raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
     where = chosen_device(device)
     make_folder(folder)
-    _deterministic(where)
-    with joined(where) as part:
+    with _deterministic(where), joined(where) as part:
         _check_shared(config.training.batch, part[1])
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
                 prepare(folder, config)
+            wait_for_all(part[1])  # only now is the folder nobody else's
             network = make_network(config.network, config.training.seed, where)
             learner = Learner(network, config, where, part)
             facts = {
                 "parameter_count": network.parameter_count,
                 "benchmark_sha256": releases[0].benchmark_sha256,
                 "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
+                "framings": tuple(sorted({release.metadata.framing for release in releases})),
+                "objects": tuple(sorted({target.object for _, target in targets})),
                 "pairs": len(pairs),
                 "hardware": hardware(where),
             }
             state = restore(folder, learner, facts, where)
+            check_weights_are_there(folder, config, state)
             facts["steps_in_all"] = steps_in_all(len(pairs), config)
             made = Training(config, pairs, validation, folder, where, part, learner, state, facts)
             _run(made, minutes, progress, watch)
@@ -144,13 +156,26 @@ def _check_shared(batch: int, processes: int) -> None:
         )
 
 
-def _deterministic(device: str) -> None:
-    """Ask torch for the same bits every time; it warns where it cannot, as of pooling on a GPU."""
+@contextmanager
+def _deterministic(device: str) -> Iterator[None]:
+    """Within the block torch gives the same bits every time; on a GPU it warns of what cannot."""
+    kept = (
+        torch.are_deterministic_algorithms_enabled(),
+        torch.is_deterministic_algorithms_warn_only_enabled(),
+        torch.backends.cudnn.benchmark,
+        torch.utils.deterministic.fill_uninitialized_memory,
+    )
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # or else products on a GPU vary
     torch.use_deterministic_algorithms(True, warn_only=device != "cpu")
     torch.backends.cudnn.benchmark = False
     # Nothing here is read before it is written; to fill it costs 5 % of a step.
     torch.utils.deterministic.fill_uninitialized_memory = False
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(kept[0], warn_only=kept[1])
+        torch.backends.cudnn.benchmark = kept[2]
+        torch.utils.deterministic.fill_uninitialized_memory = kept[3]
 
 
 def _run(
@@ -163,19 +188,22 @@ def _run(
     config, state, device = training.config, training.state, training.device
     started = saved = time.monotonic()
     steps = range(state.step, training.steps)
-    if not steps:
+    if (
+        not steps
+        and state.rows
+        and state.rows[-1].step == state.step
+        and (training.folder / WEIGHTS).exists()
+    ):
         return
     try:
+        _look_if_due(training, watch)  # the run before may have been stopped there
         for batch in batches(training.pairs, config, steps, device, training.part):
             with interrupts_held():  # a step is done whole or not at all
                 before = time.monotonic()
                 epoch = state.step * config.training.batch // len(training.pairs)
                 state.add(_stepped(training, batch, epoch))
                 state.seconds += time.monotonic() - before
-                if state.step % config.training.validate_every_steps == 0 or state.step == training.steps:
-                    row = _look(training)
-                    if watch and training.part[0] == 0:
-                        watch(row)
+            _look_if_due(training, watch)
             if progress:
                 progress(state.step, training.steps)
             now = time.monotonic()
@@ -200,30 +228,64 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
     Raises:
         StepError: memory is full, or the loss is no number.
     """
+    step = training.state.step
     try:
-        step = training.state.step
-        return training.learner.step(batch, step, epoch, step / training.steps)
-    except torch.OutOfMemoryError as error:
-        raise StepError("the GPU's memory is full; choose a smaller training.batch, or bfloat16") from error
+        with _memory_told():
+            return training.learner.step(batch, step, epoch, step / training.steps)
+    except RuntimeError as error:
+        if training.part[1] == 1:
+            raise
+        raise StepError(
+            "another process of this training has stopped; run all again, it goes on from what was saved"
+        ) from error
+
+
+@contextmanager
+def _memory_told() -> Iterator[None]:
+    """Within the block memory that is full is told in one line, of a GPU or of the machine."""
+    try:
+        yield
+    except (torch.OutOfMemoryError, MemoryError) as error:
+        raise StepError("memory is full; choose a smaller training.batch, or bfloat16") from error
+    except RuntimeError as error:
+        if "allocate memory" not in str(error):  # as torch says it of the CPU
+            raise
+        raise StepError("memory is full; choose a smaller training.batch, or bfloat16") from error
+
+
+def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
+    """Add a row to the course where it is time for one, if it is not there yet."""
+    state, every = training.state, training.config.training.validate_every_steps
+    due = state.step > 0 and (state.step % every == 0 or state.step == training.steps)
+    if due and not (state.rows and state.rows[-1].step == state.step):
+        row = _look(training)
+        if watch and training.part[0] == 0:
+            watch(row)
 
 
 def _look(training: Training) -> TrainingRow:
-    """Look at the validation pairs and add a row to the course; the best weights are kept, if asked for."""
+    """Look at the validation pairs and add a row to the course; the best weights are kept, if asked for.
+
+    It may be interrupted while it looks: nothing has changed then, and it looks again.
+    """
     config, state = training.config, training.state
-    count = state.sums.pop("steps")
-    losses = {name: value / count for name, value in state.sums.items()}
-    state.sums.clear()
     found: dict[str, float] = {}
     if training.validation:
-        iou, threshold = validation_iou(
-            training.learner.network, training.validation, config, training.device
-        )
+        with _memory_told():
+            iou, threshold = validation_iou(
+                training.learner.network, training.validation, config, training.device
+            )
         found = {"validation_iou": round(iou, 6), "threshold": threshold}
-        if iou > state.best_iou:
+    with interrupts_held():
+        if training.validation and iou > state.best_iou:
             state.best_iou, state.best_step = iou, state.step
             if config.training.keep == "best" and training.part[0] == 0:
                 write_weights(arrays_of_network(training.learner.network), training.folder / WEIGHTS)
-    epoch = round(state.step * config.training.batch / len(training.pairs), 6)
-    row = TrainingRow(step=state.step, epoch=epoch, **losses, **found)
-    state.rows.append(row)
+        count = state.sums.pop("steps")
+        losses = {name: value / count for name, value in state.sums.items()}
+        losses = mean_of_all(losses, training.part[1], training.device)
+        state.sums.clear()
+        epoch = round(state.step * config.training.batch / len(training.pairs), 6)
+        row = TrainingRow(step=state.step, epoch=epoch, **losses, **found)
+        state.rows.append(row)
     return row

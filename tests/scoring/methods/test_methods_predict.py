@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from small_benchmark import Run
 from small_method import TINY
+from synthetic_release import Recordings, publish_synthetic
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.release.release import Release
+from kinectbench.scoring.methods import predict as predicting
 from kinectbench.scoring.methods.config_file import read_config
 from kinectbench.scoring.methods.train import train
 from kinectbench.scoring.methods.trained import open_trained
@@ -135,3 +137,40 @@ def test_weights_that_do_not_fit_are_told(trained: Path, tmp_path: Path, name: s
     with pytest.raises(StorageError, match=words) as error:
         open_trained(tmp_path / "run")
     assert str(path) in str(error.value)
+
+
+def test_what_makes_scores_unfair_is_told(
+    command: Command, trained: Path, learning: Release, tmp_path: Path
+) -> None:
+    """Test objects that were learnt from, and another framing; method.json keeps it."""
+    recordings: Recordings = (("chair_01", "chair", "chair_a", "test", 1),)
+    other = publish_synthetic(tmp_path / "other", recordings).folder
+    run = shutil.copytree(trained, tmp_path / "run")
+    training = json.loads((run / "training.json").read_text())
+    assert training["objects"] == ["chair_a", "table_a"] and training["framings"] == ["object"]
+    (run / "training.json").write_text(json.dumps(training | {"framings": ["view"]}))
+    made = command(tmp_path, "predict", str(run), str(other), "--device", "cpu")
+    assert made.status == 0
+    assert "tiny: learnt from 1 of the test objects, such as chair_a: no fair scores" in made.err
+    assert "tiny: learnt in framing view, and predicts in framing object" in made.err
+    told = json.loads((tmp_path / "predictions" / "tiny" / "method.json").read_text())
+    assert len(told["training"]["notes"]) == 2
+
+
+def test_a_folder_holds_predictions_for_one_release_from_one_run(
+    command: Command, trained: Path, learning: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert command(tmp_path, "predict", str(trained), str(learning.folder), "--device", "cpu").status == 0
+    said = tmp_path / "predictions" / "tiny" / "method.json"
+    assert json.loads(said.read_text())["benchmark_sha256"] == learning.benchmark_sha256
+    recordings: Recordings = (("chair_07", "chair", "chair_g", "test", 1),)
+    other = publish_synthetic(tmp_path / "other", recordings).folder
+    refused = command(tmp_path, "predict", str(trained), str(other), "--device", "cpu")
+    assert refused.status == 2 and "holds predictions for another release" in refused.err
+    monkeypatch.setattr(predicting, "completed", stopped)
+    assert command(tmp_path, "predict", str(trained), str(learning.folder), "--device", "cpu").status == 1
+    assert not said.exists()  # some files may be new and some old
+
+
+def stopped(*arguments: object) -> None:
+    raise StorageError("the disk is full")

@@ -2,16 +2,17 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_method import TINY
+from synthetic_release import Recordings, publish_synthetic
 
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.methods import train as training
 from kinectbench.scoring.methods.config_file import read_config
 from kinectbench.scoring.methods.data import pairs_of_step, steps_in_all, validation_pairs
@@ -164,10 +165,54 @@ def test_validation_pairs_are_spread(learning: Release) -> None:
     assert validation_pairs([learning], 0) == ()
 
 
-def test_several_releases_are_learnt_from(tiny: Tiny, learning: Release, tmp_path: Path) -> None:
-    state = training.train(read_config(tiny()), [learning, learning], tmp_path / "run", device="cpu")
+@pytest.fixture(scope="module")
+def more(tmp_path_factory: pytest.TempPathFactory) -> Release:
+    """Another release, with objects of its own; one of its test objects is learnt from elsewhere."""
+    recordings: Recordings = (
+        ("table_09", "table", "table_i", "train", 2),
+        ("chair_09", "chair", "chair_i", "validation", 1),
+        ("chair_08", "chair", "chair_a", "test", 1),
+    )
+    return open_release(publish_synthetic(tmp_path_factory.mktemp("more"), recordings).folder)
+
+
+def test_several_releases_are_learnt_from(
+    tiny: Tiny, learning: Release, more: Release, tmp_path: Path
+) -> None:
+    config = read_config(tiny(("batch: 2", "batch: 2, leave_out: [chair_a]")))
+    training.train(config, [learning, more], tmp_path / "run", device="cpu")
     told = TrainingFile.read(tmp_path / "run")
-    assert told.pairs == 2 * len(learning.split("train")) and state.step == told.steps
-    assert told.further_benchmarks_sha256 == (learning.benchmark_sha256,)
+    assert (told.pairs, told.objects) == (4, ("table_a", "table_i"))
+    assert told.further_benchmarks_sha256 == (more.benchmark_sha256,)
     with pytest.raises(SettingsError, match="trained on another release"):
-        training.train(read_config(tiny()), [learning], tmp_path / "run", device="cpu")
+        training.train(config, [learning], tmp_path / "run", device="cpu")
+
+
+def test_what_is_tested_on_is_not_learnt_from(
+    tiny: Tiny, learning: Release, more: Release, tmp_path: Path
+) -> None:
+    with pytest.raises(ReleaseError, match="chair_a is to be tested on, and learnt from in another release"):
+        training.train(read_config(tiny()), [learning, more], tmp_path / "run", device="cpu")
+    with pytest.raises(ReleaseError, match="the same release is given twice"):
+        training.train(read_config(tiny()), [learning, learning], tmp_path / "run", device="cpu")
+
+
+def test_a_look_that_failed_is_taken_again(
+    whole: Path, learning: Release, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At whatever step it fails, the course is the same afterwards; the last step's is no exception."""
+    looked = training.validation_iou
+    for failing in (1, 3):
+        calls = iter(range(1, 100))
+
+        def fails(*arguments: object, at: int = failing, count: Iterator[int] = calls) -> tuple[float, float]:
+            if next(count) == at:
+                raise ReleaseError("a pair is gone")
+            return looked(*arguments)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(training, "validation_iou", fails)
+        with pytest.raises(ReleaseError, match="a pair is gone"):
+            run(tiny(), learning, tmp_path / f"{failing}")
+        monkeypatch.setattr(training, "validation_iou", looked)
+        run(tiny(), learning, tmp_path / f"{failing}")
+        assert made(tmp_path / f"{failing}") == made(whole)
