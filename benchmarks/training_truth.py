@@ -9,14 +9,17 @@ cube and seen from the same side:
     d  as b, but what the fused truth does not know is left out of the loss
 
 The same network learns from each for the same number of steps, from the same seeds, and is tested on depth of
-the simulated sensor with the exact shape. A threshold is chosen on objects that are neither learnt from nor
-tested on. An object counts once: by the mean over its views and the seeds.
+the simulated sensor with the exact shape, of other objects of the same families. Pairs that a build refuses are
+in none of the four. The threshold is chosen on objects that are neither learnt from nor tested on, by their
+exact shapes, or is 0.5. Intervals are those of a bootstrap that draws families, objects of each, and seeds
+anew: they hold for other objects and other seeds.
 
     python benchmarks/training_truth.py --build DIR             # some two hours of two cores; goes on in DIR
 """
 
 import argparse
 import json
+import shutil
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -30,10 +33,11 @@ from figures import Figure, at_least, told
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import KinectBenchError
-from kinectbench.core.storage import replaced_file, sha256_file
+from kinectbench.core.storage import canonical_json, replaced_file, sha256_file, sha256_text
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
 from kinectbench.core.voxels.view_grids import partial_grids
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
 from kinectbench.lab.evaluate.build import read_build, register
@@ -43,7 +47,7 @@ from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth, truth_folder
 from kinectbench.lab.synthesize.views import DepthCamera
-from kinectbench.scoring.uncertainty import student_interval
+from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.settings.models import BenchmarkSettings
 
 WAYS = {
@@ -67,6 +71,7 @@ CONFIG: dict[str, Any] = {
     "loss": {"kind": "cross-entropy", "tile_cells": 64},
 }
 BATCH, RATE = 8, 1e-3
+RESAMPLES = 4000
 
 
 class Thing(NamedTuple):
@@ -89,12 +94,14 @@ THINGS = tuple(
 
 def prepare(thing: Thing, root: Path) -> str | None:
     """Simulate and build an object, and write its pairs in the four ways; says why it cannot be used."""
-    recording, done = root / "recordings" / thing.name, root / "pairs" / thing.name / "done"
+    spec = RECORDING | {"object": f"{thing.family}:seed={thing.seed}", "seed": thing.seed}
+    key = sha256_text(canonical_json({"spec": spec, "views": VIEWS, "versions": VERSIONS}))[:16]
+    recording, done = root / "recordings" / thing.name, root / "pairs" / thing.name / f"done-{key}"
     if done.is_file():
         return done.read_text(encoding="utf-8") or None
-    if not truth_folder(recording).is_dir():
-        spec = RECORDING | {"object": f"{thing.family}:seed={thing.seed}", "seed": thing.seed}
-        simulate(SimulationSpec.model_validate(spec), recording)
+    for folder in (recording, truth_folder(recording), root / "build" / thing.name, done.parent):
+        shutil.rmtree(folder, ignore_errors=True)  # of an earlier version, or unfinished
+    simulate(SimulationSpec.model_validate(spec), recording)
     settings = BenchmarkSettings.model_validate(
         {
             "name": "training-truth",
@@ -146,10 +153,6 @@ def learn(way: str, seed: int, steps: int, root: Path, names: dict[str, list[str
     from kinectbench.scoring.methods.registry import make_network
     from kinectbench.scoring.methods.steps import Learner
 
-    kept = root / "runs" / f"{way}-{seed}-{steps}.json"
-    if kept.is_file():
-        rows: list[list[float]] = json.loads(kept.read_text(encoding="utf-8"))
-        return rows
     torch.set_num_threads(1)
     config = MethodSettings.model_validate(
         {
@@ -161,13 +164,22 @@ def learn(way: str, seed: int, steps: int, root: Path, names: dict[str, list[str
     )
     files = [path for name in names["train"] for path in sorted((root / "pairs" / name / way).glob("*.npz"))]
     pairs = [PairFile(path, sha256_file(path)) for path in files]
+    looked_at = names["test"] + names["validation"]
+    known = {
+        "config": config.model_dump(mode="json"),
+        "steps": steps,
+        "pairs": [pair.sha256 for pair in pairs],
+    }
+    key = sha256_text(canonical_json(known | {"looked_at": looked_at}))
+    kept = root / "runs" / f"{way}-{seed}-{key[:16]}.json"
+    if kept.is_file():
+        rows: list[list[float]] = json.loads(kept.read_text(encoding="utf-8"))
+        return rows
     network = make_network(config.network, seed)
     learner = Learner(network, config, "cpu", (0, 1))
     for step, batch in enumerate(batches(pairs, config, range(steps), "cpu")):
         learner.step(batch, step, 0)
-    rows = [
-        _curve(network, root / "pairs" / name / "b", config) for name in names["test"] + names["validation"]
-    ]
+    rows = [_curve(network, root / "pairs" / name / "b", config) for name in looked_at]
     kept.parent.mkdir(parents=True, exist_ok=True)
     with replaced_file(kept) as temporary:
         temporary.write_text(json.dumps(rows), encoding="utf-8")
@@ -190,49 +202,63 @@ def _curve(network: Any, folder: Path, config: Any) -> list[float]:
     return [float(value) for value in np.mean(curves, axis=0)]
 
 
-def per_object(rows: NDArray[np.float64], tests: int) -> Float64:
-    """IoU of each test object at the threshold that suits the validation objects best: (tests,)."""
-    best = int(np.argmax(rows[tests:].mean(axis=0)))
+def at_threshold(rows: NDArray[np.float64], tests: int, index: int | None = None) -> Float64:
+    """IoU of each test object, (tests,), at one threshold: that which suits the validation objects best."""
+    best = int(np.argmax(rows[tests:].mean(axis=0))) if index is None else index
     return rows[:tests, best]
 
 
 def measure(options: argparse.Namespace, root: Path) -> Sequence[Figure]:
     """Prepare all objects, train every way from every seed, and compare."""
-    context = get_context("spawn")
-    with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
         problems = list(pool.map(prepare, THINGS, [root] * len(THINGS)))
         usable = [thing for thing, problem in zip(THINGS, problems, strict=True) if problem is None]
         names = {split: [thing.name for thing in usable if thing.split == split] for split in SEEDS}
+        if len(names["test"]) < len(FAMILIES) or not names["validation"]:
+            raise KinectBenchError("too few objects could be built")
         runs = [(way, seed) for seed in range(options.seeds) for way in WAYS]
-        found = pool.map(
-            learn,
-            *zip(*runs, strict=True),
-            [options.steps] * len(runs),
-            [root] * len(runs),
-            [names] * len(runs),
-        )
+        count = len(runs)
+        ways, seeds = zip(*runs, strict=True)
+        found = pool.map(learn, ways, seeds, [options.steps] * count, [root] * count, [names] * count)
         tables = dict(zip(runs, (np.array(rows) for rows in found), strict=True))
-    if len(names["test"]) < 3 or not names["validation"]:
-        raise KinectBenchError("too few objects could be built")
-    tests = len(names["test"])
-    values = {
-        way: np.mean([per_object(tables[way, seed], tests) for seed in range(options.seeds)], axis=0)
-        for way in WAYS
-    }
+    families = [thing.family for thing in usable if thing.split == "test"]
     figures = [
         at_least("objects that are learnt from", len(names["train"]), LEAST_OBJECTS),
-        told("objects that are tested on", tests),
-        told("pairs that are learnt from", sum(len(list(_pairs(root, name))) for name in names["train"])),
+        told("objects that are tested on, families", f"{len(families)}, {len(set(families))}"),
+        told("pairs that are learnt from", sum(len(_pairs(root, name)) for name in names["train"])),
         told(
-            "fused against exact shape, mean IoU of training pairs",
-            round(_fused_iou(root, names["train"]), 3),
+            "IoU of fused and exact shapes that are learnt from", round(_fused_iou(root, names["train"]), 3)
         ),
     ]
-    for way, words in WAYS.items():
-        figures.append(told(f"{way} ({words}): IoU", _with_interval(values[way])))
-    for way in ("a", "c", "d"):
-        figures.append(told(f"{way} - b", _with_interval(values[way] - values["b"])))
+    for words, index in (("best threshold", None), ("threshold 0.5", THRESHOLDS.index(0.5))):
+        # (seeds, objects) of each way
+        values = {
+            way: np.array(
+                [at_threshold(tables[way, seed], len(families), index) for seed in range(options.seeds)]
+            )
+            for way in WAYS
+        }
+        for way, what in WAYS.items():
+            figures.append(told(f"{words}: {way} ({what}), IoU", with_interval(values[way], families)))
+        for way in ("a", "c", "d"):
+            difference = values[way] - values["b"]
+            each = ", ".join(f"{value:+.3f}" for value in difference.mean(axis=1))
+            text = f"{with_interval(difference, families)}; by seed {each}"
+            figures.append(told(f"{words}: {way} - b", text))
     return figures
+
+
+def with_interval(values: Float64, families: Sequence[str]) -> str:
+    """The mean of (seeds, objects), with a 95 % interval of families, objects and seeds drawn anew."""
+    rng, of = np.random.default_rng(0), np.array(families)
+    groups = [np.flatnonzero(of == family) for family in dict.fromkeys(families)]
+    means = []
+    for _ in range(RESAMPLES):
+        drawn = [groups[index] for index in rng.integers(len(groups), size=len(groups))]
+        objects = np.concatenate([rng.choice(group, len(group)) for group in drawn])
+        means.append(values[np.ix_(rng.integers(len(values), size=len(values)), objects)].mean())
+    low, high = np.quantile(means, [0.025, 0.975])
+    return f"{values.mean():.3f} ({low:.3f} to {high:.3f})"
 
 
 def _pairs(root: Path, name: str) -> Sequence[Path]:
@@ -252,14 +278,6 @@ def _fused_iou(root: Path, names: Sequence[str]) -> float:
             ]
         )
     )
-
-
-def _with_interval(values: Float64) -> str:
-    """Mean over objects, with Student's 95 % interval."""
-    interval = student_interval(values[:, None], np.ones(len(values)))
-    assert interval is not None
-    low, high = interval[0]
-    return f"{values.mean():.3f} ({low:.3f} to {high:.3f})"
 
 
 def main() -> None:
