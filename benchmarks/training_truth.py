@@ -9,8 +9,8 @@ cube and seen from the same side:
     d  as b, but what the fused truth does not know is left out of the loss
 
 The same network learns from each for the same number of steps, from the same seeds, and is tested on depth of
-the simulated sensor with the exact shape, of other objects of the same families. Pairs that a build refuses are
-in none of the four. The threshold is chosen on objects that are neither learnt from nor tested on, by their
+the simulated sensor with the exact shape, of other objects of the same families. Pairs that a build refuses
+are in none of the four. The threshold is chosen on objects that are neither learnt from nor tested on, by their
 exact shapes, or is 0.5. Intervals are those of a bootstrap that draws families, objects of each, and seeds
 anew: they hold for other objects and other seeds.
 
