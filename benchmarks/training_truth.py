@@ -10,9 +10,9 @@ cube and seen from the same side:
 
 The same network learns from each for the same number of steps, from the same seeds, and is tested on depth of
 the simulated sensor with the exact shape, of other objects of the same families. Pairs that a build refuses
-are in none of the four. The threshold is chosen on objects that are neither learnt from nor tested on, by their
-exact shapes, or is 0.5. Intervals are those of a bootstrap that draws families, objects of each, and seeds
-anew: they hold for other objects and other seeds.
+are in none of the four. The threshold is chosen on objects that are neither learnt from nor tested on, by
+their exact shapes, or is 0.5. Intervals are those of a bootstrap that draws families, objects of each, and
+seeds anew: they hold for other objects and other seeds.
 
     python benchmarks/training_truth.py --build DIR             # some two hours of two cores; goes on in DIR
 """
