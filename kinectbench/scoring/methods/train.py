@@ -15,7 +15,7 @@ from kinectbench.core.errors import KinectBenchError, SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, Target
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.data import (
     Batch,
@@ -131,21 +131,25 @@ def train(
             wait_for_all(part[1])  # only now is the folder nobody else's
             network = make_network(config.network, config.training.seed, where)
             learner = Learner(network, config, where, part)
-            facts = {
-                "parameter_count": network.parameter_count,
-                "benchmark_sha256": releases[0].benchmark_sha256,
-                "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
-                "framings": tuple(sorted({release.metadata.framing for release in releases})),
-                "objects": tuple(sorted({target.object for _, target in targets})),
-                "pairs": len(pairs),
-                "hardware": hardware(where),
-            }
+            facts = _facts_of(releases, targets)
+            facts |= {"parameter_count": network.parameter_count, "hardware": hardware(where)}
             state = restore(folder, learner, facts, where)
             check_weights_are_there(folder, config, state)
             facts["steps_in_all"] = steps_in_all(len(pairs), config)
             made = Training(config, pairs, validation, folder, where, part, learner, state, facts)
             _run(made, minutes, progress, watch)
             return state
+
+
+def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, Any]:
+    """What training.json says of the pairs that are learnt from."""
+    return {
+        "benchmark_sha256": releases[0].benchmark_sha256,
+        "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
+        "framings": tuple(sorted({release.metadata.framing for release in releases})),
+        "objects": tuple(sorted({target.object for _, target in targets})),
+        "pairs": len(targets),
+    }
 
 
 def _check_shared(batch: int, processes: int) -> None:
