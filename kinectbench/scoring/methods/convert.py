@@ -153,7 +153,9 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
     generator = sum(values.size for name, values in arrays.items() if not name.startswith("discriminator."))
     others = [name for name in bundle.tensors if name not in names]
     optimiser = [name for name in others if name.endswith(OF_THE_OPTIMISER)]
-    left_out = tuple(f"{printable(n)} {bundle.tensors[n].shape}" for n in others if n not in optimiser)
+    left_out = tuple(
+        f"{printable(n)} {bundle.tensors[n].shape}" for n in others if not n.endswith(OF_THE_OPTIMISER)
+    )
     discriminator = sum(values.size for values in arrays.values()) - generator
     return Conversion(out, len(arrays), generator, discriminator, len(optimiser), left_out)
 

@@ -1,5 +1,7 @@
 """CRC-32C, as TensorFlow's checkpoints use it. Import late: numba is slow to load."""
 
+from functools import cache
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -8,6 +10,7 @@ POLYNOMIAL = 0x82F63B78
 MASK = 0xA282EAD8
 
 
+@cache
 def _table() -> NDArray[np.uint32]:
     """The remainder of each byte."""
     values = np.arange(256, dtype=np.uint32)

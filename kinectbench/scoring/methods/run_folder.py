@@ -1,8 +1,6 @@
 """A training's folder: its configuration, a checkpoint to go on from, weights, course and curves."""
 
-import pickle
 import platform
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,16 +10,16 @@ import torch
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import replaced_file, storage_errors
-from kinectbench.core.untrusted import open_plain
+from kinectbench.scoring.methods.checkpoint import DAMAGED, checked_state, read_checkpoint, set_values
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.config_file import read_config, write_config
 from kinectbench.scoring.methods.curves import curves_png
+from kinectbench.scoring.methods.data import steps_in_all
 from kinectbench.scoring.methods.steps import Learner, Losses
 from kinectbench.scoring.methods.weights import FILE as WEIGHTS
 from kinectbench.scoring.methods.weights import arrays_of_network, write_weights
 
 CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
-DAMAGED = (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 
 
 @dataclass
@@ -71,8 +69,13 @@ def prepare(folder: Path, config: MethodSettings) -> None:
     """
     make_folder(folder)
     path = folder / CONFIG
-    if path.exists() and read_config(path).sha256 != config.sha256:
-        raise SettingsError(f"{folder}: trained with other settings, see {path}; choose another folder")
+    if path.exists():
+        trained, where = read_config(path).sha256, f", see {path}"
+    else:  # somebody removed it; what was made with it is there still
+        course = TrainingFile.read_if_there(folder)
+        trained, where = course.config_sha256 if course else config.sha256, ""
+    if trained != config.sha256:
+        raise SettingsError(f"{folder}: trained with other settings{where}; choose another folder")
     with replaced_file(path) as temporary:
         write_config(config, temporary)
 
@@ -92,6 +95,7 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
         write_weights(arrays_of_network(learner.network), folder / WEIGHTS)
     content = {
         "benchmarks_sha256": benchmarks(facts),
+        "config_sha256": config.sha256,
         "network": learner.network.state_dict(),
         "optimisers": [optimiser.state_dict() for optimiser in learner.optimisers],
         "state": {**vars(state), "rows": [row.json_value() for row in state.rows]},
@@ -133,44 +137,33 @@ def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) 
     """How far the training in a folder is; the learner gets its values. From the start if there is none.
 
     Raises:
-        SettingsError: it learns from another release.
+        SettingsError: it learns from another release, or with other settings than those of the folder.
         StorageError: the checkpoint is damaged.
     """
     path = folder / CHECKPOINT
     if not path.exists():
         return State()
+    config = read_config(folder / CONFIG)
+    steps = steps_in_all(facts["pairs"], config)
     try:
-        with open_plain(path) as file:
-            if not zipfile.is_zipfile(file):  # of older formats torch warns, and then reads on
-                raise ValueError("no archive")
-            file.seek(0)
-            content = torch.load(file, map_location=device, weights_only=True)
-        found = content["benchmarks_sha256"]
-        if found == benchmarks(facts):
-            learner.network.load_state_dict(content["network"])
-            for optimiser, values in zip(learner.optimisers, content["optimisers"], strict=True):
-                optimiser.load_state_dict(values)
-                _lay_out(optimiser)
-        state = content["state"]
-        rows = [TrainingRow.model_validate(row) for row in state["rows"]]
-        restored = State(**{**state, "rows": rows})
+        content = read_checkpoint(path, learner.network, steps, device)
     except DAMAGED as error:
-        raise StorageError(f"{path}: cannot be read; remove it to train from the start") from error
-    if found != benchmarks(facts):
-        named = ", ".join(f"{sha256[:8]}…" for sha256 in found)
+        raise _damaged(path) from error
+    if content.benchmarks_sha256 != benchmarks(facts):
+        named = ", ".join(f"{sha256[:8]}…" for sha256 in content.benchmarks_sha256[:20])
         raise SettingsError(f"{folder}: was trained on another release ({named}); choose another folder")
-    return restored
+    if content.config_sha256 not in (None, config.sha256):
+        raise SettingsError(f"{folder}: trained with other settings; choose another folder")
+    try:
+        state = checked_state(content, steps)
+        set_values(content, learner.network, learner.optimisers, state.step)
+    except DAMAGED as error:
+        raise _damaged(path) from error
+    return State(**dict(state))
 
 
-def _lay_out(optimiser: torch.optim.Optimizer) -> None:
-    """Have what an optimiser keeps lie in memory as its parameters do, as if it had been made with them.
-
-    Otherwise sums are rounded in another order, and the course is another one.
-    """
-    for parameter, kept in optimiser.state.items():
-        for name, values in kept.items():
-            if values.shape == parameter.shape:
-                kept[name] = torch.empty_like(parameter).copy_(values)
+def _damaged(path: Path) -> StorageError:
+    return StorageError(f"{path}: cannot be read; remove it to train from the start")
 
 
 def hardware(device: str) -> str:

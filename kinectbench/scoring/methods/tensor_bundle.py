@@ -17,9 +17,10 @@ from kinectbench.core.untrusted import open_plain, printable, read_plain, size_o
 
 MAGIC = bytes.fromhex("57fb808b247547db")
 FOOTER_BYTES, TRAILER_BYTES = 48, 5
-# That of the released network has 4 KB (own choice).
-MOST_INDEX_BYTES = 16 << 20
-MOST_TENSORS, MOST_AXES = 10_000, 8
+# That of the released network has 4 KB, its longest key 16 bytes and its values 30 (own choice).
+MOST_INDEX_BYTES, MOST_KEY_BYTES, MOST_VALUE_BYTES = 2 << 20, 4096, 4096
+# Of all its blocks, the one that names the others among them (own choice).
+MOST_ENTRIES, MOST_AXES = 10_000, 8
 FLOAT32 = 1
 VALUE_BYTES = 4
 # Kinds of a protocol buffer's fields.
@@ -112,15 +113,15 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
     footer = content[-FOOTER_BYTES:]
     _, place = _handle(footer, 0)
     root, _ = _handle(footer, place)
-    header, tensors = None, dict[str, StoredTensor]()
-    for _, handle in _entries(content, root):
-        for key, value in _entries(content, _handle(handle, 0)[0]):
-            if not key:
-                header = _fields(value)
-            elif len(tensors) == MOST_TENSORS:
-                raise ValueError(f"more than {MOST_TENSORS} tensors")
-            else:
-                tensors[key.decode()] = _tensor(value)
+    reader = _Reader(content)
+    found: dict[bytes, bytes] = {}
+    for handle in [value for _, value in reader.entries(root)]:
+        for key, value in reader.entries(_handle(handle, 0)[0]):
+            if key in found:
+                raise ValueError("a key that is there twice")
+            found[key] = value
+    header = _fields(found.pop(b"")) if b"" in found else None
+    tensors = {key.decode(): _tensor(value) for key, value in found.items()}
     if header is None:
         raise ValueError("it has no header")
     if _number(header, 2):
@@ -131,29 +132,46 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
     return TensorBundle(index, tensors, shards)
 
 
-def _entries(content: bytes, block: tuple[int, int]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the keys and values of a block; each key shares its beginning with the one before."""
-    from kinectbench.scoring.methods.crc32c import masked_crc32c
+class _Reader:
+    """Reads the blocks of an index: no more bytes of them than it has, so that the file bounds the cost."""
 
-    offset, size = block
-    whole = content[offset : offset + size + TRAILER_BYTES]
-    if size < 4 or len(whole) != size + TRAILER_BYTES:
-        raise ValueError("a block is cut off")
-    if whole[size]:
-        raise ValueError("its blocks are compressed; only plain ones are read")
-    if masked_crc32c(whole[: size + 1]) != int.from_bytes(whole[size + 1 :], "little"):
-        raise ValueError("the checksum of a block is wrong")
-    end = size - 4 - 4 * int.from_bytes(whole[size - 4 : size], "little")
-    place, key = 0, b""
-    while place < end:
-        shared, place = _varint(whole, place)
-        more, place = _varint(whole, place)
-        length, place = _varint(whole, place)
-        if shared > len(key) or place + more + length > end:
-            raise ValueError("a block's entries do not add up")
-        key = key[:shared] + whole[place : place + more]
-        yield key, whole[place + more : place + more + length]
-        place += more + length
+    def __init__(self, content: bytes) -> None:
+        self._content, self._bytes_left, self._entries_left = content, len(content), MOST_ENTRIES
+
+    def entries(self, block: tuple[int, int]) -> Iterator[tuple[bytes, bytes]]:
+        """Yield the keys and values of a block; each key shares its beginning with the one before."""
+        whole, end = self._plain(*block)
+        place, key = 0, b""
+        while place < end:
+            shared, place = _varint(whole, place)
+            more, place = _varint(whole, place)
+            length, place = _varint(whole, place)
+            if shared > len(key) or place + more + length > end:
+                raise ValueError("a block's entries do not add up")
+            if shared + more > MOST_KEY_BYTES or length > MOST_VALUE_BYTES:
+                raise ValueError("a key or a value that is too long")
+            self._entries_left -= 1
+            if self._entries_left < 0:
+                raise ValueError(f"more than {MOST_ENTRIES} entries")
+            key = key[:shared] + whole[place : place + more]
+            yield key, whole[place + more : place + more + length]
+            place += more + length
+
+    def _plain(self, offset: int, size: int) -> tuple[bytes, int]:
+        """A block that was checked, and where its entries end."""
+        from kinectbench.scoring.methods.crc32c import masked_crc32c
+
+        whole = self._content[offset : offset + size + TRAILER_BYTES]
+        if size < 4 or len(whole) != size + TRAILER_BYTES:
+            raise ValueError("a block is cut off")
+        self._bytes_left -= len(whole)
+        if self._bytes_left < 0:
+            raise ValueError("it names the same block twice")
+        if whole[size]:
+            raise ValueError("its blocks are compressed; only plain ones are read")
+        if masked_crc32c(whole[: size + 1]) != int.from_bytes(whole[size + 1 :], "little"):
+            raise ValueError("the checksum of a block is wrong")
+        return whole, size - 4 - 4 * int.from_bytes(whole[size - 4 : size], "little")
 
 
 def _handle(content: bytes, place: int) -> tuple[tuple[int, int], int]:

@@ -8,12 +8,12 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.untrusted import printable
 from kinectbench.scoring.methods.config import MethodSettings
-from kinectbench.scoring.methods.config_file import read_config
+from kinectbench.scoring.methods.config_file import packaged_configs, read_config
 from kinectbench.scoring.methods.network import Network
 from kinectbench.scoring.methods.recgan import RecGAN
 from kinectbench.scoring.methods.registry import make_network
 from kinectbench.scoring.methods.run_folder import CONFIG
-from kinectbench.scoring.methods.weights import FILE, read_weights, set_weights
+from kinectbench.scoring.methods.weights import FILE, check_fit, read_weights, set_weights, shapes_of_network
 from kinectbench.settings.words import listed
 
 # A folder for each network that is shipped, as `train` writes it, without its checkpoint.
@@ -59,6 +59,11 @@ def folder_of(name: str) -> Path:
         return FOLDER / name
     folder = Path(name)
     if not (folder / CONFIG).is_file():
+        if name in packaged_configs():
+            raise SettingsError(
+                f"{name}: a configuration of the package, which comes without weights; train it: "
+                f"`kinectbench train {name} --data RELEASE --out FOLDER`, and predict with FOLDER"
+            )
         known = packaged_methods()
         more = f", and no method of the package: {listed(known)}" if known else ""
         raise SettingsError(f"{printable(name)}: no folder of `kinectbench train` or `convert`{more}")
@@ -74,7 +79,10 @@ def open_trained(folder: Path, device: str = "cpu") -> Trained:
     """
     config = read_config(folder / CONFIG)
     training = TrainingFile.read(folder)
-    network = make_network(config.network)
     path = folder / FILE
-    set_weights(network, read_weights(path), str(path))
+    shapes = shapes_of_network(make_network(config.network, device="meta"))
+    arrays = read_weights(path, shapes)
+    check_fit(shapes, arrays, str(path))  # before there is a network, which may be large
+    network = make_network(config.network)
+    set_weights(network, arrays, str(path))
     return Trained(config, network.to(device).eval(), sha256_file(path), training)

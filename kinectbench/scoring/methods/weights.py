@@ -1,5 +1,6 @@
 """weights.npz: a network's values by name, float32 or float16; plain numpy opens it."""
 
+import math
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -16,8 +17,12 @@ from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
 FILE = "weights.npz"
 # Varley's 1.72 GB is the largest network here (own choice).
 MOST_BYTES = 4 << 30
+KINDS = tuple(np.dtype(kind) for kind in (np.float16, np.float32, np.float64, np.int64))
+# Of a value in the widest of these; and of an array, its header.
+WIDEST_BYTES, HEADER_BYTES = 8, 1 << 10
 
 Arrays = Mapping[str, NDArray[Any]]
+Shapes = Mapping[str, tuple[int, ...]]
 
 
 def write_weights(arrays: Arrays, path: Path) -> None:
@@ -31,26 +36,45 @@ def write_weights(arrays: Arrays, path: Path) -> None:
                 np.lib.format.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
 
 
-def read_weights(path: Path) -> dict[str, NDArray[Any]]:
+def read_weights(path: Path, shapes: Shapes | None = None) -> dict[str, NDArray[Any]]:
     """Read the arrays of a file that may come from anybody.
 
+    Args:
+        path: the file.
+        shapes: of the network that they are for, by name: a file that unpacks to more than this takes in
+            float64 is refused before it is unpacked. None: of whatever network.
+
     Raises:
-        StorageError: it is missing, damaged, or no such file.
+        StorageError: it is missing, damaged, too large for the network, or no such file.
     """
+    most = MOST_BYTES
+    if shapes is not None:
+        most = sum(WIDEST_BYTES * math.prod(shape) + HEADER_BYTES for shape in shapes.values())
     try:
-        arrays = load_arrays(path, MOST_BYTES)
+        arrays = load_arrays(path, most)
     except FileNotFoundError:
         raise StorageError(f"{path}: missing; train the method again, or get its folder whole") from None
     except UNREADABLE as error:
         raise StorageError(f"{path}: cannot be read as weights ({error}); get the file again") from error
-    wrong = [
-        name for name, array in arrays.items() if array.dtype.kind not in "fi" or not np.isfinite(array).all()
-    ]
-    if wrong:
-        raise StorageError(
-            f"{path}: '{printable(wrong[0])}' holds what are no finite numbers; get the file again"
-        )
+    for name, array in arrays.items():
+        if problem := _problem(name, array):
+            raise StorageError(f"{path}: '{printable(name)}' holds {problem}; get the file again")
     return arrays
+
+
+def _problem(name: str, array: NDArray[Any]) -> str:
+    """What no network can hold; "" if it can."""
+    if array.dtype not in KINDS:
+        return "what are no finite numbers in float16, float32, float64 or int64, low bytes first"
+    # A float64 may be larger than what the network has.
+    if not (np.abs(array) <= np.finfo(np.float32).max).all():
+        return "what are no finite numbers"
+    return "negative variances" if name.endswith("running_var") and (array < 0).any() else ""
+
+
+def shapes_of_network(network: Any) -> dict[str, tuple[int, ...]]:
+    """The shapes of a torch module's values by name; they may lie on "meta"."""
+    return {name: tuple(values.shape) for name, values in network.state_dict().items()}
 
 
 def arrays_of_network(network: Any) -> dict[str, NDArray[Any]]:
@@ -66,16 +90,23 @@ def set_weights(network: Any, arrays: Arrays, where: str) -> None:
     """
     import torch
 
-    state = network.state_dict()
-    problems = list(misfits({name: tuple(values.shape) for name, values in state.items()}, arrays))
-    if problems:
-        raise StorageError(*(f"{where}: {problem}" for problem in problems[:20]))
+    check_fit(shapes_of_network(network), arrays, where)
     with torch.no_grad():
-        for name, values in state.items():
+        for name, values in network.state_dict().items():
             values.copy_(torch.from_numpy(np.array(arrays[name])))
 
 
-def misfits(wanted: Mapping[str, tuple[int, ...]], arrays: Arrays) -> Iterator[str]:
+def check_fit(wanted: Shapes, arrays: Arrays, where: str) -> None:
+    """Refuse arrays that are not those of a network.
+
+    Raises:
+        StorageError: a name or a shape does not fit; a line for each, that begins with `where`.
+    """
+    if problems := list(misfits(wanted, arrays)):
+        raise StorageError(*(f"{where}: {problem}" for problem in problems[:20]))
+
+
+def misfits(wanted: Shapes, arrays: Arrays) -> Iterator[str]:
     """Yield a line for each array that is missing, of another shape, or not wanted."""
     for name, shape in wanted.items():
         if name not in arrays:

@@ -12,12 +12,18 @@ from small_benchmark import Run, finish, run, start
 from tensor_bundle_writer import write_bundle
 
 from kinectbench.release.release import Release
+from kinectbench.scoring.methods import trained
 
 Command = Callable[..., Run]
 WRONG = {
     "no configuration": (["train", "nowhere", "--data", ".", "--out", "o"], 2, "nowhere: no such file"),
     "no release": (["train", "recae-small", "--data", ".", "--out", "o"], 1, "no release there"),
     "no method": (["predict", "nowhere", "."], 2, "nowhere: no folder of `kinectbench train` or `convert`"),
+    "no weights": (
+        ["predict", "recae-small", "."],
+        2,
+        "comes without weights; train it: `kinectbench train recae-small --data RELEASE --out FOLDER`",
+    ),
     "no kind": (["convert", "recnet", ".", "--out", "o"], 2, "no kind of checkpoint 'recnet': choose recgan"),
     "no checkpoint": (["convert", "recgan", ".", "--out", "o"], 1, "no checkpoint there"),
     "threshold": (["predict", "nowhere", ".", "--threshold", "2"], 2, "--threshold"),
@@ -25,7 +31,10 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_words_are_told_in_one_line(command: Command, tmp_path: Path, name: str) -> None:
+def test_wrong_words_are_told_in_one_line(
+    command: Command, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trained, "FOLDER", tmp_path)  # as if no network were shipped
     arguments, status, words = WRONG[name]
     result = command(tmp_path, *arguments)
     assert (result.status, result.err.count("\n")) == (status, 1) and words in result.err, result

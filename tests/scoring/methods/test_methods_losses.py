@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 import torch
+from torch import Tensor, nn
 
-from kinectbench.scoring.methods.config import AdversarialSettings, LossSettings
+from kinectbench.scoring.methods.config import AdversarialSettings, LossSettings, MethodSettings
+from kinectbench.scoring.methods.data import Batch
 from kinectbench.scoring.methods.grids import TruthBatch, reduced_partial
 from kinectbench.scoring.methods.losses import reconstruction_loss, voxel_losses
-from kinectbench.scoring.methods.recgan import Discriminator, discriminator_loss
+from kinectbench.scoring.methods.recgan import Discriminator, RecGAN, discriminator_loss
+from kinectbench.scoring.methods.registry import make_network
+from kinectbench.scoring.methods.steps import Learner
 
 LOGITS = torch.tensor([-9.0, -2.0, 0.0, 1.5])
 P = 1 / (1 + np.exp(-LOGITS.numpy().astype(np.float64)))
@@ -102,3 +106,59 @@ def test_the_penalty_is_on_the_gradient_by_the_shape(penalty_on: str) -> None:
     value = features.sum() if penalty_on == "sum" else features.mean()
     (slopes,) = torch.autograd.grad(value, real)
     assert found.item() == pytest.approx(10 * (slopes.norm().item() - 1) ** 2, rel=1e-4)
+
+
+class Squares(nn.Module):
+    """Two features of a shape: the sum of its squares, and twice that; its gradient is known."""
+
+    def forward(self, partial: Tensor, shape: Tensor) -> Tensor:
+        del partial
+        total = shape.square().flatten(1).sum(dim=1)
+        return torch.stack([total, 2 * total], dim=1)
+
+
+@pytest.mark.parametrize("epsilon", ["voxel", "sample"])
+@pytest.mark.parametrize("weight", [0.0, 10.0])
+def test_the_discriminators_loss_by_hand(epsilon: str, weight: float) -> None:
+    """Mean of fake less mean of real, and the penalty at mixtures real + e (fake - real)."""
+    real, fake = np.zeros((2, 1, 1, 1, 2)), np.zeros((2, 1, 1, 1, 2))
+    real[:, 0, 0, 0] = [[1, 2], [0, 1]]
+    fake[:, 0, 0, 0] = [[3, 1], [2, 0.5]]
+    # Sums of squares: 10 and 4.25 of the fake, 5 and 1 of the real; a feature's mean is 1.5 of them.
+    apart = 1.5 * ((10 + 4.25) - (5 + 1)) / 2
+    shape = (2, 1, 1, 1, 2) if epsilon == "voxel" else (2,)
+    e = torch.rand(shape, generator=torch.Generator().manual_seed(7)).numpy().astype(np.float64)
+    mixed = real + (e if epsilon == "voxel" else e.reshape(2, 1, 1, 1, 1)) * (fake - real)
+    norms = 3 * np.sqrt((mixed**2).reshape(2, -1).sum(axis=1))  # the gradient is 1.5 times 2 x
+    wanted = apart + weight * ((norms - 1) ** 2).mean()
+    settings = AdversarialSettings.model_validate(
+        {"beta": 0.2, "gradient_penalty": weight, "epsilon": epsilon}
+    )
+    grids = (torch.from_numpy(grid) for grid in (fake, real))
+    chance = torch.Generator().manual_seed(7)
+    module: nn.Module = Squares()
+    found = discriminator_loss(module, torch.zeros(2), *grids, settings, chance)  # type: ignore[arg-type]
+    assert found.item() == pytest.approx(wanted, rel=1e-5)
+
+
+def test_the_generator_learns_to_raise_what_the_discriminator_says() -> None:
+    """With beta 0 nothing else teaches it; of what it makes then the discriminator, kept still, says more."""
+    config = MethodSettings.model_validate(
+        {
+            "name": "a",
+            "network": {"kind": "3d-recgan++", "channel_divisor": 32, "output_cells": 64},
+            "adversarial": {"beta": 0.0, "learning_rate": 1e-12},
+            "training": {"learning_rate": 1e-3},
+        }
+    )
+    network = make_network(config.network)
+    assert isinstance(network, RecGAN)
+    partial = (torch.rand(1, 1, 64, 64, 64, generator=torch.Generator().manual_seed(0)) > 0.9).float()
+
+    def said() -> float:
+        with torch.inference_mode():
+            return network.discriminator(partial, network.completed(partial)).mean().item()
+
+    before = said()
+    Learner(network, config, "cpu", (0, 1)).step(Batch(partial, truth_of(None)), 0, 0)
+    assert said() > before

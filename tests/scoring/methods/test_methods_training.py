@@ -16,6 +16,8 @@ from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.methods import train as training
 from kinectbench.scoring.methods.config_file import read_config
 from kinectbench.scoring.methods.data import pairs_of_step, steps_in_all, validation_pairs
+from kinectbench.scoring.methods.network import Network
+from kinectbench.scoring.methods.weights import arrays_of_network, write_weights
 
 Tiny = Callable[..., Path]
 
@@ -105,12 +107,66 @@ def test_a_training_that_is_done_is_not_done_again(whole: Path, learning: Releas
     assert (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns == before
 
 
-def test_the_best_weights_are_kept(learning: Release, tiny: Tiny, tmp_path: Path) -> None:
-    config = read_config(tiny(("validation_pairs: 1", "validation_pairs: 1, keep: best")))
-    state = training.train(config, [learning], tmp_path / "run", device="cpu")
-    ious = [row.validation_iou for row in state.rows]
-    told = json.loads((tmp_path / "run" / "training.json").read_text())
-    assert told["weights_step"] == state.rows[int(np.argmax(np.array(ious, float)))].step
+def test_the_best_weights_are_kept(
+    learning: Release, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of the second of three looks, whatever comes afterwards, also where it was stopped between."""
+    ious = {2: 0.2, 4: 0.6, 5: 0.4}
+    arrays: dict[int, dict[str, np.ndarray]] = {}  # type: ignore[type-arg]
+    looks: list[int] = []
+
+    def look(network: Network, *_: object) -> tuple[float, float]:
+        looks.append([2, 4, 5][len(looks)])
+        arrays[looks[-1]] = {name: values.copy() for name, values in arrays_of_network(network).items()}
+        return ious[looks[-1]], 0.5
+
+    monkeypatch.setattr(training, "validation_iou", look)
+    config = tiny(("validation_pairs: 1", "validation_pairs: 1, keep: best"))
+    run(config, learning, tmp_path / "run")
+    looks.clear()
+    with pytest.raises(KeyboardInterrupt):
+        run(config, learning, tmp_path / "parts", (4, KeyboardInterrupt))
+    run(config, learning, tmp_path / "parts")
+    write_weights(arrays[4], tmp_path / "wanted.npz")
+    write_weights(arrays[5], tmp_path / "last.npz")
+    wanted = (tmp_path / "wanted.npz").read_bytes()
+    assert wanted != (tmp_path / "last.npz").read_bytes()
+    for name in ("run", "parts"):
+        assert TrainingFile.read(tmp_path / name).weights_step == 4
+        assert (tmp_path / name / "weights.npz").read_bytes() == wanted
+
+
+MORE_NETWORKS = {
+    "3d-recgan++, both optimisers": """\
+name: gan
+network: {kind: 3d-recgan++, channel_divisor: 32, output_cells: 64}
+adversarial: {beta: 0.2}
+training: {batch: 2, epochs: 1.2, learning_rate: 1.0e-3, validation_pairs: 0}
+""",
+    "3d-recae, tiles and a cosine": """\
+name: tiles
+network: {kind: 3d-recae, channel_divisor: 32, output_cells: 128}
+loss: {unknown: mask, tile_cells: 32}
+training: {batch: 2, epochs: 1.2, learning_rate: 1.0e-3, schedule: cosine, validation_pairs: 0}
+""",
+}
+
+
+@pytest.mark.parametrize("name", MORE_NETWORKS)
+def test_other_networks_go_on_the_same_course(learning: Release, tmp_path: Path, name: str) -> None:
+    (tmp_path / "config.yaml").write_text(MORE_NETWORKS[name])
+    config = read_config(tmp_path / "config.yaml")
+
+    def stop(done: int, total: int) -> None:
+        assert total == 3
+        if done == 1:
+            raise KeyboardInterrupt
+
+    training.train(config, [learning], tmp_path / "whole", device="cpu")
+    with pytest.raises(KeyboardInterrupt):
+        training.train(config, [learning], tmp_path / "parts", device="cpu", progress=stop)
+    training.train(config, [learning], tmp_path / "parts", device="cpu")
+    assert made(tmp_path / "parts") == made(tmp_path / "whole")
 
 
 def test_a_folder_of_other_settings_is_refused(
