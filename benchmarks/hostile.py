@@ -4,7 +4,7 @@
 
 A case is ok if the command ends with a status that README.md lists, says at most one line of errors (those
 that name everything, a few), writes nothing but its output, and takes no more than 10 s of a processor and
-500 MB, with torch 900 MB. Linux only: memory is asked of the kernel.
+500 MB. Linux only: memory is asked of the kernel.
 """
 
 import argparse

@@ -31,7 +31,7 @@ def model_of(annotation: Any) -> type[Settings] | None:
 def choices_of(annotation: Any) -> tuple[str, ...]:
     """The names that a Literal annotation allows; empty for other annotations."""
     inner = without_none(annotation)
-    return get_args(inner) if get_origin(inner) is Literal else ()
+    return tuple(map(str, get_args(inner))) if get_origin(inner) is Literal else ()
 
 
 def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tuple[Any, Sequence[Any], int]:

@@ -13,6 +13,8 @@ from kinectbench.settings.words import field_at, listed, model_of, suggestion, w
 
 # A configuration has some thirty keys (own choice).
 MOST_BYTES = 1 << 20
+# Of its errors; each line takes as long as all keys (own choice).
+SHOWN = 20
 FOLDER = Path(__file__).parent / "configs"
 SUFFIX = ".yaml"
 
@@ -56,7 +58,10 @@ def read_config(path: Path) -> MethodSettings:
     try:
         return MethodSettings.model_validate(values)
     except ValidationError as error:
-        lines = [_line(root, found) for found in error.errors(include_url=False)]
+        found = error.errors(include_url=False)
+        lines = [_line(root, one) for one in found[:SHOWN]]
+        if len(found) > SHOWN:
+            lines.append(f"{path}: and {len(found) - SHOWN} more errors")
         raise SettingsError(*dict.fromkeys(lines)) from None
 
 

@@ -67,3 +67,18 @@ def test_what_is_no_configuration_is_told(tmp_path: Path, content: bytes) -> Non
 def test_a_configuration_that_is_not_there_is_told() -> None:
     with pytest.raises(SettingsError, match="nowhere: no such file, and no configuration: 3d-epn, "):
         find_config("nowhere")
+
+
+def test_of_very_many_errors_some_are_shown(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("name: a\n" + "".join(f"k{number}: 1\n" for number in range(5000)))
+    with pytest.raises(SettingsError) as error:
+        read_config(path)
+    assert len(error.value.lines) == 21 and error.value.lines[-1].endswith("and 4981 more errors")
+
+
+def test_numbers_to_choose_from_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("name: a\nnetwork: {kind: 3d-recae, output_cells: 1.0e+99}\n")
+    with pytest.raises(SettingsError, match=r"output_cells: found 1e\+99; wanted .*64.*256"):
+        read_config(path)
