@@ -8,7 +8,7 @@ RELEASE, BUILT = "release", "built"
 
 
 def make_wholes(folder: Path) -> None:
-    """`release/` (with predictions, scores, thresholds.json and more), `built/`, `method/` and `<format>/`."""
+    """`release/` (with predictions, scores and more), `built/`, `method/` and `<format>/`."""
     from fuzz.recordings import RECORDINGS
     from fuzz.tables import TABLES_FUZZER
     from small_runs import make_small, published
