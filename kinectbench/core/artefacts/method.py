@@ -61,7 +61,9 @@ class TrainingFile(Stored):
 
     format_version: Literal[1] = Field(1, description="of this file's format")
     name: str = Field(description="of the method")
-    config_sha256: str = Field(pattern=SHA256, description="of config.yaml's values, defaults included")
+    config_sha256: str = Field(
+        pattern=SHA256, description="of those of config.yaml's values that are not the defaults"
+    )
     parameter_count: int = Field(description="values that are learnt, those of a discriminator as well")
     benchmark_sha256: str | None = Field(None, description="of the release that was learnt from")
     further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases beside it")

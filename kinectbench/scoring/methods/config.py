@@ -140,5 +140,5 @@ class MethodSettings(Settings):
 
     @property
     def sha256(self) -> str:
-        """Of the configuration with all its defaults."""
-        return sha256_text(canonical_json(self.model_dump(mode="json")))
+        """Of the values that are not the defaults: a setting that is added later changes no hash."""
+        return sha256_text(canonical_json(self.model_dump(mode="json", exclude_defaults=True)))
