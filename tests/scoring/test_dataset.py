@@ -97,13 +97,13 @@ def test_colour_where_it_is_published(tmp_path: Path) -> None:
 
 def test_only_what_is_asked_for_is_unpacked(release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
-    stream = npz._stream
+    array_of = npz._read
 
     def noted(file: Any, archive: Any, entry: zipfile.ZipInfo) -> Any:
         read.append(entry.filename.removesuffix(".npy"))
-        return stream(file, archive, entry)
+        return array_of(file, archive, entry)
 
-    monkeypatch.setattr(npz, "_stream", noted)
+    monkeypatch.setattr(npz, "_read", noted)
     kinectbench.load(release.folder, keys=("full", "K"))[0]
     assert read == ["format_version", "full", "K"]
     read.clear()
