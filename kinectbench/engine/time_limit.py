@@ -57,6 +57,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
         report(stage, done, total)
 
     def tell() -> None:
+        """Say that the block hangs, and in which stage."""
         if hung is not None:
             hung(
                 f"{latest}: hangs: did not end or go on for {2 * limit_s + HANG_S:g} s, with --time-limit "

@@ -27,6 +27,7 @@ from kinectbench.scoring.methods.tensor_bundle import StoredTensor, TensorBundle
 from kinectbench.scoring.methods.trained import open_trained
 from kinectbench.scoring.methods.weights import FILE, write_weights
 
+# The name of the method that comes out, and the packaged configuration that it follows.
 NAME, CONFIG = "3d-recgan++-released", "3d-recgan++-code"
 SUFFIX = ".index"
 # What Adam keeps of each value, and of its own steps: needed to train on only.

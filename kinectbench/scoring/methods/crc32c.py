@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+# Castagnoli's, with its bits reversed (RFC 3720, appendix B.4); what TensorFlow adds to a rotated checksum
+# before it stores it (tensorflow/core/lib/hash/crc32c.h).
 POLYNOMIAL = 0x82F63B78
 MASK = 0xA282EAD8
 

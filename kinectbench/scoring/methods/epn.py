@@ -13,6 +13,7 @@ from torch.nn import functional
 from kinectbench.scoring.methods.layers import KERNEL, narrowed, xavier
 from kinectbench.scoring.methods.network import Network
 
+# As in epn-unet.lua: side of input and output, channels of the first layer (`nf`), slope of the leaky ReLU.
 CELLS = 32
 CHANNELS = 80
 SLOPE = 0.2

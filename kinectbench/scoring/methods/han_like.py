@@ -134,7 +134,7 @@ class HanLike(Network):
     def taught(
         self, partial: Tensor, truth: TruthBatch, generator: Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """The coarse grid, then some patches of each shape that its surface or its partial view passes."""
+        """The coarse grid, then some patches of each shape that its surface passes."""
         logits, structure = self.coarse(partial)
         target, weight = truth.at(GLOBAL_CELLS)
         yield logits, target, weight

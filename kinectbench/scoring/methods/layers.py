@@ -42,7 +42,7 @@ class Doubling(nn.ConvTranspose3d):
 
 
 def xavier(network: nn.Module) -> None:
-    """Weights after Glorot, uniform; biases 0. Source: the 3D-RecGAN++ code."""
+    """Weights after Glorot, uniform; biases 0, but for an LSTM's. Source: the 3D-RecGAN++ code."""
     with torch.no_grad():
         for name, values in network.named_parameters():
             if name.endswith("bias"):
