@@ -69,8 +69,8 @@ class RecAE(Network):
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """As `taught`, of one tile of each shape, drawn anew: what lies beyond 64^3 is run there alone.
 
-        All tiles are equally likely, so without a mask the mean over them is the loss of the whole. Own rule: a
-        step of `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without.
+        All tiles are equally likely, so without a mask the mean over them is the loss of the whole. Own
+        rule: a step of `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without.
 
         Args:
             partial: (b, 1, 64, 64, 64) float32.
