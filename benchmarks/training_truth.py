@@ -67,7 +67,7 @@ RECORDING: dict[str, Any] = {
     "sensor": {"width": 320, "height": 240},
 }
 CONFIG: dict[str, Any] = {
-    "network": {"kind": "3d-recae", "channel_divisor": 8, "output_cells": 128},
+    "network": {"kind": "3d-recae", "channel_divisor": 8, "output_cells": 128, "initial_weights": "he"},
     "loss": {"kind": "cross-entropy", "tile_cells": 64},
 }
 BATCH, RATE = 8, 1e-3
@@ -159,7 +159,7 @@ def learn(way: str, seed: int, steps: int, root: Path, names: dict[str, list[str
             "name": way,
             **CONFIG,
             "loss": {**CONFIG["loss"], "unknown": "mask" if way == "d" else "count"},
-            "training": {"batch": BATCH, "learning_rate": RATE, "seed": seed},
+            "training": {"batch": BATCH, "learning_rate": RATE, "schedule": "cosine", "seed": seed},
         }
     )
     files = [path for name in names["train"] for path in sorted((root / "pairs" / name / way).glob("*.npz"))]
@@ -178,7 +178,7 @@ def learn(way: str, seed: int, steps: int, root: Path, names: dict[str, list[str
     network = make_network(config.network, seed)
     learner = Learner(network, config, "cpu", (0, 1))
     for step, batch in enumerate(batches(pairs, config, range(steps), "cpu")):
-        learner.step(batch, step, 0)
+        learner.step(batch, step, 0, step / steps)
     rows = [_curve(network, root / "pairs" / name / "b", config) for name in looked_at]
     kept.parent.mkdir(parents=True, exist_ok=True)
     with replaced_file(kept) as temporary:
@@ -286,7 +286,7 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=CORES)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=400, help=f"of {BATCH} pairs each")
+    parser.add_argument("--steps", type=int, default=150, help=f"of {BATCH} pairs each")
     run_on_build(parser, measure)
 
 

@@ -25,11 +25,15 @@ class NetworkSettings(Settings):
     axes: Literal["kinectbench", "recgan"] = Field(
         "kinectbench", description="recgan: x to the left and y up, as in the authors' files"
     )
+    initial_weights: Literal["xavier", "he"] = Field(
+        "xavier", description="xavier: as in the authors' code; he: the generator's keep the variance"
+    )
 
     @model_validator(mode="after")
-    def _sides(self) -> Self:
-        if self.kind not in GENERATORS and self.output_cells != 256:
-            raise ValueError(f"output_cells cannot be chosen for {self.kind}: leave it out")
+    def _of_generators(self) -> Self:
+        for name in ("output_cells", "initial_weights") if self.kind not in GENERATORS else ():
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name} cannot be chosen for {self.kind}: leave it out")
         return self
 
 

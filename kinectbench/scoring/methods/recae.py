@@ -11,7 +11,7 @@ from torch import Generator, Tensor, nn
 from torch.nn import functional
 
 from kinectbench.scoring.methods.grids import TruthBatch
-from kinectbench.scoring.methods.layers import Doubling, SameConv, narrowed, xavier
+from kinectbench.scoring.methods.layers import Doubling, SameConv, he, narrowed, xavier
 from kinectbench.scoring.methods.network import Network
 
 ENCODER = (64, 128, 256, 512)
@@ -21,6 +21,8 @@ SLOPE = 0.2
 BOTTOM_CELLS = 4
 # Transposed convolutions from 4^3 to 64^3; the others lie beyond.
 UNTIL_64 = 4
+# Logit of 0.074, the share of cells that is occupied in 71 training pairs of recae-small, one of every 100.
+FIRST_LOGIT = -2.5
 
 
 class RecAE(Network):
@@ -53,6 +55,13 @@ class RecAE(Network):
             for k, channels in enumerate(decoder)
         )
         xavier(self)
+
+    def start_by_he(self) -> None:
+        """Begin with weights after He, and with as many cells occupied as shapes have. Own choice."""
+        he(nn.ModuleList([self.down, self.to_vector, self.from_vector, self.up]))
+        last = self.up[-1]
+        assert isinstance(last, Doubling) and last.bias is not None
+        nn.init.constant_(last.bias, FIRST_LOGIT)
 
     def forward(self, partial: Tensor) -> Tensor:
         """Logits of occupancy, (b, 1, n, n, n), of partial views (b, 1, 64, 64, 64)."""

@@ -44,12 +44,16 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
     """
     import torch
 
+    from kinectbench.scoring.methods.recae import RecAE
+
     module, name = NETWORKS[settings.kind]
     kind = getattr(import_module(f"kinectbench.scoring.methods.{module}"), name)
     sides = (settings.output_cells,) if settings.kind in GENERATORS else ()
     with torch.random.fork_rng(devices=[]), torch.device("meta" if device == "meta" else "cpu"):
         torch.manual_seed(seed)
         network: Network = kind(settings.channel_divisor, *sides)
+        if isinstance(network, RecAE) and settings.initial_weights == "he":
+            network.start_by_he()
     if device == "meta":
         return network
     # Channels beside each other: a step on the CPU takes two thirds of the time, a view three quarters.

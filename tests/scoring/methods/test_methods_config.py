@@ -43,6 +43,10 @@ WRONG = {
     "a name": (("name: tiny", "name: a/b"), r"tiny.yaml:1: name: use letters"),
     "a discriminator": (("3d-recae", "3d-recgan++"), r"tiny.yaml:1: adversarial belongs to 3d-recgan"),
     "a side": (("3d-recae", "varley"), r"tiny.yaml:2: network: output_cells cannot be chosen for varley"),
+    "weights": (
+        ("3d-recae, channel_divisor: 32, output_cells: 64", "varley, initial_weights: he"),
+        r"tiny.yaml:2: network: initial_weights cannot be chosen for varley",
+    ),
     "missing": (("name: tiny\n", ""), r"tiny.yaml:1: name: missing; wanted text"),
 }
 

@@ -82,3 +82,29 @@ def test_first_values_depend_on_the_seed_alone() -> None:
     assert torch.equal(torch.random.get_rng_state(), chance)
     assert all(torch.equal(one[name], other[name]) for name in one)
     assert not torch.equal(one["down.0.weight"], third["down.0.weight"])
+
+
+def test_weights_after_he_keep_the_signal_through_the_generator() -> None:
+    """Random views give logits that differ as much as their own; after Glorot little is left of them."""
+    import torch
+
+    from kinectbench.scoring.methods.recae import FIRST_LOGIT
+
+    made = {
+        rule: make_network(
+            NetworkSettings(kind="3d-recgan++", channel_divisor=16, output_cells=64, initial_weights=rule)
+        )
+        for rule in ("xavier", "he")
+    }
+    partial = torch.randn(1, 1, 64, 64, 64, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        logits = {rule: network(partial) for rule, network in made.items()}
+    assert 1 / 6 < logits["he"].std() < 6
+    assert logits["xavier"].std() < 0.1 * logits["he"].std()
+    assert logits["he"].mean().item() == pytest.approx(FIRST_LOGIT, abs=1)
+    same = [
+        name
+        for name, values in made["he"].state_dict().items()
+        if torch.equal(values, made["xavier"].state_dict()[name])
+    ]
+    assert {name.split(".")[0] for name in same if name.endswith("weight")} == {"discriminator"}
