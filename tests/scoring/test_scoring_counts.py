@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from references import upsample
 
 from kinectbench.core.voxels.pair_file import pack
-from kinectbench.scoring.counts import PROTOCOLS, THRESHOLDS, protocol_counts, tally
+from kinectbench.scoring.counts import PROTOCOLS, THRESHOLDS, protocol_counts, reduced, tally
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.truth import Truth
 
@@ -148,3 +148,20 @@ def test_constant_cross_entropy() -> None:
     assert constant_cross_entropy(1, 4, 0.25) == pytest.approx(-(np.log(0.25) + 3 * np.log(0.75)) / 4)
     assert constant_cross_entropy(1, 2, 0.0) == pytest.approx(-(np.log(1e-7) + np.log(1 - 1e-7)) / 2)
     assert constant_cross_entropy(0, 0, 0.3) == 0
+
+
+@pytest.mark.parametrize("side", [256, 128, 64, 16, 1])
+def test_a_coarser_grid_has_the_occupied_shares_of_its_cells(
+    grids: tuple[Bools, Bools, Bools], side: int
+) -> None:
+    full, step = grids[0], SIDE // side
+    plain = full.reshape(side, step, side, step, side, step).mean(axis=(1, 3, 5), dtype=np.float64)
+    found = reduced(full, side)
+    assert (found.dtype, found.shape, found.flags.c_contiguous) == (np.float32, (side,) * 3, True)
+    assert (found == plain).all()
+
+
+def test_cells_that_do_not_fit_are_shared_out(grids: tuple[Bools, Bools, Bools]) -> None:
+    """Each of 40 cells has 6.4 along an axis: the occupied volume stays."""
+    found = reduced(grids[0], 40)
+    assert found.mean(dtype=np.float64) == pytest.approx(grids[0].mean(), abs=1e-6)
