@@ -72,7 +72,7 @@ CONFIG: dict[str, Any] = {
     "network": {"kind": "3d-recae", "channel_divisor": 8, "output_cells": 128, "initial_weights": "he"},
     "loss": {"kind": "cross-entropy", "tile_cells": 64},
 }
-BATCH, RATE = 8, 1e-3
+BATCH, RATE = 4, 1e-3
 RESAMPLES = 4000
 
 
@@ -288,7 +288,7 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=CORES)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=150, help=f"of {BATCH} pairs each")
+    parser.add_argument("--steps", type=int, default=240, help=f"of {BATCH} pairs each")
     run_on_build(parser, measure)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import replaced_file, write_below
+from kinectbench.core.storage import canonical_json, replaced_file, write_below
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pack, pair_values, unpack
@@ -25,6 +25,8 @@ from kinectbench.scoring.methods.validate import completed
 SPLITS: tuple[Split, ...] = ("validation", "test")
 # Probabilities at 256^3 take 34 MB: to squeeze them further costs more time than to make them.
 LEVEL = 1
+# Says which run has left unfinished predictions; nobody else reads it.
+UNFINISHED = "unfinished.json"
 
 
 def predict(
@@ -37,6 +39,8 @@ def predict(
     progress: Progress | None = None,
 ) -> Path:
     """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json.
+
+    What was stopped goes on where it was, if network, release and threshold are the same still.
 
     Args:
         trained: the network, on its device.
@@ -57,21 +61,43 @@ def predict(
     _check_folder(folder, release)
     (folder / MethodFile.FILE).unlink(missing_ok=True)  # until all is there, nothing says what it is of
     targets = [target for split in SPLITS for target in release.split(split)]
+    kept = _kept(folder, trained, release, threshold)
     seconds = []
     for done, target in enumerate(targets, start=1):
+        path = folder / target.recording / f"{target.view}.npz"
+        if kept and path.is_file():
+            continue
         where = str(release.pair_path(target))
         pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
         started = time.perf_counter()
         probability = completed(trained.network, unpack(pair.partial), trained.config, device)
         seconds.append(time.perf_counter() - started)
-        with replaced_file(folder / target.recording / f"{target.view}.npz") as temporary:
+        with replaced_file(path) as temporary:
             temporary.write_bytes(prediction_bytes(probability, threshold))
         if progress:
             progress(done, len(targets))
     text = _method(trained, release, threshold, seconds, device).text()
     with replaced_file(folder / MethodFile.FILE) as temporary:
         write_below(temporary, text.encode())
+    (folder / UNFINISHED).unlink()
     return folder
+
+
+def _kept(folder: Path, trained: Trained, release: Release, threshold: float | None) -> bool:
+    """Whether what is there was left by the same run, which was stopped; if not, note which run this is."""
+    run = {
+        "version": __version__,
+        "benchmark_sha256": release.benchmark_sha256,
+        "config_sha256": trained.config.sha256,
+        "weights_sha256": trained.weights_sha256,
+        "threshold": threshold,
+    }
+    path, text = folder / UNFINISHED, canonical_json(run)
+    if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text:
+        return True
+    with replaced_file(path) as temporary:
+        write_below(temporary, text.encode())
+    return False
 
 
 def prediction_bytes(probability: NDArray[np.float16], threshold: float | None) -> bytes:

@@ -19,6 +19,7 @@ from kinectbench.scoring.methods import predict as predicting
 from kinectbench.scoring.methods.config_file import read_config
 from kinectbench.scoring.methods.train import train
 from kinectbench.scoring.methods.trained import open_trained
+from kinectbench.scoring.methods.validate import completed
 from kinectbench.scoring.methods.weights import read_weights, write_weights
 
 Command = Callable[..., Run]
@@ -71,6 +72,43 @@ def test_bits_are_probabilities_above_the_threshold(
     assert (np.unpackbits(packed, axis=-1).astype(bool) == (full > 0.4)).all()
     checked = command(tmp_path, "check", "bits", "--benchmark", str(learning.folder))
     assert (checked.status, checked.err) == (0, "")
+
+
+@pytest.mark.parametrize("threshold", [None, 0.4])
+def test_what_was_stopped_goes_on(
+    trained: Path,
+    learning: Release,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    threshold: float | None,
+) -> None:
+    """With the same settings nothing is predicted twice, and with others all is."""
+    method, whole, stopped = open_trained(trained), tmp_path / "whole", tmp_path / "stopped"
+    predicting.predict(method, learning, whole, threshold=0.4)
+    calls = []
+
+    def completed_once(*arguments: object) -> object:
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return completed(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(predicting, "completed", completed_once)
+    with pytest.raises(KeyboardInterrupt):
+        predicting.predict(method, learning, stopped, threshold=0.4)
+    assert not (stopped / "tiny" / "method.json").exists()
+    predicting.predict(method, learning, stopped, threshold=threshold)
+    count = sum(len(learning.split(split)) for split in predicting.SPLITS)
+    assert len(calls) - 2 == (count if threshold is None else count - 1)
+    assert (stopped / "tiny" / "method.json").exists()
+    files = {path.relative_to(whole) for path in whole.rglob("*") if path.is_file()}
+    assert {path.relative_to(stopped) for path in stopped.rglob("*") if path.is_file()} == files
+    same = [
+        (whole / path).read_bytes() == (stopped / path).read_bytes()
+        for path in files
+        if path.suffix == ".npz"
+    ]
+    assert all(same) if threshold else not any(same)
 
 
 def test_the_same_network_predicts_the_same_bytes(
