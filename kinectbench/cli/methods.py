@@ -43,14 +43,21 @@ def train(
     from kinectbench.scoring.methods.registry import require_torch
 
     require_torch()
+    from kinectbench.core.artefacts.method import TrainingFile
+    from kinectbench.core.untrusted import printable
     from kinectbench.release.release import open_release
     from kinectbench.scoring.methods.config_file import find_config
+    from kinectbench.scoring.methods.data import unknown_objects
     from kinectbench.scoring.methods.train import train as run
+    from kinectbench.settings.words import listed
 
     if minutes is not None and math.isnan(minutes):
         raise typer.BadParameter("is no number", param_hint="--minutes")
     settings, releases = find_config(config), [open_release(folder) for folder in data]
     limit = None if minutes is None or math.isinf(minutes) else minutes
+    if unknown := unknown_objects(releases, settings.training.leave_out):
+        said = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"
+        console.lines(settings.name, [said], "yellow")
     with console.bar(f"train {settings.name}") as progress:
         state = run(
             settings,
@@ -62,8 +69,13 @@ def train(
             progress=progress,
             watch=lambda row: console.lines(settings.name, [row.told()], "green"),
         )
-    told = {"folder": str(out), "steps": state.step, "seconds": round(state.seconds, 1)}
-    common.tell(told, [f"{state.step} steps in {state.seconds:.0f} s: {out}"])
+    in_all = TrainingFile.read(out).steps_in_all
+    told = {"folder": str(out), "steps": state.step, "steps_in_all": in_all}
+    told["seconds"] = round(state.seconds, 1)
+    done, more = f"{state.step} steps", ""
+    if in_all != state.step:
+        done, more = f"{state.step} of {in_all} steps", "; run the same command again to go on"
+    common.tell(told, [f"{done} in {state.seconds:.0f} s: {out}{more}"])
 
 
 @takes("as_json")
@@ -86,7 +98,7 @@ def predict(
 
     require_torch()
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.methods.predict import notes
+    from kinectbench.scoring.methods.predict import notes, replaced_lines
     from kinectbench.scoring.methods.predict import predict as run
     from kinectbench.scoring.methods.processes import chosen_device
     from kinectbench.scoring.methods.trained import folder_of, open_trained
@@ -94,7 +106,7 @@ def predict(
     folder, where = folder_of(method), chosen_device(device)
     benchmark = open_release(release)
     trained = open_trained(folder, where)
-    if said := notes(trained, benchmark):
+    if said := [*notes(trained, benchmark), *replaced_lines(trained, out / trained.config.name)]:
         console.lines(trained.config.name, said, "yellow")
     with console.bar(f"predict {trained.config.name}") as progress:
         written = run(trained, benchmark, out, threshold=threshold, device=where, progress=progress)

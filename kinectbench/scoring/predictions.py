@@ -22,6 +22,8 @@ SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 MOST_FILES = 1_000_000
 # Files that answer no target and are named; of more than that a pattern has gone wrong (own choice).
 NAMED = 20
+# Characters of a note that are shown (own choice).
+LONGEST_NOTE = 200
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,25 @@ def _readable(folder: Path) -> Iterator[None]:
     except OSError as error:
         where = printable(str(error.filename or folder))
         raise PredictionError(f"{where}: cannot be looked into ({error.strerror or error})") from error
+
+
+def method_lines(folder: Path) -> list[str]:
+    """What method.json in a method's folder says that readers of its scores must know, `training.notes`.
+
+    A file that cannot be read gives the line that says so: scores do not depend on it.
+    """
+    try:
+        method = MethodFile.read_if_there(folder)
+    except PredictionError as error:
+        return list(error.lines[:1])
+    notes = (method.training or {}).get("notes") if method else None
+    if not isinstance(notes, list):
+        return []
+    return [
+        f"{MethodFile.FILE}: {printable(note, LONGEST_NOTE)}"
+        for note in notes[:NAMED]
+        if isinstance(note, str)
+    ]
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:

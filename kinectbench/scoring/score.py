@@ -17,7 +17,13 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, Journal
-from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
+from kinectbench.scoring.predictions import (
+    check_folder,
+    check_method,
+    method_lines,
+    split_methods,
+    stray_lines,
+)
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import Missing, Rounds, plan
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
@@ -80,8 +86,8 @@ def score(
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
         journal.remove()
-    stray = stray_lines(asked.found.stray, asked.found.missing)
-    return table.model_copy(update={"warnings": (*table.warnings, *stray)})
+    more = (*method_lines(predictions), *stray_lines(asked.found.stray, asked.found.missing))
+    return table.model_copy(update={"warnings": (*table.warnings, *more)})
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:

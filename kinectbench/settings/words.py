@@ -64,7 +64,10 @@ def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
     if choices := choices_of(inner):
         return choices[0] if len(choices) == 1 else f"one of {listed(choices)}"
     if get_origin(inner) is tuple:
-        return f"a list of {len(get_args(inner))} numbers"
+        entries = get_args(inner)
+        if entries[-1] is Ellipsis:
+            return f"a list, each entry {wanted(entries[0], ())}"
+        return f"a list of {len(entries)} numbers"
     if get_origin(inner) is list:
         (entry,) = get_args(inner)
         return f"a list with at least one entry, each {'a mapping' if model_of(entry) else 'a text'}"

@@ -198,6 +198,28 @@ def test_score_names_strays_too(release: Release, tmp_path: Path) -> None:
     assert table.complete and line in table.warnings
 
 
+METHOD_FILES = {
+    "notes": ({"name": "a", "training": {"notes": ["learnt\x1b from 1 of the test objects", 7]}}, 1),
+    "many notes": ({"name": "a", "training": {"notes": ["learnt"] * 999}}, NAMED),
+    "no list": ({"name": "a", "training": {"notes": "learnt"}}, 0),
+    "nothing": ({"name": "a"}, 0),
+    "damaged": ({"name": 7}, 1),
+}
+
+
+@pytest.mark.parametrize("kind", METHOD_FILES)
+def test_what_a_method_says_of_itself_stands_with_its_scores(
+    kind: str, release: Release, tmp_path: Path
+) -> None:
+    content, count = METHOD_FILES[kind]
+    folder = write_empty(release, tmp_path / "mine")
+    (folder / "method.json").write_text(json.dumps(content))
+    warnings = score(release, folder, method="mine", protocols=["known"], surface=False).warnings
+    said = [line for line in warnings if "method.json: " in line]
+    assert len(said) == count and all(line.isprintable() for line in said)
+    assert all("learnt" in line for line in said) or kind == "damaged"
+
+
 def test_a_folder_that_cannot_be_looked_into(
     release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -36,6 +36,20 @@ class MethodFile(Stored):
     )
 
 
+class UnfinishedFile(Stored):
+    """unfinished.json: which run of `predict` has left predictions that are not complete."""
+
+    FILE: ClassVar[str] = "unfinished.json"
+    ADVICE: ClassVar[str] = "remove it, and predict anew"
+    ERROR: ClassVar[type[KinectBenchError]] = PredictionError
+
+    version: str = Field(description="of kinectbench")
+    benchmark_sha256: str = Field(pattern=SHA256, description="of the release")
+    config_sha256: str = Field(pattern=SHA256, description="of the method's configuration")
+    weights_sha256: str = Field(pattern=SHA256, description="of weights.npz")
+    threshold: float | None = Field(description="above which bits are set; null: probabilities")
+
+
 class TrainingRow(Part):
     """What was seen at a validation; losses are means since the row before."""
 

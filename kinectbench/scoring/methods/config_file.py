@@ -9,7 +9,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.untrusted import printable, quoted, read_plain_text
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.settings import yaml_nodes
-from kinectbench.settings.words import field_at, listed, model_of, suggestion, wanted
+from kinectbench.settings.words import field_at, model_of, suggestion, wanted
 
 # A configuration has some thirty keys (own choice).
 MOST_BYTES = 1 << 20
@@ -35,7 +35,9 @@ def find_config(name: str) -> MethodSettings:
     path = Path(name)
     if not path.is_file():
         shown = printable(name)
-        raise SettingsError(f"{shown}: no such file, and no configuration: {listed(packaged_configs())}")
+        raise SettingsError(
+            f"{shown}: no such file, and no configuration of ours; {suggestion(name, packaged_configs())}"
+        )
     return read_config(path)
 
 

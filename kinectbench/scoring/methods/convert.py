@@ -169,7 +169,9 @@ def find_index(model: Path) -> Path:
     """
     if model.suffix == SUFFIX:
         return model
-    found = sorted(model.glob(f"*{SUFFIX}")) if model.is_dir() else []
+    if not model.is_dir():
+        raise StorageError(f"{model}: no such folder; wanted one that holds a checkpoint")
+    found = sorted(model.glob(f"*{SUFFIX}"))
     if len(found) != 1:
         what = f"{len(found)} checkpoints" if found else "no checkpoint"
         raise StorageError(

@@ -1,7 +1,7 @@
 """The pairs of a release as batches, in an order that the seed alone decides: any step can be repeated."""
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,6 +68,12 @@ def training_targets(
         found += ((release, target) for target in targets)
     _check_apart(releases, {target.object for _, target in found})
     return tuple(found)
+
+
+def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[str]:
+    """Names that are no object of any of the releases, such as a mistyped one that is to be left out."""
+    objects = {target.object for release in releases for target in release.targets}
+    return [name for name in names if name not in objects]
 
 
 def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:

@@ -10,23 +10,21 @@ import torch
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
-from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import canonical_json, replaced_file, write_below
+from kinectbench.core.storage import replaced_file, write_below
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
-from kinectbench.release.release import Release
-from kinectbench.scoring.methods.run_folder import hardware
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.methods.run_folder import hardware, make_folder
 from kinectbench.scoring.methods.trained import Trained
 from kinectbench.scoring.methods.validate import completed
 
 SPLITS: tuple[Split, ...] = ("validation", "test")
 # Probabilities at 256^3 take 34 MB: to squeeze them further costs more time than to make them.
 LEVEL = 1
-# Says which run has left unfinished predictions; nobody else reads it.
-UNFINISHED = "unfinished.json"
 
 
 def predict(
@@ -58,46 +56,48 @@ def predict(
         StorageError: the disk is full or read-only.
     """
     folder = out / trained.config.name
+    make_folder(folder)
     _check_folder(folder, release)
-    (folder / MethodFile.FILE).unlink(missing_ok=True)  # until all is there, nothing says what it is of
+    kept = _begin(folder, trained, release, threshold)
     targets = [target for split in SPLITS for target in release.split(split)]
-    kept = _kept(folder, trained, release, threshold)
+    waiting = [target for target in targets if not (kept and _path(folder, target).is_file())]
     seconds = []
-    for done, target in enumerate(targets, start=1):
-        path = folder / target.recording / f"{target.view}.npz"
-        if kept and path.is_file():
-            continue
+    for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
         where = str(release.pair_path(target))
         pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
         started = time.perf_counter()
         probability = completed(trained.network, unpack(pair.partial), trained.config, device)
         seconds.append(time.perf_counter() - started)
-        with replaced_file(path) as temporary:
+        with replaced_file(_path(folder, target)) as temporary:
             temporary.write_bytes(prediction_bytes(probability, threshold))
         if progress:
             progress(done, len(targets))
     text = _method(trained, release, threshold, seconds, device).text()
     with replaced_file(folder / MethodFile.FILE) as temporary:
         write_below(temporary, text.encode())
-    (folder / UNFINISHED).unlink()
+    (folder / UnfinishedFile.FILE).unlink()
     return folder
 
 
-def _kept(folder: Path, trained: Trained, release: Release, threshold: float | None) -> bool:
-    """Whether what is there was left by the same run, which was stopped; if not, note which run this is."""
-    run = {
-        "version": __version__,
-        "benchmark_sha256": release.benchmark_sha256,
-        "config_sha256": trained.config.sha256,
-        "weights_sha256": trained.weights_sha256,
-        "threshold": threshold,
-    }
-    path, text = folder / UNFINISHED, canonical_json(run)
-    if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text:
-        return True
-    with replaced_file(path) as temporary:
-        write_below(temporary, text.encode())
-    return False
+def _path(folder: Path, target: Target) -> Path:
+    return folder / target.recording / f"{target.view}.npz"
+
+
+def _begin(folder: Path, trained: Trained, release: Release, threshold: float | None) -> bool:
+    """Note which run begins; whether what is there was left by the same one, which was stopped."""
+    run = UnfinishedFile(
+        version=__version__,
+        benchmark_sha256=release.benchmark_sha256,
+        config_sha256=trained.config.sha256,
+        weights_sha256=trained.weights_sha256,
+        threshold=threshold,
+    )
+    same = UnfinishedFile.read_if_there(folder) == run
+    if not same:
+        with replaced_file(folder / UnfinishedFile.FILE) as temporary:
+            write_below(temporary, run.text().encode())
+    (folder / MethodFile.FILE).unlink(missing_ok=True)  # until all is there, nothing says what it is of
+    return same
 
 
 def prediction_bytes(probability: NDArray[np.float16], threshold: float | None) -> bytes:
@@ -124,17 +124,30 @@ def notes(trained: Trained, release: Release) -> list[str]:
     return found
 
 
+def replaced_lines(trained: Trained, folder: Path) -> list[str]:
+    """A line where other weights' predictions, of the same name, are about to be replaced."""
+    kept = MethodFile.read_if_there(folder)
+    of = (kept.settings or {}).get("weights_sha256") if kept else None
+    if of is None or of == trained.weights_sha256:
+        return []
+    return [f"{folder}: replaces the predictions of other weights; --out keeps both"]
+
+
 def _check_folder(folder: Path, release: Release) -> None:
-    """Refuse a folder that holds predictions for another release.
+    """Refuse a folder that holds predictions for another release, or none that `predict` wrote.
 
     Raises:
         SettingsError: it does.
     """
-    kept = MethodFile.read_if_there(folder)
-    of = kept.benchmark_sha256 if kept else None
-    if of and of != release.benchmark_sha256:
+    kept, begun = MethodFile.read_if_there(folder), UnfinishedFile.read_if_there(folder)
+    for of in (kept.benchmark_sha256 if kept else None, begun.benchmark_sha256 if begun else None):
+        if of and of != release.benchmark_sha256:
+            raise SettingsError(
+                f"{folder}: holds predictions for another release ({of[:8]}…); choose another folder by --out"
+            )
+    if not kept and not begun and any(folder.iterdir()):
         raise SettingsError(
-            f"{folder}: holds predictions for another release ({of[:8]}…); choose another folder by --out"
+            f"{folder}: holds what `predict` did not write; choose another folder by --out, or move it away"
         )
 
 

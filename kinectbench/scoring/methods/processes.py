@@ -24,6 +24,7 @@ def chosen_device(asked: str | None) -> str:
     """
     if asked is None:
         asked = "cuda" if torch.cuda.is_available() else "cpu"
+    named = asked
     if asked == "cuda":
         asked = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
     try:
@@ -33,7 +34,8 @@ def chosen_device(asked: str | None) -> str:
             raise RuntimeError
     except (RuntimeError, AssertionError):
         raise SettingsError(
-            f"--device {printable(asked)}: torch has none here; leave the option out"
+            f"--device {printable(named)}: torch has no such device here; leave the option out, or name one "
+            "as torch does: cpu, cuda, cuda:1"
         ) from None
     return asked
 

@@ -1,6 +1,7 @@
 """A training's folder: its configuration, a checkpoint to go on from, weights, course and curves."""
 
 import platform
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import torch
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import replaced_file, storage_errors
+from kinectbench.core.untrusted import quoted, read_plain_text
 from kinectbench.scoring.methods.checkpoint import DAMAGED, checked_state, read_checkpoint, set_values
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.config_file import read_config, write_config
@@ -19,6 +21,9 @@ from kinectbench.scoring.methods.steps import Learner, Losses
 from kinectbench.scoring.methods.weights import FILE as WEIGHTS
 from kinectbench.scoring.methods.weights import arrays_of_network, write_weights
 
+# So many keys that differ are named.
+SHOWN = 3
+CPU_INFO = Path("/proc/cpuinfo")
 CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
 
 
@@ -61,6 +66,23 @@ def make_folder(folder: Path) -> None:
         raise StorageError(f"{folder}: the way to it holds a file; choose another folder") from None
 
 
+def _differences(before: MethodSettings, now: MethodSettings) -> str:
+    """The first keys whose values differ, with both values."""
+    old, new = (dict(_flat(config.model_dump(mode="json"))) for config in (before, now))
+    keys = [key for key in (old | new) if old.get(key) != new.get(key)]
+    told = [f"{key} {quoted(old.get(key))} there, {quoted(new.get(key))} here" for key in keys[:SHOWN]]
+    return "; ".join(told) + (f"; and {len(keys) - SHOWN} more" if len(keys) > SHOWN else "")
+
+
+def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, and their values."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield before + key, value
+
+
 def prepare(folder: Path, config: MethodSettings) -> None:
     """Make the folder, or see that it is of the same configuration.
 
@@ -70,7 +92,8 @@ def prepare(folder: Path, config: MethodSettings) -> None:
     make_folder(folder)
     path = folder / CONFIG
     if path.exists():
-        trained, where = read_config(path).sha256, f", see {path}"
+        before = read_config(path)
+        trained, where = before.sha256, f": {_differences(before, config)}"
     else:  # somebody removed it; what was made with it is there still
         course = TrainingFile.read_if_there(folder)
         trained, where = course.config_sha256 if course else config.sha256, ""
@@ -170,4 +193,15 @@ def hardware(device: str) -> str:
     """What a network runs on, in words."""
     if device.startswith("cuda"):
         return str(torch.cuda.get_device_name(device))
-    return f"{platform.machine()}, {torch.get_num_threads()} threads"
+    threads = torch.get_num_threads()
+    return f"{_processor()}, {threads} thread{'s' * (threads != 1)}"
+
+
+def _processor() -> str:
+    """The processor's model where Linux tells it, else its kind."""
+    try:
+        lines = read_plain_text(CPU_INFO).splitlines()
+    except (OSError, UnicodeDecodeError):
+        return platform.machine()
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models and models[0] else platform.machine()

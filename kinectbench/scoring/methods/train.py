@@ -16,6 +16,7 @@ from kinectbench.core.types import Progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.methods.allocator import memory_kept
 from kinectbench.scoring.methods.config import MethodSettings
 from kinectbench.scoring.methods.data import (
     Batch,
@@ -123,7 +124,7 @@ def train(
         raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
     where = chosen_device(device)
     make_folder(folder)
-    with _deterministic(where), joined(where) as part:
+    with memory_kept(), _deterministic(where), joined(where) as part:
         _check_shared(config.training.batch, part[1])
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:

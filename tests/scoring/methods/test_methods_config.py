@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.scoring.methods.config import AdversarialSettings, MethodSettings, NetworkSettings
 from kinectbench.scoring.methods.config_file import find_config, packaged_configs, read_config, write_config
 
 Tiny = Callable[..., Path]
@@ -47,6 +48,10 @@ WRONG = {
         ("3d-recae, channel_divisor: 32, output_cells: 64", "varley, initial_weights: he"),
         r"tiny.yaml:2: network: initial_weights cannot be chosen for varley",
     ),
+    "an object": (
+        ("batch: 2", "batch: 2, leave_out: chair"),
+        r"tiny.yaml:4: training.leave_out: found 'chair'; wanted a list, each entry text",
+    ),
     "missing": (("name: tiny\n", ""), r"tiny.yaml:1: name: missing; wanted text"),
 }
 
@@ -69,8 +74,12 @@ def test_what_is_no_configuration_is_told(tmp_path: Path, content: bytes) -> Non
 
 
 def test_a_configuration_that_is_not_there_is_told() -> None:
-    with pytest.raises(SettingsError, match="nowhere: no such file, and no configuration: 3d-epn, "):
+    with pytest.raises(
+        SettingsError, match="nowhere: no such file, and no configuration of ours; valid here: 3d-epn, "
+    ):
         find_config("nowhere")
+    with pytest.raises(SettingsError, match="did you mean 'recae-small'"):
+        find_config("recae-smal")
 
 
 def test_of_very_many_errors_some_are_shown(tmp_path: Path) -> None:
@@ -86,3 +95,17 @@ def test_numbers_to_choose_from_are_told(tmp_path: Path) -> None:
     path.write_text("name: a\nnetwork: {kind: 3d-recae, output_cells: 1.0e+99}\n")
     with pytest.raises(SettingsError, match=r"output_cells: found 1e\+99; wanted .*64.*256"):
         read_config(path)
+
+
+def test_the_documentation_shows_every_key_with_its_default(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "methods.md").read_text(encoding="utf-8")
+    shown = text.partition("```yaml\n")[2].partition("```")[0]
+    path = tmp_path / "shown.yaml"
+    path.write_text(shown, encoding="utf-8")
+    assert read_config(path) == MethodSettings(name="my-recae", network=NetworkSettings(kind="3d-recae"))
+    every = shown.replace("# adversarial:", "adversarial:").replace("#   ", "  ")
+    path.write_text(every.replace("kind: 3d-recae", "kind: 3d-recgan++"), encoding="utf-8")
+    gan = read_config(path)
+    assert gan.adversarial == AdversarialSettings(beta=0.8)
+    keys = {key for part in gan.model_dump().values() if isinstance(part, dict) for key in part}
+    assert all(f" {key}: " in every for key in keys)

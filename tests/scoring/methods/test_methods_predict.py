@@ -11,7 +11,7 @@ from small_benchmark import Run
 from small_method import TINY
 from synthetic_release import Recordings, publish_synthetic
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.release.release import Release
@@ -109,6 +109,41 @@ def test_what_was_stopped_goes_on(
         if path.suffix == ".npz"
     ]
     assert all(same) if threshold else not any(same)
+
+
+def test_what_is_there_of_another_release_is_not_mixed_with_it(
+    trained: Path, learning: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even where the run that left it was stopped, nor where it is somebody's own."""
+    method = open_trained(trained)
+    monkeypatch.setattr(predicting, "completed", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        predicting.predict(method, learning, tmp_path)
+    path = tmp_path / "tiny" / "unfinished.json"
+    path.write_text(path.read_text().replace(learning.benchmark_sha256, "0" * 64))
+    with pytest.raises(SettingsError, match="holds predictions for another release"):
+        predicting.predict(method, learning, tmp_path)
+    path.unlink()
+    (tmp_path / "tiny" / "mine.npz").write_bytes(b"")
+    with pytest.raises(SettingsError, match="holds what `predict` did not write"):
+        predicting.predict(method, learning, tmp_path)
+    assert (tmp_path / "tiny" / "mine.npz").exists()
+
+
+def test_other_weights_are_told_and_a_file_in_the_way_too(
+    command: Command, trained: Path, learning: Release, tmp_path: Path
+) -> None:
+    shutil.copytree(trained, tmp_path / "other")
+    arrays = read_weights(tmp_path / "other" / "weights.npz")
+    name = next(iter(arrays))
+    write_weights(arrays | {name: arrays[name] + 1}, tmp_path / "other" / "weights.npz")
+    benchmark = str(learning.folder)
+    assert command(tmp_path, "predict", str(trained), benchmark, "--device", "cpu").err == ""
+    told = command(tmp_path, "predict", "other", benchmark, "--device", "cpu")
+    assert told.status == 0 and "replaces the predictions of other weights" in told.err
+    (tmp_path / "file").write_bytes(b"")
+    refused = command(tmp_path, "predict", str(trained), benchmark, "--out", "file")
+    assert refused.status == 1 and "the way to it holds a file; choose another folder" in refused.err
 
 
 def test_the_same_network_predicts_the_same_bytes(

@@ -67,6 +67,6 @@ def test_a_batch_that_cannot_be_shared_is_told(
 
 @pytest.mark.parametrize("name", ["cuda:77", "gpu", "meta", "a\x1bb"])
 def test_a_device_that_is_not_there_is_told(name: str) -> None:
-    with pytest.raises(SettingsError, match=r"--device \S+: torch has none here") as error:
+    with pytest.raises(SettingsError, match=r"--device \S+: torch has no such device here") as error:
         chosen_device(name)
     assert str(error.value).isprintable()

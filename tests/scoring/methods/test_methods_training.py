@@ -173,7 +173,7 @@ def test_a_folder_of_other_settings_is_refused(
     whole: Path, learning: Release, tiny: Tiny, tmp_path: Path
 ) -> None:
     shutil.copytree(whole, tmp_path / "run")
-    with pytest.raises(SettingsError, match="trained with other settings"):
+    with pytest.raises(SettingsError, match=r"other settings: training\.seed 0 there, 1 here; choose"):
         run(tiny(("batch: 2", "batch: 2, seed: 1")), learning, tmp_path / "run")
     assert made(tmp_path / "run") == made(whole)
 

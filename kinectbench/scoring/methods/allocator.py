@@ -1,0 +1,33 @@
+"""Memory of the C library that is kept between the steps of a network, not given back each time."""
+
+import ctypes
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+# Parameters of glibc's mallopt, and its own values of them (malloc.h, mallopt(3)).
+M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
+TRIM_THRESHOLD_BYTES, MMAP_MAX = 128 * 1024, 65536
+NEVER = -1
+
+
+@contextmanager
+def memory_kept() -> Iterator[None]:
+    """Within the block large arrays that are freed stay with this process, for the next ones of their kind.
+
+    glibc else asks the system for every large array, which clears it page by page. Of `recae-small` a
+    training step takes 1.27 s in place of 1.9 (batch of 4, beside another process), and 1.9 GB in place of
+    1.5. Without glibc nothing happens.
+    """
+    library = ctypes.CDLL(None) if sys.platform == "linux" else None
+    if library is None or not hasattr(library, "mallopt") or not hasattr(library, "malloc_trim"):
+        yield
+        return
+    library.mallopt(M_MMAP_MAX, 0)
+    library.mallopt(M_TRIM_THRESHOLD, NEVER)
+    try:
+        yield
+    finally:
+        library.mallopt(M_MMAP_MAX, MMAP_MAX)
+        library.mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES)
+        library.malloc_trim(0)
