@@ -126,7 +126,7 @@ def main() -> None:
     )
     parser.add_argument("method", help="a folder of `kinectbench train`, or a name of the package's")
     parser.add_argument("releases", type=Path, nargs="+")
-    parser.add_argument("--pairs", type=int, default=8, help="of each category; a third of it of validation")
+    parser.add_argument("--pairs", type=int, default=4, help="of each category; a third of it of validation")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     run(options, lambda: measure(options))

@@ -288,7 +288,7 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=CORES)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=240, help=f"of {BATCH} pairs each")
+    parser.add_argument("--steps", type=int, default=160, help=f"of {BATCH} pairs each")
     run_on_build(parser, measure)
 
 

@@ -18,6 +18,7 @@ from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.methods.allocator import memory_kept
 from kinectbench.scoring.methods.run_folder import hardware, make_folder
 from kinectbench.scoring.methods.trained import Trained
 from kinectbench.scoring.methods.validate import completed
@@ -62,16 +63,17 @@ def predict(
     targets = [target for split in SPLITS for target in release.split(split)]
     waiting = [target for target in targets if not (kept and _path(folder, target).is_file())]
     seconds = []
-    for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
-        where = str(release.pair_path(target))
-        pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
-        started = time.perf_counter()
-        probability = completed(trained.network, unpack(pair.partial), trained.config, device)
-        seconds.append(time.perf_counter() - started)
-        with replaced_file(_path(folder, target)) as temporary:
-            temporary.write_bytes(prediction_bytes(probability, threshold))
-        if progress:
-            progress(done, len(targets))
+    with memory_kept():
+        for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
+            where = str(release.pair_path(target))
+            pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
+            started = time.perf_counter()
+            probability = completed(trained.network, unpack(pair.partial), trained.config, device)
+            seconds.append(time.perf_counter() - started)
+            with replaced_file(_path(folder, target)) as temporary:
+                temporary.write_bytes(prediction_bytes(probability, threshold))
+            if progress:
+                progress(done, len(targets))
     text = _method(trained, release, threshold, seconds, device).text()
     with replaced_file(folder / MethodFile.FILE) as temporary:
         write_below(temporary, text.encode())
