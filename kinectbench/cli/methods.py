@@ -82,7 +82,10 @@ def train(
 def predict(
     common: Common,
     method: Annotated[
-        str, typer.Argument(metavar="METHOD", help="a folder of `train` or `convert`, or a name")
+        str,
+        typer.Argument(
+            metavar="METHOD", help="a folder of `train` or `convert`, or recae-small: comes trained"
+        ),
     ],
     release: Release,
     out: Annotated[Path, typer.Option(help="folder of methods")] = Path("predictions"),
