@@ -14,7 +14,7 @@ are in none of the four. The threshold is chosen on objects that are neither lea
 their exact shapes, or is 0.5. Intervals are those of a bootstrap that draws families, objects of each, and
 seeds anew: they hold for other objects and other seeds.
 
-    python benchmarks/training_truth.py --build DIR             # some two hours of two cores; goes on in DIR
+    python benchmarks/training_truth.py --build DIR             # some 90 minutes of two cores; goes on in DIR
 """
 
 import argparse
@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from builds import CORES, run_on_build
-from figures import Figure, at_least, told
+from figures import Figure, arguments, at_least, told
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import KinectBenchError
@@ -283,9 +283,8 @@ def _fused_iou(root: Path, names: Sequence[str]) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--jobs", type=int, default=CORES)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=160, help=f"of {BATCH} pairs each")

@@ -3,6 +3,7 @@
 import resource
 import sys
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -63,17 +64,22 @@ def predict(
     targets = [target for split in SPLITS for target in release.split(split)]
     waiting = [target for target in targets if not (kept and _path(folder, target).is_file())]
     seconds = []
-    with memory_kept():
+    # A file is squeezed and written while the network completes the next view.
+    with memory_kept(), ThreadPoolExecutor(1) as writer:
+        written: Future[None] | None = None
         for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
             where = str(release.pair_path(target))
             pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
             started = time.perf_counter()
             probability = completed(trained.network, unpack(pair.partial), trained.config, device)
             seconds.append(time.perf_counter() - started)
-            with replaced_file(_path(folder, target)) as temporary:
-                temporary.write_bytes(prediction_bytes(probability, threshold))
+            if written:
+                written.result()
+            written = writer.submit(_write, _path(folder, target), probability, threshold)
             if progress:
                 progress(done, len(targets))
+        if written:
+            written.result()
     text = _method(trained, release, threshold, seconds, device).text()
     with replaced_file(folder / MethodFile.FILE) as temporary:
         write_below(temporary, text.encode())
@@ -83,6 +89,11 @@ def predict(
 
 def _path(folder: Path, target: Target) -> Path:
     return folder / target.recording / f"{target.view}.npz"
+
+
+def _write(path: Path, probability: NDArray[np.float16], threshold: float | None) -> None:
+    with replaced_file(path) as temporary:
+        temporary.write_bytes(prediction_bytes(probability, threshold))
 
 
 def _begin(folder: Path, trained: Trained, release: Release, threshold: float | None) -> bool:
