@@ -15,7 +15,7 @@ help: ## this list
 setup: ## install what is needed: system libraries, .venv, pinned packages
 	@scripts/setup.sh
 
-demo: setup ## a whole benchmark from a real and simulated recordings: build, publish, score, report (two minutes)
+demo: setup ## a whole benchmark from a real and simulated recordings: build, publish, predict, score, report (three minutes)
 	@echo "demo: writing four further small simulated recordings to demo/recordings"
 	@$(BIN)/kinectbench simulate --demo demo/recordings
 	@cd demo && echo "demo: building the pairs, publishing them, and checking the release" && \
