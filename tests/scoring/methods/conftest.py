@@ -1,6 +1,6 @@
 """A release to learn from, and a network that is trained in seconds; none of it without torch."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,11 +15,18 @@ collect_ignore_glob = [] if find_spec("torch") else ["test_methods_*.py"]
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _one_thread() -> None:
-    """The same sums in the same order on every machine, and no more than a processor for each worker."""
+def _one_thread() -> Iterator[None]:
+    """The same sums in the same order on every machine, and no more than a processor for each worker.
+
+    Memory is kept, as a training keeps it.
+    """
     import torch
 
+    from kinectbench.scoring.methods.allocator import memory_kept
+
     torch.set_num_threads(1)
+    with memory_kept():
+        yield
 
 
 @pytest.fixture(scope="session")
