@@ -5,10 +5,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# Parameters of glibc's mallopt, and its own values of them (malloc.h, mallopt(3)).
+# Parameters of mallopt, by their numbers in glibc's malloc.h.
 M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
-TRIM_THRESHOLD_BYTES, MMAP_MAX = 128 * 1024, 65536
-NEVER = -1
+# glibc's defaults of the two, and what of the first gives nothing back: mallopt(3).
+TRIM_THRESHOLD_BYTES, MMAP_MAX = 128 * 1024, 65536  # mallopt(3)
+NEVER = -1  # mallopt(3)
 
 
 @contextmanager

@@ -158,7 +158,8 @@ def _check_folder(folder: Path, release: Release) -> None:
             raise SettingsError(
                 f"{folder}: holds predictions for another release ({of[:8]}…); choose another folder by --out"
             )
-    if not kept and not begun and any(folder.iterdir()):
+    # What begins with a dot is the system's, or half a file of a run that was killed at its start.
+    if not kept and not begun and any(not path.name.startswith(".") for path in folder.iterdir()):
         raise SettingsError(
             f"{folder}: holds what `predict` did not write; choose another folder by --out, or move it away"
         )
