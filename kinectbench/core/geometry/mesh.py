@@ -1,9 +1,13 @@
 """Triangle meshes: as values, from a field by marching cubes, and as binary PLY (by trimesh)."""
 
+import importlib
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -104,8 +108,7 @@ def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple[Any, Any]:
     Returns:
         The scene, and the function that makes the library's tensors of arrays.
     """
-    import open3d as o3d
-
+    o3d = _open3d()
     scene, tensor = o3d.t.geometry.RaycastingScene(nthreads=threads), o3d.core.Tensor.from_numpy
     for mesh in meshes:
         vertices, faces = mesh.vertices.astype(np.float32, "C"), mesh.faces.astype(np.uint32, "C")
@@ -124,8 +127,7 @@ def isosurface(field: Float32, observed: Bools | None = None, level: float = 0.0
     Returns:
         A mesh whose vertex (i, j, k) lies on the centre of cell (i, j, k); faces look outward.
     """
-    import open3d as o3d
-
+    o3d = _open3d()
     values = o3d.core.Tensor.from_numpy(np.ascontiguousarray(field))
     extracted = o3d.t.geometry.TriangleMesh.create_isosurfaces(values, [level])
     if "indices" not in extracted.triangle or len(extracted.triangle.indices) == 0:
@@ -142,6 +144,29 @@ def isosurface(field: Float32, observed: Bools | None = None, level: float = 0.0
     for corner in np.ndindex(2, 2, 2):
         whole &= observed[x + corner[0], y + corner[1], z + corner[2]]
     return mesh.keep_faces(whole)
+
+
+@cache
+def _open3d() -> Any:
+    """Open3D, whose functions for plotly are imported on their first call only.
+
+    They import dash and plotly: 0.42 of the 0.68 CPU s that `import open3d` takes (version 0.20), in every
+    process that builds or scores. Nothing here calls them.
+    """
+    name = "open3d.visualization.draw_plotly"
+
+    def later(function: str) -> Callable[..., Any]:
+        def call(*args: Any, **named: Any) -> Any:
+            sys.modules.pop(name, None)
+            return getattr(importlib.import_module(name), function)(*args, **named)
+
+        return call
+
+    if "open3d" not in sys.modules:
+        stand_in = ModuleType(name)
+        stand_in.__getattr__ = later  # type: ignore[method-assign]
+        sys.modules[name] = stand_in
+    return importlib.import_module("open3d")
 
 
 def write_ply(mesh: TriangleMesh, path: Path) -> None:
