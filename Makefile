@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test fuzz lint types docs docs-format docs-pictures docs-architecture samples clean
+.PHONY: help setup demo test test-all fuzz lint types docs docs-format docs-pictures docs-architecture samples clean
 
 BIN := .venv/bin
 # The demo's commands run inside demo/.
@@ -25,6 +25,9 @@ demo: setup ## a whole benchmark from a real and simulated recordings: build, pu
 	@cd demo && echo "demo: scoring it, and simple methods beside it" && $(KINECTBENCH) score predictions --no-surface
 
 test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
+	@$(BIN)/pytest -n 2 -m "not slow"
+
+test-all: setup lint types docs ## all checks with further cases of the same promises; twice as long
 	@$(BIN)/pytest -n 2
 
 MINUTES ?= 20

@@ -179,7 +179,7 @@ released = threading.Event()
 def slow_once(task: int, say: Say) -> int:
     """The last task sleeps, but not where it is tried a second time; workers are threads of this process."""
     held[str(task)] = held.get(str(task), 0) + 1
-    released.wait(20 if task == 9 and held["9"] == 1 else 0.05)
+    released.wait(200 if task == 9 and held["9"] == 1 else 0.05)
     return task
 
 
@@ -190,7 +190,7 @@ def test_the_slowest_is_tried_twice(threads: tuple[LocalCluster, Cluster]) -> No
     started = time.monotonic()
     found = [task for task, _ in where.outcomes(slow_once, list(range(10)), Heard(), slowest_twice=True)]
     assert sorted(found) == list(range(10)) and held["9"] == 2
-    assert time.monotonic() - started < 18
+    assert time.monotonic() - started < 150
     released.set()
 
 

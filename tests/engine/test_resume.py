@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from slow import slow
 from small_benchmark import Run, copied, finish, hashes, leftovers, start
 
 pytestmark = pytest.mark.xdist_group("resume")
@@ -77,7 +78,7 @@ def test_killed_at_random_moments(command: Command, small: Path, fresh: Path, tm
     assert leftovers(fresh) == []
 
 
-@pytest.mark.parametrize("stage", ["reconstruction", "object", "pairs"])
+@pytest.mark.parametrize("stage", [slow("reconstruction"), "object", slow("pairs")])
 def test_killed_while_a_stage_is_written(command: Command, small: Path, tmp_path: Path, stage: str) -> None:
     root = copied(small, tmp_path / "b")
     shutil.rmtree(root / "build" / "table" / stage)
@@ -134,9 +135,19 @@ def test_killed_between_the_two_renames_of_publishing(command: Command, small: P
 # --- interrupted --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
-@pytest.mark.parametrize("whom", ["all", "parent"])
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("jobs", "whom", "number", "status"),
+    [
+        ("1", "parent", signal.SIGTERM, 143),
+        ("2", "all", signal.SIGINT, 130),
+        slow("1", "all", signal.SIGINT, 130),
+        slow("1", "all", signal.SIGTERM, 143),
+        slow("1", "parent", signal.SIGINT, 130),
+        slow("2", "all", signal.SIGTERM, 143),
+        slow("2", "parent", signal.SIGINT, 130),
+        ("2", "parent", signal.SIGTERM, 143),
+    ],
+)
 def test_interrupted(
     command: Command, small: Path, fresh: Path, jobs: str, whom: str, number: int, status: int
 ) -> None:
@@ -161,7 +172,7 @@ def test_interrupted(
         assert hashes(fresh / "build") == hashes(small / "build")
 
 
-@pytest.mark.parametrize("wait_s", [0.0, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("wait_s", [0.0, slow(0.3), 0.6, slow(0.9)])
 def test_interrupted_at_any_moment(fresh: Path, wait_s: float) -> None:
     """Also while libraries are imported, some of which swallow an interrupt."""
     process = start(fresh, "build", "chair")
@@ -173,7 +184,7 @@ def test_interrupted_at_any_moment(fresh: Path, wait_s: float) -> None:
     assert leftovers(fresh) == []
 
 
-@pytest.mark.parametrize("wait_s", [0.0, 0.003, 0.01, 0.1])
+@pytest.mark.parametrize("wait_s", [0.0, slow(0.003), slow(0.01), slow(0.1)])
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_interrupted_while_workers_start(fresh: Path, wait_s: float, number: int, status: int) -> None:
     process = start(fresh, "build", "--jobs", "2")

@@ -1,4 +1,4 @@
-"""A real cabinet on a bare floor, as a folder and as a bag: the bars of benchmarks/, as tests."""
+"""A real cabinet on a bare floor: the bars of benchmarks/, as tests."""
 
 import os
 from pathlib import Path
@@ -19,31 +19,35 @@ pytestmark = [
 
 
 @pytest.fixture(scope="session")
-def jobs(tmp_path_factory: pytest.TempPathFactory) -> list[Job]:
-    """The cabinet from its folder and from a bag of the same frames, both built."""
-    root = tmp_path_factory.mktemp("cabinet")
-    settings = cabinet.cabinet_settings(Path(DATA or "."))
-    bag = root / "cabinet.bag"
-    bag_equals_folder.wrap(Path(settings.recordings[0].path), bag)
-    return built(bag_equals_folder.with_bag(settings, bag), root, workers=1)
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cabinet")
 
 
-def test_the_frame_that_disagrees_is_left_out(jobs: list[Job]) -> None:
-    assert missed(cabinet.tracking_figures(jobs[0])) == []
+@pytest.fixture(scope="session")
+def job(root: Path) -> Job:
+    """The cabinet, built from its folder."""
+    return built(cabinet.cabinet_settings(Path(DATA or ".")), root, workers=1)[0]
 
 
-def test_one_object_alone_on_the_floor_of_the_world(jobs: list[Job]) -> None:
-    assert missed(cabinet.object_figures(jobs[0])) == []
+def test_the_frame_that_disagrees_is_left_out(job: Job) -> None:
+    assert missed(cabinet.tracking_figures(job)) == []
 
 
-def test_flat_faces(jobs: list[Job]) -> None:
-    assert missed(cabinet.face_figures(jobs[0])) == []
+def test_one_object_alone_on_the_floor_of_the_world(job: Job) -> None:
+    assert missed(cabinet.object_figures(job)) == []
 
 
-def test_fifty_views_and_pairs(jobs: list[Job]) -> None:
-    assert missed(cabinet.pair_figures(jobs[0])) == []
+def test_flat_faces(job: Job) -> None:
+    assert missed(cabinet.face_figures(job)) == []
 
 
-def test_a_bag_gives_the_same_bytes(jobs: list[Job]) -> None:
-    folder, bag = jobs
+def test_fifty_views_and_pairs(job: Job) -> None:
+    assert missed(cabinet.pair_figures(job)) == []
+
+
+@pytest.mark.slow  # test_real_ingest.py: what is read of the bag is the same, and all else follows from it
+def test_a_bag_gives_the_same_bytes(job: Job, root: Path) -> None:
+    settings, file = cabinet.cabinet_settings(Path(DATA or ".")), root / "cabinet.bag"
+    bag_equals_folder.wrap(Path(job.recording.path), file)
+    folder, bag = built(bag_equals_folder.with_bag(settings, file), root, workers=1)
     assert missed(bag_equals_folder.compare(folder.build, bag.build)) == []

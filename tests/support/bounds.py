@@ -1,9 +1,27 @@
-"""What reading a stranger's file may cost: a block that takes longer, or more memory, fails."""
+"""What something may cost: a block that takes more of the processor, or more memory, fails.
 
+Limits are of the processor's time, not of the clock's: other programs that run meanwhile do not count.
+"""
+
+import resource
 import signal
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+
+@contextmanager
+def children_within(seconds: float) -> Iterator[None]:
+    """Fail where the processes that the block starts, and waits for, take more seconds of the processor."""
+    before = _of_children()
+    yield
+    taken = _of_children() - before
+    assert taken < seconds, f"{taken:.2f} s of the processor"
+
+
+def _of_children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 @contextmanager

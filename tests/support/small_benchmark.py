@@ -77,6 +77,12 @@ def make_benchmark(root: Path) -> Path:
     return root
 
 
+def build_small(root: Path) -> None:
+    """Write the recordings and benchmark.yaml, and build them up to the pairs."""
+    built = run(make_benchmark(root), "build", "--jobs", "1")
+    assert built.status == 0, built.err
+
+
 def run_here(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, *arguments: str
 ) -> Run:

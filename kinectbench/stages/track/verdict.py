@@ -55,8 +55,8 @@ def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
 def recommend(given: GivenFigures, checked_share: float, rejected_share: float) -> Recommendation:
     """What to do with a given trajectory.
 
-    Ignore it if most frames disagree, or most cannot be compared. Refine it if a tenth disagrees, if it
-    jumps, if it drifts (distant frames disagree by more than twice what near ones do, and 5 mm;
+    Ignore it if most frames disagree, or most cannot be compared. Refine it if frames agree so badly that
+    its poses are not good for ground truth as they are, if a tenth of the frames disagrees, if it jumps, if it drifts (distant frames disagree by more than twice what near ones do, and 5 mm;
     where that is not known: near ones by more than 5 mm), if many of these fit nowhere, or if refining moves
     it far.
 
@@ -71,6 +71,7 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     # Where near frames could not be compared, nothing speaks against a distant shift: all of it is drift.
     drift_m = near_m if distant_m is None else distant_m - TIMES_NEAR * (near_m or 0.0)
     signs = (
+        (near_m, SHIFT_M[1]),
         (drift_m, SHIFT_M[0]),
         (rejected_share, REJECTED_SHARE[0]),
         (given.largest_jump_m, 0.0),

@@ -8,13 +8,13 @@ import re
 import struct
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path, PosixPath
 from typing import Any
 
 import pytest
+from bounds import within
 from ingest_writers import color_image, every_frame, png, write_folder, write_seven_scenes, write_tum
 from test_ingest_fuzzed_folders import MAKERS
 
@@ -30,11 +30,10 @@ from kinectbench.stages.ingest.readers import find_recordings, open_recording, s
 def refused(path: Path, match: str, **options: bool) -> None:
     """Both ways in say so, in one line and at once."""
     for ask in (open_recording, source_files):
-        started = time.monotonic()
-        with pytest.raises(RecordingError, match=match) as error:
-            ask(path, **options)
-        assert "\n" not in str(error.value) and len(str(error.value)) < 1000
-        assert time.monotonic() - started < 10
+        with within(10):
+            with pytest.raises(RecordingError, match=match) as error:
+                ask(path, **options)
+            assert "\n" not in str(error.value) and len(str(error.value)) < 1000
 
 
 def pipe(path: Path) -> None:
@@ -83,10 +82,8 @@ def test_a_pipe_in_the_place_of_a_file_that_is_read(tmp_path: Path, name: str) -
     folder = write_tum(tmp_path / "r")
     (folder / name).unlink()
     os.mkfifo(folder / name)
-    started = time.monotonic()
-    with pytest.raises(RecordingError):
+    with within(5), pytest.raises(RecordingError):
         open_recording(folder)
-    assert time.monotonic() - started < 5
 
 
 def test_links_are_followed_where_that_is_wanted(tmp_path: Path) -> None:
@@ -253,10 +250,8 @@ def test_an_image_that_costs_too_much_is_damaged(data: bytes) -> None:
 def test_an_image_of_too_many_bytes_or_parts_is_damaged() -> None:
     chunk = bytes(4) + b"tESt" + zlib.crc32(b"tESt").to_bytes(4, "big")
     for data in (bytes(untrusted.IMAGE_BYTES), chunk * 1_000_000, b""):
-        started = time.monotonic()
-        with pytest.raises(DamagedImageError):
+        with within(2), pytest.raises(DamagedImageError):
             image_header(sized_png(64, 48)[:33] + data + sized_png(64, 48)[33 : -12 if data else -20], "x")
-        assert time.monotonic() - started < 2
 
 
 def test_the_largest_images_are_read() -> None:
@@ -312,10 +307,9 @@ def test_a_file_that_is_mostly_a_hole_is_not_read(tmp_path: Path) -> None:
     """To hash a terabyte of zeros that no disk holds takes half an hour."""
     folder = write_tum(tmp_path / "r")
     os.truncate(folder / "rgb" / "0.jpg", 1 << 40)
-    started = time.monotonic()
-    with pytest.raises(RecordingError, match=r"0\.jpg: of its 1099511627776 bytes .* is a hole"):
+    refusal = r"0\.jpg: of its 1099511627776 bytes .* is a hole"
+    with within(5), pytest.raises(RecordingError, match=refusal):
         content_hash(source_files(folder), folder)
-    assert time.monotonic() - started < 5
 
 
 @pytest.mark.parametrize("maker", ["folder", "tum", "7scenes"])

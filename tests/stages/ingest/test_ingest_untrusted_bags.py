@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from bounds import within
 from ingest_writers import BagWriter, every_frame
 from rosbags.typesys import Stores, get_typestore
 from test_ingest_realsense import write as write_realsense
@@ -70,10 +71,10 @@ def database(path: Path, statements: tuple[str, ...]) -> Path:
 @pytest.mark.parametrize("name", DATABASES)
 def test_a_database_that_computes_is_refused(tmp_path: Path, name: str) -> None:
     path = database(tmp_path / "r.db3", DATABASES[name])
-    started = time.monotonic()
-    with pytest.raises(RecordingError, match=r"cannot be read as a ROS 2 bag|nothing in it") as error:
+    refusal = r"cannot be read as a ROS 2 bag|nothing in it"
+    with within(5), pytest.raises(RecordingError, match=refusal) as error:
         open_recording(path)
-    assert "\n" not in str(error.value) and time.monotonic() - started < 5
+    assert "\n" not in str(error.value)
 
 
 def test_rows_without_end_are_bounded(tmp_path: Path) -> None:
@@ -96,10 +97,8 @@ def test_rows_without_end_are_bounded(tmp_path: Path) -> None:
     data[start + 3 : start + 7] = struct.pack(">HH", count, cell)
     data[start + 12 : start + 12 + 2 * count] = struct.pack(">H", cell) * count
     path.write_bytes(data)
-    started = time.monotonic()
-    with pytest.raises(RecordingError):
+    with within(5), pytest.raises(RecordingError):
         open_recording(path)
-    assert time.monotonic() - started < 5
 
 
 def test_of_messages_that_do_not_decode_a_thousand_are_tried(

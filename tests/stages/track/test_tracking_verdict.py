@@ -106,6 +106,8 @@ SOUND = GivenFigures(median_shift_m=0.002, distant_shift_m=0.004, distant_unmatc
         # A motion capture's noise is as large between near frames as between distant ones.
         (0.0, 0.020, 0.010, "trust"),
         (0.0, 0.080, 0.010, "refine"),
+        # Not good for ground truth as it is.
+        (0.0, 0.020, 0.0101, "refine"),
         (0.2, 0.004, 0.002, "refine"),
         (0.6, 0.004, 0.002, "ignore"),
         (0.4, 1.0, 0.002, "refine"),  # drift alone is no reason to ignore it
