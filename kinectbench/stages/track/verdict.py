@@ -56,9 +56,9 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     """What to do with a given trajectory.
 
     Ignore it if most frames disagree, or most cannot be compared. Refine it if frames agree so badly that
-    its poses are not good for ground truth as they are, if a tenth of the frames disagrees, if it jumps, if it drifts (distant frames disagree by more than twice what near ones do, and 5 mm;
-    where that is not known: near ones by more than 5 mm), if many of these fit nowhere, or if refining moves
-    it far.
+    its poses are not good for ground truth as they are, if a tenth of the frames disagrees, if it jumps, if
+    it drifts (distant frames disagree by more than twice what near ones do, and 5 mm; where that is not
+    known: near ones by more than 5 mm), if many of these fit nowhere, or if refining moves it far.
 
     Args:
         given: its figures.
