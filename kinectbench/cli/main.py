@@ -30,6 +30,7 @@ from kinectbench.cli.synthesize import synthesize
 from kinectbench.cli.track import track
 from kinectbench.cli.verify import verify
 from kinectbench.core.errors import KinectBenchError, SettingsError, internal_error
+from kinectbench.core.storage import remove_half_filled
 from kinectbench.core.store.address import unusable
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.interrupts import (
@@ -50,6 +51,7 @@ app = typer.Typer(
 # What typer makes of KeyboardInterrupt.
 INTERRUPTED = 130
 STDERR = 2
+STOPPED = "stopped; run the same command again to go on from here"
 
 # The commands as `kinectbench --help` shows them, in the order of their use.
 PANELS: Mapping[str, Mapping[str, Command]] = {
@@ -100,7 +102,7 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
     _show_what_can_be_shown()
-    with interrupts_remembered(), _own_words_only():
+    with interrupts_remembered(_end_unanswered), _own_words_only():
         status, messages = _run()
     if status == INTERRUPTED:
         ignore_interrupts()  # a second one would interrupt the end
@@ -169,8 +171,16 @@ def _run() -> tuple[int, tuple[str, ...]]:
     except KeyboardInterrupt:
         status = INTERRUPTED
     if status == INTERRUPTED:
-        messages = ("stopped; run the same command again to go on from here",)
+        messages = (STOPPED,)
     return status, messages
+
+
+def _end_unanswered(number: int) -> None:
+    """End the process while a library computes, which Python cannot interrupt; on another thread."""
+    remove_half_filled()
+    sys.stderr.write(f"error: {STOPPED}\n")  # not by the console, whose lock may be held
+    sys.stderr.flush()
+    os._exit(128 + number)
 
 
 def _call() -> tuple[int, tuple[str, ...]]:

@@ -22,6 +22,9 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 OUR_FOLDERS = ("baselines",)
 OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".glb", ".html", ".lock", ".part", ".old")
 
+# The temporary folders that this process fills at present.
+_half_filled: set[Path] = set()
+
 
 def name_problem(name: str, also: str = "") -> str | None:
     """Why a recording, an object or a method cannot have this name, in a few words; None if it can.
@@ -107,6 +110,7 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary sibling folder that takes `folder`'s place when the block ends well."""
     # The name comes first: an interrupt right after the folder is made must find it to take away.
     temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.part")
+    _half_filled.add(temporary)
     try:
         with storage_errors(folder), _reachable(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -126,6 +130,13 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
                     raise
             shutil.rmtree(old, ignore_errors=True)
     finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        _half_filled.discard(temporary)
+
+
+def remove_half_filled() -> None:
+    """Remove the temporary folders that are being filled: the process ends without the ends of their blocks."""
+    for temporary in tuple(_half_filled):
         shutil.rmtree(temporary, ignore_errors=True)
 
 

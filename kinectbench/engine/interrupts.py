@@ -4,9 +4,11 @@ An interrupt that comes while a library is being imported may be swallowed there
 ImportError; whoever runs for long asks here from time to time.
 """
 
+import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,15 +16,30 @@ from typing import Any
 # What asks for an end: people by Ctrl-C, `kill`, `timeout` and batch systems by SIGTERM.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
+# Python answers no signal while a library computes: so many seconds after one the process is ended all the
+# same (own choice: with what the end takes, two seconds).
+ANSWER_S = 1.5
+
 _asked: list[int] = []
+# Those that Python has seen, those that are held, too.
+_seen: list[int] = []
 
 
 @contextmanager
-def interrupts_remembered() -> Iterator[None]:
+def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> Iterator[None]:
     """Within the block an interrupt or SIGTERM raises KeyboardInterrupt, and is remembered.
 
     One that comes in a callback that cannot raise, such as the import system's, is remembered without a word.
+
+    Args:
+        unanswered: called with the signal, on another thread, where Python has not seen it after 1.5 s: a
+            library computes. It is to end the process. None: the signal waits for the library.
     """
+    with _watch(unanswered):
+        yield from _remembered()
+
+
+def _remembered() -> Iterator[None]:
     previous = [signal.signal(number, _remember) for number in STOP_SIGNALS]
     told = sys.unraisablehook
     sys.unraisablehook = _without_interrupts(told)
@@ -32,6 +49,37 @@ def interrupts_remembered() -> Iterator[None]:
         for number, handler in zip(STOP_SIGNALS, previous, strict=True):
             signal.signal(number, handler)
         sys.unraisablehook = told
+
+
+@contextmanager
+def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
+    """Within the block a thread sees to it that signals are answered."""
+    if unanswered is None:
+        yield
+        return
+    # The system writes each signal's number there at once, whatever Python does.
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    thread = threading.Thread(target=_see_to_answers, args=(reading, unanswered), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(writing)
+        thread.join()
+        os.close(reading)
+
+
+def _see_to_answers(reading: int, unanswered: Callable[[int], None]) -> None:
+    while came := os.read(reading, 1):
+        if came[0] in STOP_SIGNALS:
+            end = time.monotonic() + ANSWER_S
+            while not _seen and (left_s := end - time.monotonic()) > 0:
+                time.sleep(min(left_s, 0.05))
+            if not _seen:
+                unanswered(came[0])
 
 
 def ignore_interrupts() -> None:
@@ -64,11 +112,17 @@ def interrupts_held() -> Iterator[None]:
     interrupt is answered all the same, in place of the error.
     """
     asked: list[int] = []
+
+    def hold(came: int, frame: object) -> None:
+        """Keep a signal for the end of the block."""
+        _seen.append(came)
+        asked.append(came)
+
     handlers = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     on_main_thread = threading.current_thread() is threading.main_thread()
     if on_main_thread:
         for number in STOP_SIGNALS:
-            signal.signal(number, lambda came, _: asked.append(came))
+            signal.signal(number, hold)
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -88,6 +142,7 @@ def _without_interrupts(told: Callable[[Any], object]) -> Callable[[Any], object
 
 def _remember(number: int, frame: object) -> None:
     again = number in _asked
+    _seen.append(number)
     _asked.append(number)
     # `timeout` sends SIGTERM to the command and then to its group: the second must not stop the clearing up.
     if not (again and number == signal.SIGTERM):

@@ -1,11 +1,15 @@
 """Ctrl-C that comes where nothing can be raised is remembered, without a traceback."""
 
 import signal
+import subprocess
 import sys
+import time
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 
 import pytest
 
+from kinectbench.cli.main import STOPPED
 from kinectbench.engine import interrupts
 from kinectbench.engine.interrupts import (
     check_interrupt,
@@ -56,3 +60,54 @@ def test_a_held_interrupt_outlasts_what_fails_by_it(
         assert interrupted_status() == status
         with pytest.raises(OSError, match="its own"), interrupts_held():
             raise OSError("its own")
+
+
+# A mutex that is locked twice: a library that computes for ever, and gives Python's lock back meanwhile.
+COMPUTES = """
+import ctypes, sys
+from pathlib import Path
+from kinectbench.cli.main import _end_unanswered
+from kinectbench.core.storage import replaced_folder
+from kinectbench.engine import interrupts
+
+interrupts.ANSWER_S = 0.2
+with interrupts.interrupts_remembered(_end_unanswered), replaced_folder(Path(sys.argv[1])):
+    mutex = ctypes.create_string_buffer(64)
+    lock = ctypes.CDLL(None).pthread_mutex_lock
+    print("computes", flush=True)
+    lock(mutex)
+    lock(mutex)
+"""
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_library_that_computes_does_not_keep_the_process(
+    tmp_path: Path, number: signal.Signals, status: int
+) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", COMPUTES, str(tmp_path / "object")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "computes\n"
+    assert len([*tmp_path.iterdir()]) == 1
+    asked = time.monotonic()
+    process.send_signal(number)
+    assert process.communicate(timeout=10)[1] == f"error: {STOPPED}\n"
+    assert process.returncode == status
+    assert time.monotonic() - asked < 2
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_an_answered_interrupt_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(interrupts, "_asked", [])
+    monkeypatch.setattr(interrupts, "_seen", [])
+    monkeypatch.setattr(interrupts, "ANSWER_S", 0.01)
+    ended: list[int] = []
+    with interrupts_remembered(ended.append):
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        time.sleep(0.1)
+    assert ended == []

@@ -42,7 +42,7 @@ def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[
     return packed
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-def]
     """Set the four cells around every cell edge along w that crosses a face."""
     u, v, w = axes
@@ -59,7 +59,7 @@ def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-d
                     packed[cell[0], cell[1], cell[2] >> 3] |= 128 >> (cell[2] & 7)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
     """For each row of cells along w, the first and the last one between its first and last crossing.
 

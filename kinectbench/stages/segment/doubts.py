@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
-from kinectbench.stages.segment.select import label_pieces, standing
+from kinectbench.stages.segment.select import label_pieces, nearest_within, standing
 
 MAX_EXTENT_M = 2.5
 # Parts of at least this share of the largest one's surface are things of their own.
@@ -67,14 +67,14 @@ def doubts(selection: Selection) -> tuple[str, ...]:
     if parts > 1:
         lines.append(f"the object falls into {parts} things that stand side by side and hardly touch; {LOOK}")
     neighbours = large_neighbours(selection)
-    gap_m = _nearest_m(neighbours, selection.object_points)
+    gap_m = _gap_within_m(neighbours, selection.object_points, BESIDE_M)
     if gap_m < BESIDE_M:
         lines.append(
             f"another large thing stands {100 * selection.scale * gap_m:.0f} cm beside the object; {LOOK}"
         )
     elif (
-        _nearest_m(neighbours, selection.focus)
-        < _nearest_m(selection.object_points, selection.focus) + BESIDE_M
+        _distance_m(neighbours, selection.focus)
+        < _distance_m(selection.object_points, selection.focus) + BESIDE_M
     ):
         lines.append(f"another large thing stands as near to where the cameras look as the object; {LOOK}")
     return tuple(lines)
@@ -92,17 +92,17 @@ def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
     """How many parts, however small, stand 0.1 m or more beside the largest one, seen from above."""
-    from scipy.spatial import cKDTree
-
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
     sizes = _cells(points_floor, label)
-    largest = cKDTree(points_floor[label == np.argmax(sizes), :2])
+    largest = points_floor[label == np.argmax(sizes), :2]
     stands = standing(label, points_floor)
     # The largest part is none: it lies at a distance of 0 from itself.
     parts = np.flatnonzero((sizes >= MIN_PART_CELLS) & stands)
-    return sum(float(largest.query(points_floor[label == part, :2])[0].min()) >= BESIDE_M for part in parts)
+    return sum(
+        _gap_within_m(largest, points_floor[label == part, :2], BESIDE_M) >= BESIDE_M for part in parts
+    )
 
 
 def cut_share(selection: Selection) -> float:
@@ -150,11 +150,16 @@ def large_neighbours(selection: Selection) -> Float64:
     return large
 
 
-def _nearest_m(points: Float64, to: Float64) -> float:
-    """The least distance between points (n, 3) and others (m, 3) or one (3,); inf if n is 0."""
+def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
+    """The least distance between two sets of points (n, k) and (m, k); inf if it is more than a bound."""
     from scipy.spatial import cKDTree
 
-    return float(np.min(cKDTree(points).query(to)[0])) if len(points) else np.inf
+    return nearest_within(cKDTree(points), others, most_m)[0] if len(points) else np.inf
+
+
+def _distance_m(points: Float64, point: Float64) -> float:
+    """The least distance between points (n, 3) and one (3,); inf if n is 0."""
+    return float(np.linalg.norm(points - point, axis=1).min(initial=np.inf))
 
 
 def _cells(points_floor: Float64, label: Int32 | None) -> Int64:

@@ -194,7 +194,7 @@ def _bordered(state: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.pad(state, 1, constant_values=OUTSIDE)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _passable(state):  # type: ignore[no-untyped-def]
     """Whether of two opposite horizontal directions neither meets INSIDE, without the border."""
     nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
@@ -220,7 +220,7 @@ def _passable(state):  # type: ignore[no-untyped-def]
     return passable
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _under_inside(state):  # type: ignore[no-untyped-def]
     """How many voxels below the first INSIDE above it an UNSEEN voxel lies, itself counted; else a lot."""
     nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
@@ -239,7 +239,7 @@ def _under_inside(state):  # type: ignore[no-untyped-def]
     return under
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _overhang(state):  # type: ignore[no-untyped-def]
     """By how many voxels layers above jut out over a voxel's own: the least of four directions, the second.
 

@@ -76,7 +76,7 @@ def tally_rays(state: NDArray[np.uint8]) -> Tally:
     return Tally(_tally(np.pad(state, 1, constant_values=BEYOND)))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _tally(state):  # type: ignore[no-untyped-def]
     """See `tally_rays`; the state has a border of one voxel."""
     nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
@@ -111,7 +111,7 @@ def _tally(state):  # type: ignore[no-untyped-def]
     return tally
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _walk_column(own, met, dz):  # type: ignore[no-untyped-def]
     """Straight up or down, one voxel after the other."""
     n = len(own)

@@ -1,6 +1,7 @@
 """Candidate boxes: what stands on a floor, numbered, in the form and frame of benchmark.yaml."""
 
 import functools
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +25,15 @@ from kinectbench.stages.segment.candidate_pictures import (
     write_candidates,
 )
 from kinectbench.stages.segment.candidates import Candidate, Candidates, find_candidates
-from kinectbench.stages.segment.doubts import separate_parts, things_beside
+from kinectbench.stages.segment.doubts import (
+    Selection,
+    doubts,
+    large_neighbours,
+    separate_parts,
+    things_beside,
+)
 from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.select import nearest_within
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.
@@ -219,3 +227,28 @@ def test_the_floor_below_a_table_that_fills_the_frames():
     )  # fmt: skip
     np.testing.assert_allclose(floor.plane_world[2], 1, atol=1e-3)
     assert abs(floor.plane_world[3]) < 0.02
+
+
+def test_nearest_within():
+    rng = np.random.default_rng(0)
+    points, asked = rng.uniform(-1, 1, (300, 3)), rng.uniform(1.05, 2, (9000, 3))
+    from scipy.spatial import cKDTree
+
+    apart_m, nearest = cKDTree(points).query(asked)
+    least = int(np.argmin(apart_m))
+    found = nearest_within(cKDTree(points), asked, apart_m[least])
+    assert found == (apart_m[least], nearest[least])
+    assert nearest_within(cKDTree(points), asked, apart_m[least] - 1e-6) == (np.inf, None)
+
+
+def test_a_room_around_the_object_takes_no_time():
+    """A surface as far away on all sides: without a bound each search visits all of it (9 s here)."""
+    rng = np.random.default_rng(0)
+    turn = rng.uniform(0, 2 * np.pi, 100_000)
+    room = np.column_stack([2 * np.cos(turn), 2 * np.sin(turn), rng.uniform(0.02, 2, 100_000)])
+    desk = rng.uniform((-0.1, -0.1, 0.02), (0.1, 0.1, 0.22), (6000, 3))
+    selection = Selection(desk, room, OrientedBox((0, 0, 0.1), (0.2, 0.2, 0.2)), False, np.array([0, 0, 0.1]))
+    assert len(large_neighbours(selection)) == len(room)
+    began = time.process_time()
+    assert doubts(selection) == ()
+    assert time.process_time() - began < 5
