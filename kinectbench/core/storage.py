@@ -135,7 +135,7 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 
 def remove_half_filled() -> None:
-    """Remove the temporary folders that are being filled: the process ends without the ends of their blocks."""
+    """Remove the temporary folders that are being filled, as the process ends before their blocks do."""
     for temporary in tuple(_half_filled):
         shutil.rmtree(temporary, ignore_errors=True)
 
