@@ -34,7 +34,7 @@ VERSIONS: dict[str, int] = {
     "track": 7,
     "fuse": 5,
     "segment": 25,
-    "sample-views": 1,
+    "sample-views": 2,
     "pairs": 2,
     "suggest": 4,
     "publish": 22,

@@ -8,7 +8,7 @@ import numpy as np
 from kinectbench.core.geometry import Camera, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
-from kinectbench.core.geometry.rigid import rigid_from_twist
+from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float32, Float64
 
 MAX_DEPTH_M = 3.5
@@ -82,7 +82,7 @@ def normal_equations(
 
     Returns:
         A (6, 6), b (6,) for a twist (rotation, translation) in the source frame, and the residuals (m,)
-        in metres of the points that met a measurement within 0.15 m.
+        in metres; NaN of points that met no measurement within 0.15 m.
     """
     A, b, residuals = _accumulate(
         surface.points, surface.normals, surface.sigma_m, depth_m, T_target_source, camera.intrinsics
@@ -95,8 +95,7 @@ def _accumulate(points, normals, sigma, depth, T, intrinsics):  # type: ignore[n
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     A, b, J = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    residuals = np.empty(len(points))
-    count = 0
+    residuals = np.full(len(points), np.nan)
     for i in range(len(points)):
         p, n = points[i], normals[i]
         x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
@@ -125,9 +124,8 @@ def _accumulate(points, normals, sigma, depth, T, intrinsics):  # type: ignore[n
             b[row] += w * r * J[row]
             for column in range(6):
                 A[row, column] += w * J[row] * J[column]
-        residuals[count] = r
-        count += 1
-    return A, b, residuals[:count]
+        residuals[i] = r
+    return A, b, residuals
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,8 @@ def align_view(
     """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
 
     Half of the view's points on the object are fitted; the correction is kept only if the mean residual
-    of the other half falls below 90 %: a right pose stays as it is. The trajectory's pose is a prior
+    of those of the other half that meet the object before and after falls below 90 %: a right pose stays as
+    it is. The trajectory's pose is a prior
     as strong as it was found to agree with the other frames, so motion that the object does not
     constrain stays near zero, and more than 2.5 times its uncertainty is refused.
 
@@ -176,21 +175,40 @@ def align_view(
         return given
     sigma_m = max(pose_sigma_m, LEAST_SIGMA_M)
     prior = np.diag([(RAD_PER_M * sigma_m) ** -2] * 3 + [sigma_m**-2] * 3)
-    motion = np.eye(4)
-    for _ in range(ITERATIONS):
-        A, b, _ = normal_equations(fitted, rendered_m, motion, camera)
-        motion = motion @ rigid_from_twist(np.linalg.solve(A + prior, b))
+    motion = fitted_motion(fitted, rendered_m, camera, prior)
     moved_m = float(
         np.median(np.linalg.norm(transform_points(motion, points.points) - points.points, axis=1))
     )
     turned_rad = float(rotation_angle_rad(motion[:3, :3]))
-    before_m, after_m = (_residual_m(held_out, rendered_m, moved, camera) for moved in (np.eye(4), motion))
-    helps = after_m < MUST_FALL_TO * before_m
-    if not helps or moved_m > MAX_SIGMAS * sigma_m:
+    if not helps(held_out, rendered_m, motion, camera) or moved_m > MAX_SIGMAS * sigma_m:
         return given
     return Alignment(T_world_camera @ motion, moved_m, turned_rad)
 
 
-def _residual_m(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> float:
-    residuals = normal_equations(points, rendered_m, motion, camera)[2]
-    return float(np.mean(np.abs(residuals))) if len(residuals) else np.inf
+def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, prior: Float64) -> Float64:
+    """The motion (4, 4) of the points that agrees best with a depth image and with staying where they are.
+
+    Gauss-Newton on the residuals of `normal_equations` and on the motion's twist, of which the prior says how
+    sure it is to be 0.
+
+    Args:
+        surface: points of one frame, near where they belong.
+        depth_m: (height, width) float32, metres, that they are fitted to.
+        camera: of the image.
+        prior: (6, 6) information of the twist (rotation, translation), in 1 / rad^2 and 1 / m^2.
+    """
+    motion = np.eye(4)
+    for _ in range(ITERATIONS):
+        A, b, _ = normal_equations(surface, depth_m, motion, camera)
+        gradient = b - prior @ twist_from_rigid(motion)
+        motion = motion @ rigid_from_twist(np.linalg.solve(A + prior, gradient))
+    return motion
+
+
+def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:
+    """Whether a motion brings points that were not fitted clearly nearer; both means are of the same ones."""
+    before_m, after_m = (
+        np.abs(normal_equations(points, rendered_m, T, camera)[2]) for T in (np.eye(4), motion)
+    )
+    met = np.isfinite(before_m) & np.isfinite(after_m)
+    return bool(met.sum() >= MIN_POINTS and after_m[met].mean() < MUST_FALL_TO * before_m[met].mean())
