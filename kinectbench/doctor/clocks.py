@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.trajectory.association import pairing_tolerance_ns
 from kinectbench.core.trajectory.stamps import (
     NS_PER_S,
     StampFaults,
@@ -132,7 +133,10 @@ def check_partners(look: Look) -> Iterator[Finding]:
     if share >= PAIRED_SHARE:
         return
     apart_s = (int(np.median(color_ns)) - int(np.median(depth_ns))) / 1e9 - look.recording.color_delay_s
-    what = f"{len(without)} of the {len(look.frames)} frames looked at have no colour within 20 ms"
+    within_ms = pairing_tolerance_ns(depth_ns, color_ns) / 1e6
+    what = (
+        f"{len(without)} of the {len(look.frames)} frames looked at have no colour within {within_ms:.0f} ms"
+    )
     delay_ns = round(look.recording.color_delay_s * NS_PER_S)
     if depth_ns.min() > color_ns.max() - delay_ns or color_ns.min() - delay_ns > depth_ns.max():
         what += f"; the clocks of colour and depth are {apart_s:.3f} s apart"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.association import TOLERANCE_NS, poses_at
+from kinectbench.core.trajectory.association import pairing_tolerance_ns, poses_at
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.doctor.color import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
@@ -228,7 +228,7 @@ def _with_partners_ns(look: Look, delay_ns: int) -> int:
     after = np.clip(np.searchsorted(depth_ns, color_ns), 1, len(depth_ns) - 1)
     apart_ns = np.stack([color_ns - depth_ns[after - 1], color_ns - depth_ns[after]])
     nearest_ns = np.where(np.abs(apart_ns[0]) < np.abs(apart_ns[1]), *apart_ns)
-    if (np.abs(nearest_ns) <= TOLERANCE_NS).mean() >= PAIRED_SHARE:
+    if (np.abs(nearest_ns) <= pairing_tolerance_ns(depth_ns, color_ns)).mean() >= PAIRED_SHARE:
         return delay_ns
     return delay_ns + int(np.median(nearest_ns))
 

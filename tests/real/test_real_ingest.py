@@ -56,7 +56,7 @@ def test_unsynchronised_stamps(tmp_path: Path) -> None:
     sequence, warnings = ingest(ROOT / "tum_fr1_xyz_150-179", tmp_path / "s", FREIBURG1)
     assert (len(sequence), colored(sequence)) == (32, 30)
     assert warnings == [
-        f"{ROOT / 'tum_fr1_xyz_150-179'}: 2 of 32 depth frames have no colour frame within 20 ms"
+        f"{ROOT / 'tum_fr1_xyz_150-179'}: 2 of 32 depth frames have no colour frame within 18 ms"
     ]
     assert sequence.stamps_ns[0] == 1_305_031_107_130_308_000
     assert sequence.given_trajectory is not None

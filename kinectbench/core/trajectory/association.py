@@ -14,7 +14,10 @@ from kinectbench.core.geometry import interpolate_rigid
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.types import Float64, Int64
 
+# Of TUM RGB-D's own tool: the most that a pair may be apart.
 TOLERANCE_NS = 20_000_000
+# A longer step than so many usual ones has a frame missing in it.
+MISSING_STEPS = 1.5
 
 
 class _Matching(NamedTuple):
@@ -68,6 +71,32 @@ def associate(
         partners[i] = j
         matching = matching.before
     return partners
+
+
+def half_step_ns(stamps_ns: Sequence[int] | Int64) -> int:
+    """Half the median step of a stream, nanoseconds; `TOLERANCE_NS` of less than two stamps."""
+    steps = np.diff(np.unique(np.asarray(stamps_ns, np.int64)))
+    return int(np.median(steps)) // 2 if len(steps) else TOLERANCE_NS
+
+
+def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int] | Int64) -> int:
+    """How far the stamps of a depth and a colour image of one frame may be apart (own rule).
+
+    Half a frame of the faster stream, and half of what its stamps or the other's stray: the nearest image is
+    never farther, and the one of the next frame mostly is. Never more than `TOLERANCE_NS`.
+
+    Args:
+        depth_ns: stamps of depth, nanoseconds, in any order.
+        color_ns: stamps of colour, likewise.
+    """
+    streams = [np.unique(np.asarray(stamps_ns, np.int64)) for stamps_ns in (depth_ns, color_ns)]
+    halves_ns = [half_step_ns(stream) for stream in streams]
+    stray_ns = 0
+    for stream, half_ns in zip(streams, halves_ns, strict=True):
+        steps = np.diff(stream)
+        single = steps[steps <= 2 * MISSING_STEPS * half_ns]
+        stray_ns = max(stray_ns, int(single.max(initial=0)) - 2 * half_ns)
+    return min(TOLERANCE_NS, min(halves_ns) + (stray_ns + 1) // 2)
 
 
 def poses_at(given: GivenTrajectory, stamps_ns: Int64, max_gap_s: float) -> Float64:

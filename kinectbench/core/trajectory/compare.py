@@ -15,7 +15,7 @@ from kinectbench.core.geometry import (
     rotation_angle_rad,
     transform_points,
 )
-from kinectbench.core.trajectory.association import TOLERANCE_NS, associate
+from kinectbench.core.trajectory.association import associate, half_step_ns
 from kinectbench.core.types import Bools, Float64, Int64
 
 MIN_MATCHED = 3
@@ -87,7 +87,7 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
     # np.setdiff1d sorts by index; the association wants them by time.
     rest = rest[np.argsort(estimate_ns[rest], kind="stable")]
     rest_reference = rest_reference[np.argsort(reference_ns[rest_reference], kind="stable")]
-    half_ns = min(_half_interval_ns(estimate_ns), _half_interval_ns(reference_ns))
+    half_ns = min(half_step_ns(estimate_ns), half_step_ns(reference_ns))
     partners = associate(estimate_ns[rest].tolist(), reference_ns[rest_reference].tolist(), half_ns)
     near = [(rest[i], rest_reference[j]) for i, j in enumerate(partners) if j is not None]
     pairs = np.array([*zip(first, second, strict=True), *near], dtype=np.int64).reshape(-1, 2)
@@ -196,8 +196,3 @@ def _pieces(positions: Float64) -> tuple[Int64, Int64]:
     last = np.array([i + 1 + np.argmin(np.abs(path_m[i + 1 :] - path_m[i] - PIECE_M)) for i in first], int)
     fits = np.abs(path_m[last] - path_m[first] - PIECE_M) <= PIECE_TOLERANCE_M
     return first[fits], last[fits]
-
-
-def _half_interval_ns(stamps_ns: Int64) -> int:
-    gaps = np.diff(np.unique(stamps_ns))
-    return int(np.median(gaps)) // 2 if len(gaps) else TOLERANCE_NS

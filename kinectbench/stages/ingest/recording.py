@@ -228,6 +228,13 @@ class FileRecording(Recording):
         return depth
 
 
+def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
+    """A warning where some frames have no colour image of their name, though others have one."""
+    alone = sum(frame.color is None for frame in files)
+    said = f"{path}: {alone} of {len(files)} depth frames have no colour of their name"
+    return (said,) if 0 < alone < len(files) else ()
+
+
 def read_image_file(path: Path) -> bytes:
     """Read a file whole.
 

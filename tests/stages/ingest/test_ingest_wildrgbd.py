@@ -62,6 +62,7 @@ def test_parts_that_are_missing_or_too_many(tmp_path: Path) -> None:
     recording = open_recording(folder)
     assert (len(recording), recording.frame(0).mask, recording.frame(1).color) == (3, None, None)
     assert recording.warnings == (
+        f"{folder}: 1 of 3 depth frames have no colour of their name",
         f"{folder / 'cam_poses.txt'}: 1 poses are of frames without depth, and were left out",
     )
     (folder / "cam_poses.txt").unlink()

@@ -82,7 +82,7 @@ def test_members_that_are_missing_or_wrong(tmp_path: Path) -> None:
     plain = open_recording(redwood(tmp_path / "a.zip", without="rgb/0000002"), SMALL)
     assert (plain.frame(1).color, plain.warnings) == (
         None,
-        (f"{tmp_path / 'a.zip'}: 1 of 4 depth images have no colour",),
+        (f"{tmp_path / 'a.zip'}: 1 of 4 depth frames have no colour frame within 20 ms",),
     )
     with pytest.raises(RecordingError, match="holds no depth/ images, only colour"):
         open_recording(redwood(tmp_path / "b.zip", without="depth/"))

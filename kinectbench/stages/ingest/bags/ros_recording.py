@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.association import associate
-from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.core.trajectory.stamps import first_by_stamp
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.bags.ros_gravity import measured_up
@@ -41,6 +40,7 @@ from kinectbench.stages.ingest.images import (
     image_header,
 )
 from kinectbench.stages.ingest.intrinsics import scale_warnings
+from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.undistortion import Undistortion
 
@@ -234,19 +234,18 @@ def _pair(
     warnings = [f"{depth.name}: {repeated} messages repeat a stamp and were left out"] if repeated else []
     if color is None:
         return tuple(Pair(depth_ns[i], i, None) for i in order), warnings
-    delay_ns = round(settings.color_delay_s * NS_PER_S)
-    color_ns = [place.stamp_ns - delay_ns for place in color.topic.messages]
+    color_ns = [place.stamp_ns for place in color.topic.messages]
     color_order, _ = first_by_stamp(color_ns)
-    partners = associate([depth_ns[i] for i in order], [color_ns[i] for i in color_order])
-    alone = sum(partner is None for partner in partners)
-    if alone:
-        warnings.append(
-            f"{depth.name}: {alone} of {len(order)} depth frames have no colour frame within 20 ms"
-        )
+    partners = pair_by_time(
+        [depth_ns[i] for i in order],
+        [color_ns[j] for j in color_order],
+        delay_s=settings.color_delay_s,
+        where=depth.name,
+    )
     return tuple(
         Pair(depth_ns[i], i, None if partner is None else color_order[partner])
-        for i, partner in zip(order, partners, strict=True)
-    ), warnings
+        for i, partner in zip(order, partners.of_depth, strict=True)
+    ), [*warnings, *partners.warnings]
 
 
 def _is_registered(

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.core.untrusted import HEAD_BYTES, UNPACKED_BYTES, is_too_large, open_plain, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
 from kinectbench.stages.ingest.intrinsics import object_of
+from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.readers.azure_calibration import (
     CALIBRATION_FILE,
     COLOR_LOCATION,
@@ -120,11 +120,11 @@ class AzureKinectRecording(Recording):
         color, _ = _in_order(found["COLOR"], path)
         if not depth:
             raise RecordingError(f"{path}: its depth track holds no whole image; copy the file again")
-        delay_ns = round(settings.color_delay_s * NS_PER_S)
-        partners = associate([p.stamp_ns for p in depth], [p.stamp_ns - delay_ns for p in color])
+        stamps_ns = ([place.stamp_ns for place in places] for places in (depth, color))
+        partners = pair_by_time(*stamps_ns, delay_s=settings.color_delay_s, where=str(path))
         frames = tuple(
             AzureFrame(place.stamp_ns, place, None if partner is None else color[partner])
-            for place, partner in zip(depth, partners, strict=True)
+            for place, partner in zip(depth, partners.of_depth, strict=True)
         )
         said, distortion = calibration.depth(depth_px, path)
         intrinsics = said.overridden_by(settings)
@@ -146,7 +146,7 @@ class AzureKinectRecording(Recording):
             color_registered=registered,
             color_calibration=None if registered else rig,
             recorded=(tuple(p.stamp_ns for p in found["DEPTH"]), tuple(p.stamp_ns for p in found["COLOR"])),
-            warnings=(*trouble, *warnings),
+            warnings=(*trouble, *warnings, *partners.warnings),
             undistortion=Undistortion(camera, distortion) if any(distortion) else None,
         )
 

@@ -13,7 +13,13 @@ from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import Intrinsics, numbers_of, read_object, scale_warnings
-from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import (
+    FileRecording,
+    FrameFiles,
+    first_depth_size,
+    first_file,
+    without_color,
+)
 
 COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
 MM_PER_M = 1000.0
@@ -60,7 +66,12 @@ class BopRecording(FileRecording):
             depth_scale=intrinsics.depth_scale or MM_PER_M,
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
-            warnings=(*warnings, *scale_warnings(path, said.depth_scale, settings), *lost),
+            warnings=(
+                *without_color(path, files),
+                *warnings,
+                *scale_warnings(path, said.depth_scale, settings),
+                *lost,
+            ),
         )
 
 

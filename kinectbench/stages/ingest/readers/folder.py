@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -9,12 +10,17 @@ import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.stamps import NS_PER_S, no_times
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed, printable
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.image_names import (
+    FRAME_NUMBER,
+    NUMBER_AND_STAMP,
+    counting_key,
+    stamps_of_names,
+)
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
     read_color_calibration,
@@ -22,6 +28,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_matrix,
     scale_warnings,
 )
+from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
@@ -39,19 +46,15 @@ COLOR_FOLDERS = ("color", "rgb", "image")
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json")
-# Longer numbers are stamps of an unknown unit, not frame numbers.
-FRAME_NUMBER = re.compile(r"\d{1,9}")
-# Redwood's scans: frame number and stamp in microseconds, which differs between depth and colour.
-NUMBER_AND_STAMP = re.compile(r"(\d{1,9})-(\d{12})")
-# Their PrimeSense camera, by the data set's own documents.
+# The PrimeSense camera of Redwood's scans, by the data set's own documents.
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 
 class FolderRecording(FileRecording):
     """A folder with `depth/`, maybe `color/` (or rgb/, image/), intrinsics and maybe a trajectory.
 
-    Redwood's file names, NUMBER-MICROSECONDS, give stamps. Others have none: a file name that is a number
-    counts seconds, or else the order does.
+    File names that hold time stamps give these, and pair colour with depth. Others have none: a file name
+    that is a number counts seconds, or else the order does.
     """
 
     format: ClassVar[str] = "folder"
@@ -68,17 +71,11 @@ class FolderRecording(FileRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the images, pair them by name or else by order, and read intrinsics and trajectory."""
+        """List the images, pair them by the times or numbers in their names, read camera and trajectory."""
         depth = image_files(path / "depth", frozenset({".png"}))
-        color = next(
-            (image_files(path / name, COLOR_SUFFIXES) for name in COLOR_FOLDERS if (path / name).is_dir()), []
-        )
-        stamps_ns = stamps_of_names([file.stem for file in depth])
-        partners = _partners(depth, color, path)
-        order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
-        files = tuple(
-            FrameFiles(stamps_ns[i], depth[i], partners[i], mask_beside(depth[i], path)) for i in order
-        )
+        files, recorded, paired = pair_files(depth, color_files(path), settings, path)
+        files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
+        stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
         camera_file = first_file(path / name for name in JSON_FILES)
         said, said_warnings = _read_intrinsics(path, camera_file, depth, size_px)
@@ -92,56 +89,52 @@ class FolderRecording(FileRecording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=first_color_size(files) == size_px if registered is None else registered,
             color_calibration=read_color_calibration(camera_file) if camera_file else None,
+            recorded=recorded,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*said_warnings, *scale_warnings(path, said.depth_scale, settings), *warnings),
+            warnings=(*paired, *said_warnings, *scale_warnings(path, said.depth_scale, settings), *warnings),
         )
+
+
+def pair_files(
+    depth: Sequence[Path], color: Sequence[Path], settings: CameraSettings, path: Path
+) -> tuple[tuple[FrameFiles, ...], tuple[tuple[int, ...], tuple[int, ...]], tuple[str, ...]]:
+    """The frames of two lists of images, which have names only; masks are left to the reader.
+
+    Args:
+        depth: in the order in which people count; `color` likewise.
+        color: may be empty.
+        settings: the delay of colour.
+        path: the recording's folder.
+
+    Returns:
+        The frames by their stamps; the stamps of depth and of colour in the order of the lists, as
+        `Recording.recorded` has them; and warnings.
+
+    Raises:
+        RecordingError: there is nothing to pair them by.
+    """
+    depth_stems, color_stems = ([file.stem for file in files] for files in (depth, color))
+    partners, color_ns = pair_images(
+        depth_stems, color_stems, delay_s=settings.color_delay_s, where=str(path)
+    )
+    stamps_ns = stamps_of_names(depth_stems)
+    of_depth = [None if j is None else color[j] for j in partners.of_depth]
+    order = sorted(range(len(depth)), key=stamps_ns.__getitem__)
+    files = tuple(FrameFiles(stamps_ns[i], depth[i], of_depth[i]) for i in order)
+    return files, (tuple(stamps_ns), color_ns), partners.warnings
+
+
+def color_files(path: Path) -> list[Path]:
+    """The colour images of a recording's folder, in the order people count; none if it has no such folder."""
+    folders = (path / name for name in COLOR_FOLDERS)
+    return next((image_files(folder, COLOR_SUFFIXES) for folder in folders if folder.is_dir()), [])
 
 
 def image_files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
     """The images of a folder in the order people count: 2 before 10."""
     files = (f for f in listed(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
     return sorted(files, key=lambda file: (counting_key(file.stem), file.name))
-
-
-def counting_key(stem: str) -> list[tuple[int, str]]:
-    """What sorts names in the order people count: 2 before 10."""
-    # A name may stand in an index, where it can have any length; Python refuses numbers of 4300 digits.
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
-
-
-def frame_key(stem: str) -> str:
-    """What must agree for depth and colour to be one frame: the name, without leading zeros of a number."""
-    redwood = NUMBER_AND_STAMP.fullmatch(stem)
-    if redwood:
-        return str(int(redwood[1]))
-    return str(int(stem)) if FRAME_NUMBER.fullmatch(stem) else stem
-
-
-def stamps_of_names(stems: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds by Redwood's names; else a number counts seconds, or else the order does."""
-    stamps = [NUMBER_AND_STAMP.fullmatch(stem) for stem in stems]
-    if all(stamps):
-        stamps_ns = [int(match[2]) * 1000 for match in stamps if match]
-        if len(set(stamps_ns)) == len(stamps_ns) and not no_times(stamps_ns):
-            return stamps_ns
-    keys = [frame_key(stem) for stem in stems]
-    numbered = all(FRAME_NUMBER.fullmatch(key) for key in keys) and len(set(keys)) == len(keys)
-    return [(int(key) if numbered else index) * NS_PER_S for index, key in enumerate(keys)]
-
-
-def _partners(depth: list[Path], color: list[Path], path: Path) -> list[Path | None]:
-    """The colour image of each depth image: the same name, or the same place if no name agrees."""
-    by_key = {frame_key(file.stem): file for file in color}
-    partners = [by_key.get(frame_key(file.stem)) for file in depth]
-    if not color or any(partners):
-        return partners
-    if len(color) != len(depth):
-        raise RecordingError(
-            f"{path}: {len(depth)} depth and {len(color)} colour images, and no names agree: give images of "
-            "one frame the same name, or remove those that have no partner"
-        )
-    return list(color)
 
 
 def _read_intrinsics(

@@ -21,6 +21,7 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import below, printable, quoted, read_head
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
@@ -29,7 +30,6 @@ from kinectbench.stages.ingest.intrinsics import (
     read_object,
     scale_warnings,
 )
-from kinectbench.stages.ingest.readers.folder import counting_key
 from kinectbench.stages.ingest.readers.phone_images import (
     OPENGL_FROM_OPTICAL,
     PhoneRecording,

@@ -1,7 +1,9 @@
 """Scans of the Redwood 3dscan data set (redwood-data.org/3dscan) in the zip archives they come in.
 
 depth/ and rgb/NUMBER-MICROSECONDS, depth in mm as PNG, colour as JPEG; by the data set's own page its
-PrimeSense cameras make 640x480 images with 525, 525, 319.5, 239.5, which the archive does not say.
+PrimeSense cameras make 640x480 images with 525, 525, 319.5, 239.5, which the archive does not say. Depth
+comes every 33.369 ms and colour every 33.516 ms, each numbered by itself: equal numbers are soon of other
+times.
 """
 
 import re
@@ -11,16 +13,12 @@ from typing import ClassVar, NamedTuple, Self
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.image_names import counting_key, stamps_of_names
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, image_header
 from kinectbench.stages.ingest.intrinsics import Intrinsics
+from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.archive import Archive, holds
-from kinectbench.stages.ingest.readers.folder import (
-    DEPTH_SCALE,
-    PRIMESENSE,
-    counting_key,
-    frame_key,
-    stamps_of_names,
-)
+from kinectbench.stages.ingest.readers.folder import DEPTH_SCALE, PRIMESENSE
 from kinectbench.stages.ingest.recording import RawFrame, Recording, first_whole, tried
 
 # Its images are named by a count of seven digits and a stamp of twelve in microseconds, as in
@@ -62,20 +60,17 @@ class RedwoodZipRecording(Recording):
         """List the images; nothing is unpacked but the first of each kind."""
         archive = Archive(path)
         found = [match for name in archive.names() if (match := MEMBER.fullmatch(name))]
-        # Names as (stem, whole): paths of two hundred thousand would take two seconds.
-        depth = [(match[2], match[0]) for match in found if match[1] == "depth"]
-        depth.sort(key=lambda name: (counting_key(name[0]), name[1]))
+        depth, color = _named(found, "depth"), _named(found, "rgb")
         if not depth:
             raise RecordingError(f"{path}: holds no depth/ images, only colour; download the scan again")
-        color = {frame_key(match[2]): match[0] for match in found if match[1] == "rgb"}
-        stamps_ns = stamps_of_names([stem for stem, _ in depth])
-        frames = zip(stamps_ns, depth, strict=True)
+        stems = [[stem for stem, _ in names] for names in (depth, color)]
+        partners, color_ns = pair_images(*stems, delay_s=settings.color_delay_s, where=str(path))
+        stamps_ns = stamps_of_names(stems[0])
+        frames = zip(stamps_ns, depth, partners.of_depth, strict=True)
         places = tuple(
-            ZippedFrame(stamp_ns, name, color.get(frame_key(stem)))
-            for stamp_ns, (stem, name) in sorted(frames, key=lambda frame: frame[0])
+            ZippedFrame(stamp_ns, name, None if partner is None else color[partner][1])
+            for stamp_ns, (_, name), partner in sorted(frames, key=lambda frame: frame[0])
         )
-        alone = sum(place.color is None for place in places)
-        warnings = [f"{path}: {alone} of {len(places)} depth images have no colour"] if alone else []
         size_px = _first_size(archive, [place.depth for place in places])
         if size_px is None:
             count = tried(len(places))
@@ -89,7 +84,8 @@ class RedwoodZipRecording(Recording):
             camera=intrinsics.camera(size_px, path),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=_first_size(archive, [p.color for p in places if p.color]) == size_px,
-            warnings=tuple(warnings),
+            recorded=(tuple(stamps_ns), color_ns),
+            warnings=partners.warnings,
         )
 
     def frame(self, index: int) -> RawFrame:
@@ -101,6 +97,13 @@ class RedwoodZipRecording(Recording):
         if place.color is not None:
             color = PurePosixPath(place.color).suffix, self.archive.read(place.color)
         return RawFrame(name, place.stamp_ns, depth, color)
+
+
+def _named(found: list[re.Match[str]], folder: str) -> list[tuple[str, str]]:
+    """The images of a folder as (stem, whole name), in the order people count."""
+    # Not as paths, which of two hundred thousand names would take two seconds.
+    names = [(match[2], match[0]) for match in found if match[1] == folder]
+    return sorted(names, key=lambda name: (counting_key(name[0]), name[1]))
 
 
 def _first_size(archive: Archive, names: list[str]) -> tuple[int, int] | None:

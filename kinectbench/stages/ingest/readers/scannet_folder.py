@@ -21,17 +21,11 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_matrix,
     rig_calibration,
 )
-from kinectbench.stages.ingest.readers.folder import (
-    COLOR_FOLDERS,
-    COLOR_SUFFIXES,
-    image_files,
-    stamps_of_names,
-)
+from kinectbench.stages.ingest.readers.folder import color_files, image_files, pair_files
 from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
 from kinectbench.stages.ingest.recording import (
     ColorCalibration,
     FileRecording,
-    FrameFiles,
     first_color_size,
     first_depth_size,
     first_file,
@@ -53,15 +47,11 @@ class ScannetFolderRecording(FileRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the depth images, with colour and pose of the same name."""
+        """List the depth images, pair them with colour, and read poses of the same name."""
         depth = image_files(path / "depth", frozenset({".png"}))
         if not depth:
             raise RecordingError(f"{path / 'depth'}: holds no PNG image; export the scene again with depth")
-        stamps_ns = stamps_of_names([file.stem for file in depth])
-        order = sorted(range(len(depth)), key=lambda i: stamps_ns[i])
-        files = tuple(
-            FrameFiles(stamps_ns[i], depth[i], first_file(_color_files(path, depth[i].stem))) for i in order
-        )
+        files, recorded, paired = pair_files(depth, color_files(path), settings, path)
         size_px = first_depth_size(files)
         said = _read_intrinsics(path, size_px, settings)
         camera = said.overridden_by(settings).camera(size_px, path)
@@ -78,19 +68,16 @@ class ScannetFolderRecording(FileRecording):
             depth_scale=settings.depth_scale or DEPTH_SCALE,
             color_registered=registered,
             color_calibration=None if registered else calibration,
+            recorded=recorded,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=tuple(warnings),
+            warnings=(*paired, *warnings),
         )
 
 
 def _matrix_file(path: Path, camera: str) -> Path | None:
     """The file with the intrinsics of "depth" or "color"."""
     return first_file([path / "intrinsic" / f"intrinsic_{camera}.txt", path / f"intrinsics_{camera}.txt"])
-
-
-def _color_files(path: Path, stem: str) -> list[Path]:
-    return [path / name / f"{stem}{end}" for name in COLOR_FOLDERS for end in sorted(COLOR_SUFFIXES)]
 
 
 def _read_intrinsics(path: Path, size_px: tuple[int, int], settings: CameraSettings) -> Intrinsics:

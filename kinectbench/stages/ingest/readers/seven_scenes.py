@@ -33,6 +33,7 @@ from kinectbench.stages.ingest.recording import (
     first_file,
     first_whole,
     read_image_file,
+    without_color,
 )
 
 DEPTH_SCALE = 1000.0
@@ -105,7 +106,11 @@ class SevenScenesRecording(FileRecording):
             color_calibration=None if registered else rig.color,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*scale_warnings(path, rig.depth.depth_scale, settings), *warnings),
+            warnings=(
+                *without_color(path, files),
+                *scale_warnings(path, rig.depth.depth_scale, settings),
+                *warnings,
+            ),
         )
 
     @classmethod

@@ -11,19 +11,14 @@ import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.association import associate
-from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import read_numbers
 from kinectbench.core.trajectory.trajectory_file import read_given
 from kinectbench.core.untrusted import listed
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
-from kinectbench.stages.ingest.readers.folder import (
-    COLOR_SUFFIXES,
-    NUMBER_AND_STAMP,
-    image_files,
-    stamps_of_names,
-)
+from kinectbench.stages.ingest.pairing import pair_by_time
+from kinectbench.stages.ingest.readers.folder import COLOR_SUFFIXES, image_files
 from kinectbench.stages.ingest.readers.pose_folder import finite_trajectory
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, visible
 
@@ -54,11 +49,10 @@ class Sun3dRecording(FileRecording):
         color, color_ns = _by_stamp(path / "image", COLOR_SUFFIXES)
         if not depth:
             raise RecordingError(f"{path / 'depth'}: holds no PNG image; copy the sequence again")
-        delay_ns = round(settings.color_delay_s * NS_PER_S)
-        partners = associate(depth_ns, [stamp - delay_ns for stamp in color_ns])
+        partners = pair_by_time(depth_ns, color_ns, delay_s=settings.color_delay_s, where=str(path))
         files = tuple(
             FrameFiles(stamp_ns, file, None if partner is None else color[partner])
-            for stamp_ns, file, partner in zip(depth_ns, depth, partners, strict=True)
+            for stamp_ns, file, partner in zip(depth_ns, depth, partners.of_depth, strict=True)
         )
         size_px = first_depth_size(files)
         said = read_intrinsics_matrix(path / "intrinsics.txt")
@@ -66,12 +60,6 @@ class Sun3dRecording(FileRecording):
             check_focal_lengths(said, size_px, path / "intrinsics.txt")
         intrinsics = said.overridden_by(settings)
         trajectory, warnings, error = read_given(lambda: _read_poses(path, color_ns, depth_ns))
-        alone = sum(partner is None for partner in partners)
-        if color and alone:
-            warnings = [
-                *warnings,
-                f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms",
-            ]
         return cls(
             path=path,
             places=files,
@@ -81,7 +69,7 @@ class Sun3dRecording(FileRecording):
             recorded=(tuple(depth_ns), tuple(color_ns)),
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=tuple(warnings),
+            warnings=(*partners.warnings, *warnings),
         )
 
 

@@ -4,9 +4,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.association import associate
 from kinectbench.core.trajectory.stamps import (
-    NS_PER_S,
     check_unit,
     counted_ns,
     first_by_stamp,
@@ -23,6 +21,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     scale_warnings,
 )
+from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.recording import (
     Evidence,
     FileRecording,
@@ -67,16 +66,18 @@ class TumRecording(FileRecording):
         depth, depth_ns, depth_warnings = _in_order(depth_rows, path / "depth.txt")
         color, color_ns, color_warnings = _in_order(color_rows, path / "rgb.txt")
         warnings += [*depth_warnings, *color_warnings]
-        delay_ns = round(settings.color_delay_s * NS_PER_S)
-        partners = associate([stamp for stamp, _ in depth], [stamp - delay_ns for stamp, _ in color])
-        alone = sum(partner is None for partner in partners)
-        if color and alone:
-            warnings.append(f"{path}: {alone} of {len(depth)} depth frames have no colour frame within 20 ms")
+        delay_s, where = settings.color_delay_s, str(path)
+        if why:  # rows that are counted are no times of two streams
+            stems = ([file.stem for _, file in rows] for rows in (depth, color))
+            partners, _ = pair_images(*stems, delay_s=delay_s, where=where)
+        else:
+            streams_ns = ([stamp_ns for stamp_ns, _ in rows] for rows in (depth, color))
+            partners = pair_by_time(*streams_ns, delay_s=delay_s, where=where)
         files = tuple(
             FrameFiles(
                 stamp_ns, file, None if partner is None else color[partner][1], mask_beside(file, path)
             )
-            for (stamp_ns, file), partner in zip(depth, partners, strict=True)
+            for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
         camera_json = path / "camera.json"
         said = read_intrinsics_json(camera_json) if camera_json.is_file() else Intrinsics()
@@ -92,11 +93,12 @@ class TumRecording(FileRecording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=True if said.color_registered is None else said.color_registered,
             color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
-            recorded=(tuple(depth_ns), tuple(color_ns)),
+            recorded=(tuple(depth_ns), () if why else tuple(color_ns)),
             given_trajectory=trajectory,
             trajectory_error=error,
             warnings=(
                 *warnings,
+                *partners.warnings,
                 *scale_warnings(path, said.depth_scale, settings),
                 *trajectory_warnings,
             ),

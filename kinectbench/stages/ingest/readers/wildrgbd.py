@@ -25,6 +25,7 @@ from kinectbench.stages.ingest.recording import (
     first_color_size,
     first_depth_size,
     first_file,
+    without_color,
 )
 
 DEPTH_SCALE = 1000.0
@@ -69,7 +70,7 @@ class WildRgbdRecording(FileRecording):
             color_registered=first_color_size(files) == size_px,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=tuple(warnings),
+            warnings=(*without_color(path, files), *warnings),
         )
 
 

@@ -1,0 +1,132 @@
+"""The colour image of each depth image: the nearest in time where there are stamps, else that of its name.
+
+All readers of two streams pair them here. What has no partner stays alone, and is counted in a warning.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.trajectory.association import associate, pairing_tolerance_ns
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.stages.ingest.image_names import frame_key, frame_numbers, times_of_names
+
+
+@dataclass(frozen=True)
+class Partners:
+    """Which colour image belongs to which depth image.
+
+    Attributes:
+        of_depth: for each depth image the index of its colour image, or None; none has two partners.
+        warnings: what is missing, and how it was paired where that is not by time or by equal names.
+    """
+
+    of_depth: tuple[int | None, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def pair_by_time(depth_ns: Sequence[int], color_ns: Sequence[int], *, delay_s: float, where: str) -> Partners:
+    """Pair two streams by their stamps, within half a frame (`pairing_tolerance_ns`).
+
+    Args:
+        depth_ns: stamps of depth, nanoseconds, strictly increasing.
+        color_ns: stamps of colour, likewise.
+        delay_s: the stamps of colour are late by this, as the settings say.
+        where: file or topic, for warnings.
+    """
+    delay_ns = round(delay_s * NS_PER_S)
+    on_clock_ns = [stamp_ns - delay_ns for stamp_ns in color_ns]
+    tolerance_ns = pairing_tolerance_ns(depth_ns, on_clock_ns)
+    partners = associate(depth_ns, on_clock_ns, tolerance_ns)
+    how = f"frame within {tolerance_ns / 1e6:.0f} ms"
+    return Partners(tuple(partners), _lone(partners, len(color_ns), how, where))
+
+
+def pair_images(
+    depth: Sequence[str], color: Sequence[str], *, delay_s: float, where: str
+) -> tuple[Partners, tuple[int, ...]]:
+    """Pair two streams whose images have names only.
+
+    By time where the names of both streams hold stamps. Else by name, where any agree; by number, where names
+    hold one; or in their order, where there are as many of both.
+
+    Args:
+        depth: names of the depth images without what they end in, in any order.
+        color: names of the colour images, in the order in which people count.
+        delay_s: as `pair_by_time` takes it.
+        where: folder or file, for messages.
+
+    Returns:
+        The partners; and the stamps of colour as the names hold them, nanoseconds, if it was paired by time.
+
+    Raises:
+        RecordingError: there is nothing to pair them by.
+    """
+    depth_ns, color_ns = times_of_names(depth), times_of_names(color)
+    if depth_ns is not None and color_ns is not None:
+        return _by_times(depth_ns, color_ns, delay_s, where), tuple(color_ns)
+    return _by_names(depth, color, where), ()
+
+
+def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
+    """A warning where depth frames have no partner; nothing where there is no colour at all."""
+    alone = sum(partner is None for partner in partners)
+    said = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
+    return (said,) if colors and alone else ()
+
+
+def _by_times(depth_ns: Sequence[int], color_ns: Sequence[int], delay_s: float, where: str) -> Partners:
+    """As `pair_by_time`, of stamps in any order."""
+    depth_order, color_order = (
+        sorted(range(len(stamps_ns)), key=stamps_ns.__getitem__) for stamps_ns in (depth_ns, color_ns)
+    )
+    found = pair_by_time(
+        [depth_ns[i] for i in depth_order], [color_ns[j] for j in color_order], delay_s=delay_s, where=where
+    )
+    partners: list[int | None] = [None] * len(depth_ns)
+    for i, j in zip(depth_order, found.of_depth, strict=True):
+        partners[i] = None if j is None else color_order[j]
+    return Partners(tuple(partners), found.warnings)
+
+
+def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partners:
+    by_name = _same([frame_key(stem) for stem in depth], [frame_key(stem) for stem in color])
+    if not color or any(partner is not None for partner in by_name):
+        how = f"of their name{_apart(depth, color)}"
+        return Partners(by_name, _lone(by_name, len(color), how, where))
+    depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
+    if depth_numbers is not None and color_numbers is not None:
+        by_number = _same(depth_numbers, color_numbers)
+        if any(partner is not None for partner in by_number):
+            how = f"of their number{_apart(depth, color)}"
+            return Partners(by_number, _lone(by_number, len(color), how, where))
+    if len(color) != len(depth):
+        raise RecordingError(
+            f"{where}: {len(depth)} depth and {len(color)} colour images, and no names agree: give images of "
+            "one frame the same name, or name all by their time stamps in seconds, such as 12.033367.png"
+        )
+    said = (
+        f"{where}: no names of depth and colour agree: their {len(depth)} images each are paired in their "
+        "order; give images of one frame the same name, or name all by their time stamps in seconds"
+    )
+    return Partners(tuple(range(len(color))), (said,))
+
+
+def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None, ...]:
+    """For each depth image the colour image of the same key, each at most once."""
+    index = {key: place for place, key in enumerate(color)}
+    return tuple(index.pop(key, None) for key in depth)
+
+
+def _apart(depth: Sequence[str], color: Sequence[str]) -> str:
+    """What numbers that differ may mean; "" where images have none, or both begin and end with the same."""
+    depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
+    if depth_numbers is None or color_numbers is None:
+        return ""
+    if (min(depth_numbers), max(depth_numbers)) == (min(color_numbers), max(color_numbers)):
+        return ""
+    first, second = (f"{min(numbers)} to {max(numbers)}" for numbers in (depth_numbers, color_numbers))
+    return (
+        f"; depth is numbered {first}, colour {second}: if each stream counts its own frames, equal numbers "
+        "are not of one time: name the images by their time stamps in seconds"
+    )
