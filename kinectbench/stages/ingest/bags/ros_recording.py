@@ -25,6 +25,7 @@ from kinectbench.stages.ingest.bags.ros_topics import (
     WANTED,
     CameraInfo,
     ImageTopic,
+    NamedInfo,
     choose_camera_info,
     choose_color,
     choose_depth,
@@ -110,7 +111,7 @@ class RosRecording(Recording):
         return tree.fixed(depth.frame_id.lstrip("/"), frame_id) if frame_id else None
 
     @classmethod
-    def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
+    def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
         """Every CameraInfo with its topic's name."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
         return [(name, message) for name, message in infos if message is not None]
@@ -125,7 +126,7 @@ class RosRecording(Recording):
             depth, color = replace(depth, frame_id=""), color and replace(color, frame_id="")
         size_px = _first_depth_size(bag, depth)
         infos = cls.camera_infos(bag)
-        info = choose_camera_info(depth, ("depth",), size_px, infos)
+        info, info_warnings = _depth_info(depth, color, size_px, infos, settings)
         intrinsics = intrinsics_of(info, depth).overridden_by(settings)
         camera = intrinsics.camera(size_px, path)
         tree = read_transforms(bag)
@@ -165,6 +166,7 @@ class RosRecording(Recording):
                 *([bag.trouble] if bag.trouble else []),
                 *depth_warnings,
                 *color_warnings,
+                *info_warnings,
                 *pair_warnings,
                 *size_warnings,
                 *scale_warnings(path, own_scale, settings),
@@ -254,8 +256,7 @@ def _is_registered(
     """Whether colour pixels lie on depth pixels: by name or frame, and only where the sizes agree."""
     if color is None:
         return False, []
-    same_frame = bool(depth.frame_id) and depth.frame_id == color.frame_id
-    if not (same_frame or is_named_registered(depth)):
+    if not (_same_frame(depth, color) or is_named_registered(depth)):
         return False, []
     color_px = _first_color_size(bag, color)
     if color_px == size_px:
@@ -266,6 +267,24 @@ def _is_registered(
     ]
 
 
+def _depth_info(
+    depth: ImageTopic,
+    color: ImageTopic | None,
+    size_px: tuple[int, int],
+    infos: list[NamedInfo],
+    settings: CameraSettings,
+) -> tuple[CameraInfo | None, list[str]]:
+    """The CameraInfo of depth; and a warning that another contradicts it, unless the settings decide."""
+    on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
+    info, said = choose_camera_info(depth, ("depth",), size_px, infos, color if on_color else None)
+    decided = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
+    return info, [said] if said and not decided else []
+
+
+def _same_frame(depth: ImageTopic, color: ImageTopic) -> bool:
+    return bool(depth.frame_id) and depth.frame_id == color.frame_id
+
+
 def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
     for message in bag.whole(color.topic):
         with suppress(DamagedImageError):
@@ -274,11 +293,11 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 
 
 def _calibration(
-    bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[tuple[str, CameraInfo]]
+    bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
 ) -> ColorCalibration | None:
     """Camera and place of colour; None if either is not known or does not fit the images."""
     size_px = _first_color_size(bag, color)
-    info = choose_camera_info(color, COLOR_WORDS, size_px, infos)
+    info, _ = choose_camera_info(color, COLOR_WORDS, size_px, infos)
     if T_color_depth is None or info is None:
         return None
     try:

@@ -28,8 +28,11 @@ INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)")
 BROWN_MODELS = frozenset({"plumb_bob", "rational_polynomial", "Brown Conrady", "brown_conrady"})
 NO_MODELS = frozenset({"", "None", "none"})
 BROWN_LENGTHS = frozenset({4, 5, 8})
-# A message of sensor_msgs/CameraInfo.
+# A message of sensor_msgs/CameraInfo, and with its topic's name.
 CameraInfo = Any
+NamedInfo = tuple[str, CameraInfo]
+# Intrinsics that differ by less than this share of the focal length are the same: .6 px of a Kinect's.
+SAME_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -167,28 +170,81 @@ def values_of(info: CameraInfo, name: str) -> tuple[float, ...]:
 
 
 def choose_camera_info(
-    image: ImageTopic, kind: Sequence[str], size_px: tuple[int, int], infos: Sequence[tuple[str, CameraInfo]]
-) -> CameraInfo | None:
-    """The CameraInfo of images: of their frame, or of a folder that is named for their kind.
+    image: ImageTopic,
+    kind: Sequence[str],
+    size_px: tuple[int, int],
+    infos: Sequence[NamedInfo],
+    pixels_of: ImageTopic | None = None,
+) -> tuple[CameraInfo | None, str]:
+    """The CameraInfo of images: of their frame, beside them, or in a folder that is named for their kind.
 
-    Of several, one of their size comes first, then one of their frame, then the nearest by name.
+    Of several, one of their size comes first, then the one beside them (as image_transport's cameras have
+    it), then one of their frame, then the nearest by name. Images that by their name lie on the pixels of
+    others are seen by the camera of those: where its CameraInfo says otherwise, it is the one to believe.
 
     Args:
         image: the topic of the images.
         kind: words that such a folder's name holds, such as "depth".
         size_px: width and height of the images.
         infos: every CameraInfo of the bag with its topic's name.
+        pixels_of: the topic of the images on whose pixels `image` lies, by name or by frame; or None.
+
+    Returns:
+        The message, or None; and "", or a warning that another one contradicts it.
     """
+    usable = [(name, info) for name, info in infos if values_of(info, "K")[0] > 0]  # 0: no calibration
     ranked = []
-    for name, info in infos:
-        if not values_of(info, "K")[0] > 0:  # 0: the driver has no calibration
-            continue
+    for name, info in usable:
         shared = _shared_folders(name, image.name)
         same_frame = bool(image.frame_id) and info.header.frame_id == image.frame_id
-        if same_frame or any(word in folder.lower() for folder in shared for word in kind):
-            rank = ((info.width, info.height) == size_px, same_frame, len(shared))
-            ranked.append((*rank, info))
-    return max(ranked, key=lambda entry: entry[:3])[3] if ranked else None
+        beside = _is_beside(name, image)
+        if same_frame or beside or any(word in folder.lower() for folder in shared for word in kind):
+            rank = ((info.width, info.height) == size_px, beside, same_frame, len(shared))
+            ranked.append((rank, (name, info)))
+    ranked.sort(key=lambda entry: entry[0], reverse=True)
+    # As good as the first but for its name; and the camera on whose pixels the images lie.
+    rivals = [named for rank, named in ranked[1:] if rank[:3] == ranked[0][0][:3]]
+    for name, info in usable:
+        if pixels_of and _is_beside(name, pixels_of) and (info.width, info.height) == size_px:
+            rivals.insert(0, (name, info))
+    if not ranked:
+        return (rivals[0][1] if rivals else None), ""
+    own = ranked[0][1]
+    rival = next((rival for rival in rivals if _differ(own, rival, image)), None)
+    if rival is None:
+        return own[1], ""
+    if pixels_of and is_named_registered(image) and _is_beside(rival[0], pixels_of):
+        own, rival = rival, own
+    return own[1], _contradicted(own, rival, image)
+
+
+def _is_beside(info: str, image: ImageTopic) -> bool:
+    """Whether a CameraInfo's topic lies beside one of images, whose name may end in how they are packed."""
+    folder, _, last = image.name.rpartition("/")
+    if image.topic.type == COMPRESSED_IMAGE and last.startswith("compressed"):
+        folder = folder.rpartition("/")[0]
+    return info.rpartition("/")[0] == folder
+
+
+def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
+    """Whether two CameraInfo say different intrinsics of images of one size, beyond rounding (own choice)."""
+    a, b = (intrinsics_of(info, image) for _, info in (first, second))
+    pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
+    return any(abs((x or 0.0) - (y or 0.0)) > SAME_SHARE * (a.fx or 1.0) for x, y in pairs)
+
+
+def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic) -> str:
+    """The warning that two CameraInfo differ, with both values, and the setting that takes the other."""
+    first, second = (_in_words(info, image) for _, info in (taken, other))
+    return (
+        f"{image.name}: {taken[0]} ({first}) and {other[0]} ({second}) contradict each other; the first is "
+        f"taken; if the second is right, put `camera: {{{second}}}` into benchmark.yaml"
+    )
+
+
+def _in_words(info: CameraInfo, image: ImageTopic) -> str:
+    said = intrinsics_of(info, image)
+    return ", ".join(f"{name}: {getattr(said, name):g}" for name in ("fx", "fy", "cx", "cy"))
 
 
 def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
