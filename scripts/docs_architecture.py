@@ -183,6 +183,12 @@ OTHER_FILES = (
         "CountedPair",
         "core/artefacts/counted.py",
     ),
+    (
+        ".predicted.jsonl",
+        "the files that a run of `predict` has written, until all are",
+        "PredictedFile",
+        "core/artefacts/method.py",
+    ),
     ("gallery.npz", "some predictions at 64^3", "Gallery", "core/artefacts/gallery.py"),
     ("targets.csv", "the pairs of a release", "Target", "core/artefacts/targets.py"),
 )

@@ -101,7 +101,7 @@ def predict(
 
     require_torch()
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.methods.predict import notes, replaced_lines
+    from kinectbench.scoring.methods.predict import notes
     from kinectbench.scoring.methods.predict import predict as run
     from kinectbench.scoring.methods.processes import chosen_device
     from kinectbench.scoring.methods.trained import folder_of, open_trained
@@ -109,10 +109,14 @@ def predict(
     folder, where = folder_of(method), chosen_device(device)
     benchmark = open_release(release)
     trained = open_trained(folder, where)
-    if said := [*notes(trained, benchmark), *replaced_lines(trained, out / trained.config.name)]:
-        console.lines(trained.config.name, said, "yellow")
+
+    def say(line: str) -> None:
+        console.lines(trained.config.name, [line], "yellow")
+
+    for line in notes(trained, benchmark):
+        say(line)
     with console.bar(f"predict {trained.config.name}") as progress:
-        written = run(trained, benchmark, out, threshold=threshold, device=where, progress=progress)
+        written = run(trained, benchmark, out, threshold=threshold, device=where, progress=progress, say=say)
     common.tell_written(written)
 
 

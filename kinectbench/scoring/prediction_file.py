@@ -53,7 +53,8 @@ def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> tup
     with _told(name), open_plain(path) as file:
         before = _state(file)
         prediction = _loaded(file, path.suffix, voxel_size_m)
-        digest = _blake3(file)
+        file.seek(0)
+        digest = blake3_of(file)
         if _state(file) != before:
             raise PredictionError("changed while it was read; score it when it is written")
         return prediction, digest
@@ -91,14 +92,17 @@ def _state(file: IO[bytes]) -> tuple[int, int, int]:
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
 
-def _blake3(file: IO[bytes]) -> str:
+def blake3_of(content: IO[bytes] | bytes) -> str:
+    """`blake3:` and the hash of bytes, or of a file from where it is read next."""
     # SHA-256 of a 33 MB prediction takes longer than all the rest of its scoring.
     from blake3 import blake3
 
     digest = blake3()
-    file.seek(0)
-    while chunk := file.read(COPIED_BYTES):
-        digest.update(chunk)
+    if isinstance(content, bytes):
+        digest.update(content)
+    else:
+        while chunk := content.read(COPIED_BYTES):
+            digest.update(chunk)
     return f"blake3:{digest.hexdigest()}"
 
 

@@ -1,12 +1,17 @@
 """method.json beside a method's predictions, and training.json beside a network's weights."""
 
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from kinectbench.core.artefacts.benchmark import SHA256
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.errors import KinectBenchError, PredictionError
+from kinectbench.core.storage import canonical_json, sha256_text
+
+# What `predict` has written of a run that is not complete, a file a line.
+PREDICTED = ".predicted.jsonl"
+Blake3 = Annotated[str, Field(pattern="^blake3:[0-9a-f]{64}$")]
 
 
 class MethodFile(Stored):
@@ -34,6 +39,14 @@ class MethodFile(Stored):
     peak_memory_mb: float | None = Field(
         None, description="most memory of the process, or of the GPU, 10^6 bytes"
     )
+    run_sha256: str | None = Field(
+        None,
+        pattern=SHA256,
+        description="of all that decides the bytes: the run of `predict` that wrote them",
+    )
+    files: dict[str, Blake3] | None = Field(
+        None, description="every file that the run wrote -> blake3:<hex> of its bytes"
+    )
 
 
 class UnfinishedFile(Stored):
@@ -48,6 +61,25 @@ class UnfinishedFile(Stored):
     config_sha256: str = Field(pattern=SHA256, description="of the method's configuration")
     weights_sha256: str = Field(pattern=SHA256, description="of weights.npz")
     threshold: float | None = Field(description="above which bits are set; null: probabilities")
+    torch: str | None = Field(None, description="version of torch")
+    hardware: str | None = Field(None, description="that it runs on: sums are rounded in another order there")
+
+    @property
+    def sha256(self) -> str:
+        """Of all that decides the bytes of the predictions."""
+        return sha256_text(canonical_json(self.json_value()))
+
+
+class PredictedFile(Part):
+    """A line of .predicted.jsonl: a file that a run wrote whole."""
+
+    run_sha256: str = Field(description="of the run")
+    file: str = Field(description="relative to the method's folder")
+    digest: Blake3 = Field(description="of its bytes")
+
+    def line(self) -> str:
+        """As the journal has it."""
+        return canonical_json(self.json_value()) + "\n"
 
 
 class TrainingRow(Part):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import replaced_file
+from kinectbench.core.storage import replaced_file, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values
@@ -120,9 +120,15 @@ def write_baselines(
         raise SettingsError(f"{BASE_RATE}: needs truth of every category, and it is held back; leave it out")
     if blind:
         raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
-    run_tasks(
-        partial(_write, out), baseline_tasks(release, chosen, base_rates(release, jobs)), jobs, progress
-    )
+    tasks = baseline_tasks(release, chosen, base_rates(release, jobs))
+    # Files of an earlier run, which may be of another release, must not stay where this one is stopped.
+    for task in tasks:
+        for name in chosen:
+            path = _path(out, name, task.target)
+            if path.is_file() or path.is_symlink():
+                with storage_errors(path):
+                    path.unlink()
+    run_tasks(partial(_write, out), tasks, jobs, progress)
     return chosen
 
 
@@ -140,6 +146,9 @@ def check_names(names: Sequence[str]) -> None:
 def _write(out: Path, task: BaselineTask) -> None:
     """Write one pair's predictions."""
     for name, prediction in predicted(task):
-        path = out / name / task.target.recording / f"{task.target.view}.npz"
-        with replaced_file(path) as temporary:
+        with replaced_file(_path(out, name, task.target)) as temporary:
             temporary.write_bytes(npz_bytes({"prediction": prediction}))
+
+
+def _path(out: Path, name: str, target: Target) -> Path:
+    return out / name / target.recording / f"{target.view}.npz"

@@ -3,6 +3,7 @@
 import resource
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,14 +13,14 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import replaced_file, write_below
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
+from kinectbench.engine.locks import locked
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.methods.allocator import memory_kept
+from kinectbench.scoring.methods.prediction_folder import PredictionFolder
 from kinectbench.scoring.methods.run_folder import hardware, make_folder
 from kinectbench.scoring.methods.trained import Trained
 from kinectbench.scoring.methods.validate import completed
@@ -37,10 +38,12 @@ def predict(
     threshold: float | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Path:
     """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json.
 
-    What was stopped goes on where it was, if network, release and threshold are the same still.
+    What was stopped goes on where it was, and what is complete is left, if all that decides the bytes is the
+    same still (`UnfinishedFile`); else what is there is removed first.
 
     Args:
         trained: the network, on its device.
@@ -49,20 +52,56 @@ def predict(
         threshold: predictions are packed bits, set above it; None: probabilities, float16.
         device: that the network is on.
         progress: called with (pairs done, pairs in all).
+        say: called with a line where another run's predictions are removed, or another run is waited for.
 
     Returns:
         The method's folder.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
+        SettingsError: the folder holds predictions for another release, or none that `predict` wrote.
         StorageError: the disk is full or read-only.
     """
     folder = out / trained.config.name
     make_folder(folder)
-    _check_folder(folder, release)
-    kept = _begin(folder, trained, release, threshold)
+    run = UnfinishedFile(
+        version=__version__,
+        benchmark_sha256=release.benchmark_sha256,
+        config_sha256=trained.config.sha256,
+        weights_sha256=trained.weights_sha256,
+        threshold=threshold,
+        torch=str(torch.__version__),
+        hardware=hardware(device),
+    )
     targets = [target for split in SPLITS for target in release.split(split)]
-    waiting = [target for target in targets if not (kept and _path(folder, target).is_file())]
+
+    def waiting(holder: str) -> None:
+        if say:
+            say(f"{folder}: waiting for {holder}")
+
+    with locked(folder, waiting=waiting):
+        kept = PredictionFolder(folder, run, targets, say)
+        if not kept.complete:
+            seconds = _write_all(kept, trained, release, threshold, device, progress)
+            kept.finish(_method(trained, release, run, seconds, device))
+    return folder
+
+
+def _write_all(
+    kept: PredictionFolder,
+    trained: Trained,
+    release: Release,
+    threshold: float | None,
+    device: str,
+    progress: Progress | None,
+) -> list[float]:
+    """Predict what is not there; arguments as of `predict`.
+
+    Returns:
+        The seconds that the network took, of each view.
+    """
+    targets = [target for split in SPLITS for target in release.split(split)]
+    waiting = [target for target in targets if not kept.holds(target)]
     seconds = []
     # A file is squeezed and written while the network completes the next view.
     with memory_kept(), ThreadPoolExecutor(1) as writer:
@@ -75,42 +114,18 @@ def predict(
             seconds.append(time.perf_counter() - started)
             if written:
                 written.result()
-            written = writer.submit(_write, _path(folder, target), probability, threshold)
+            written = writer.submit(_write, kept, target, probability, threshold)
             if progress:
                 progress(done, len(targets))
         if written:
             written.result()
-    text = _method(trained, release, threshold, seconds, device).text()
-    with replaced_file(folder / MethodFile.FILE) as temporary:
-        write_below(temporary, text.encode())
-    (folder / UnfinishedFile.FILE).unlink()
-    return folder
+    return seconds
 
 
-def _path(folder: Path, target: Target) -> Path:
-    return folder / target.recording / f"{target.view}.npz"
-
-
-def _write(path: Path, probability: NDArray[np.float16], threshold: float | None) -> None:
-    with replaced_file(path) as temporary:
-        temporary.write_bytes(prediction_bytes(probability, threshold))
-
-
-def _begin(folder: Path, trained: Trained, release: Release, threshold: float | None) -> bool:
-    """Note which run begins; whether what is there was left by the same one, which was stopped."""
-    run = UnfinishedFile(
-        version=__version__,
-        benchmark_sha256=release.benchmark_sha256,
-        config_sha256=trained.config.sha256,
-        weights_sha256=trained.weights_sha256,
-        threshold=threshold,
-    )
-    same = UnfinishedFile.read_if_there(folder) == run
-    if not same:
-        with replaced_file(folder / UnfinishedFile.FILE) as temporary:
-            write_below(temporary, run.text().encode())
-    (folder / MethodFile.FILE).unlink(missing_ok=True)  # until all is there, nothing says what it is of
-    return same
+def _write(
+    kept: PredictionFolder, target: Target, probability: NDArray[np.float16], threshold: float | None
+) -> None:
+    kept.write(target, prediction_bytes(probability, threshold))
 
 
 def prediction_bytes(probability: NDArray[np.float16], threshold: float | None) -> bytes:
@@ -137,36 +152,8 @@ def notes(trained: Trained, release: Release) -> list[str]:
     return found
 
 
-def replaced_lines(trained: Trained, folder: Path) -> list[str]:
-    """A line where other weights' predictions, of the same name, are about to be replaced."""
-    kept = MethodFile.read_if_there(folder)
-    of = (kept.settings or {}).get("weights_sha256") if kept else None
-    if of is None or of == trained.weights_sha256:
-        return []
-    return [f"{folder}: replaces the predictions of other weights; --out keeps both"]
-
-
-def _check_folder(folder: Path, release: Release) -> None:
-    """Refuse a folder that holds predictions for another release, or none that `predict` wrote.
-
-    Raises:
-        SettingsError: it does.
-    """
-    kept, begun = MethodFile.read_if_there(folder), UnfinishedFile.read_if_there(folder)
-    for of in (kept.benchmark_sha256 if kept else None, begun.benchmark_sha256 if begun else None):
-        if of and of != release.benchmark_sha256:
-            raise SettingsError(
-                f"{folder}: holds predictions for another release ({of[:8]}…); choose another folder by --out"
-            )
-    # What begins with a dot is the system's, or half a file of a run that was killed at its start.
-    if not kept and not begun and any(not path.name.startswith(".") for path in folder.iterdir()):
-        raise SettingsError(
-            f"{folder}: holds what `predict` did not write; choose another folder by --out, or move it away"
-        )
-
-
 def _method(
-    trained: Trained, release: Release, threshold: float | None, seconds: list[float], device: str
+    trained: Trained, release: Release, run: UnfinishedFile, seconds: list[float], device: str
 ) -> MethodFile:
     config, training = trained.config, trained.training
     return MethodFile(
@@ -179,13 +166,14 @@ def _method(
             "config": config.model_dump(mode="json"),
             "config_sha256": config.sha256,
             "weights_sha256": trained.weights_sha256,
-            "threshold": threshold,
+            "threshold": run.threshold,
+            "torch": run.torch,
         },
         training=training.model_dump(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )
         | {"notes": notes(trained, release)},
-        hardware=hardware(device),
+        hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
         peak_memory_mb=round(_peak_bytes(device) / 1e6, 1),
     )

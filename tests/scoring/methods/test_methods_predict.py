@@ -140,7 +140,8 @@ def test_other_weights_are_told_and_a_file_in_the_way_too(
     benchmark = str(learning.folder)
     assert command(tmp_path, "predict", str(trained), benchmark, "--device", "cpu").err == ""
     told = command(tmp_path, "predict", "other", benchmark, "--device", "cpu")
-    assert told.status == 0 and "replaces the predictions of other weights" in told.err
+    assert told.status == 0
+    assert "predictions/tiny: removes 3 predictions of another run (other weights); --out" in told.err
     (tmp_path / "file").write_bytes(b"")
     refused = command(tmp_path, "predict", str(trained), benchmark, "--out", "file")
     assert refused.status == 1 and "the way to it holds a file; choose another folder" in refused.err
@@ -241,8 +242,10 @@ def test_a_folder_holds_predictions_for_one_release_from_one_run(
     refused = command(tmp_path, "predict", str(trained), str(other), "--device", "cpu")
     assert refused.status == 2 and "holds predictions for another release" in refused.err
     monkeypatch.setattr(predicting, "completed", stopped)
-    assert command(tmp_path, "predict", str(trained), str(learning.folder), "--device", "cpu").status == 1
-    assert not said.exists()  # some files may be new and some old
+    again = ("predict", str(trained), str(learning.folder), "--device", "cpu")
+    assert command(tmp_path, *again).status == 0 and said.exists()  # all is there: nothing is predicted
+    assert command(tmp_path, *again, "--threshold", "0.5").status == 1
+    assert not said.exists()
 
 
 def stopped(*arguments: object) -> None:

@@ -1,0 +1,202 @@
+"""The folder that a network's predictions are written to: all files in it are of one run of `predict`.
+
+A run's fingerprint is of all that decides the bytes of a prediction. The folder holds it with the digest of
+every file: in `.predicted.jsonl` until the run is complete, then in method.json. A run goes on only with
+files of its own fingerprint that are as it wrote them; others are removed before it writes one.
+"""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from kinectbench.core.artefacts.method import PREDICTED, MethodFile, PredictedFile, UnfinishedFile
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import replaced_file, storage_errors, write_below
+from kinectbench.core.untrusted import lies_below, open_plain, read_plain_text
+from kinectbench.release.release import Target
+from kinectbench.scoring.prediction_file import blake3_of
+
+SUFFIX = ".npz"
+# What tells two runs apart, in words, by the key of unfinished.json.
+WORDS = {
+    "weights_sha256": "other weights",
+    "config_sha256": "another configuration",
+    "threshold": "another --threshold",
+    "version": "another version of kinectbench",
+    "torch": "another version of torch",
+    "hardware": "other hardware",
+}
+
+
+class PredictionFolder:
+    """The predictions of one run; whoever holds the folder's lock makes one.
+
+    Args:
+        folder: of the method; it is there.
+        run: which begins or goes on.
+        targets: that it predicts.
+        say: called with a line where predictions of another run are removed.
+
+    Raises:
+        SettingsError: the folder holds predictions for another release, what `predict` did not write, or a
+            link to another folder.
+        PredictionError: what an earlier run left of method.json or unfinished.json cannot be read.
+        StorageError: the disk is full or read-only.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        run: UnfinishedFile,
+        targets: Sequence[Target],
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        self._folder, self._run = folder, run
+        done, begun = MethodFile.read_if_there(folder), UnfinishedFile.read_if_there(folder)
+        self._check(done, begun, targets)
+        written = self._written_before(done)
+        self._kept = {
+            name: digest
+            for name, digest in written.items()
+            if name in {_name(target) for target in targets} and self._digest(name) == digest
+        }
+        self.complete = bool(done and done.run_sha256 == run.sha256 and len(self._kept) == len(targets))
+        if self.complete:
+            self._clear()  # where it was killed at its very end
+        else:
+            self._begin(done, begun, targets, say)
+
+    def holds(self, target: Target) -> bool:
+        """Whether this run has written a target's prediction, and it is there as it was written."""
+        return _name(target) in self._kept
+
+    def write(self, target: Target, content: bytes) -> None:
+        """Write a prediction, whole or not at all, and note that it was this run.
+
+        Raises:
+            StorageError: the disk is full or read-only.
+        """
+        name = _name(target)
+        with replaced_file(self._folder / name) as temporary:
+            temporary.write_bytes(content)
+        self._kept[name] = blake3_of(content)
+        self._note([name])
+
+    def finish(self, method: MethodFile) -> None:
+        """All is written: from now on method.json says what made the files, and which they are."""
+        whole = method.model_copy(
+            update={"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
+        )
+        with replaced_file(self._folder / MethodFile.FILE) as temporary:
+            write_below(temporary, whole.text().encode())
+        self._clear()
+
+    def _clear(self) -> None:
+        for name in (UnfinishedFile.FILE, PREDICTED):
+            (self._folder / name).unlink(missing_ok=True)
+
+    def _check(
+        self, done: MethodFile | None, begun: UnfinishedFile | None, targets: Sequence[Target]
+    ) -> None:
+        folder = self._folder
+        for of in (done.benchmark_sha256 if done else None, begun.benchmark_sha256 if begun else None):
+            if of and of != self._run.benchmark_sha256:
+                raise SettingsError(
+                    f"{folder}: holds predictions for another release ({of[:8]}…); "
+                    "choose another folder by --out"
+                )
+        # What begins with a dot is the system's, or half a file of a run that was killed at its start.
+        ours = begun or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
+        if not ours and any(not path.name.startswith(".") for path in folder.iterdir()):
+            raise SettingsError(
+                f"{folder}: holds what `predict` did not write; choose another folder by --out, or move it "
+                "away"
+            )
+        for name in sorted({target.recording for target in targets}):
+            if not lies_below(folder / name, folder.resolve()):
+                raise SettingsError(f"{folder / name}: a link out of the folder; remove it")
+
+    def _written_before(self, done: MethodFile | None) -> dict[str, str]:
+        """{file: digest} of all that this very run wrote before; empty if another one did."""
+        if done is not None:
+            return dict(done.files or {}) if done.run_sha256 == self._run.sha256 else {}
+        found = {}
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            for line in read_plain_text(self._folder / PREDICTED).splitlines():
+                with contextlib.suppress(ValidationError):  # a line that was not written whole
+                    one = PredictedFile.model_validate_json(line, strict=True)
+                    if one.run_sha256 == self._run.sha256:
+                        found[one.file] = one.digest
+        return found
+
+    def _begin(
+        self,
+        done: MethodFile | None,
+        begun: UnfinishedFile | None,
+        targets: Sequence[Target],
+        say: Callable[[str], None] | None,
+    ) -> None:
+        """Note which run this is, and remove what it has not written; killed anywhere, it begins again."""
+        listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
+        before = {*listed, *map(_name, targets)} - self._kept.keys()
+        with storage_errors(self._folder):
+            (self._folder / PREDICTED).unlink(missing_ok=True)
+        with replaced_file(self._folder / UnfinishedFile.FILE) as temporary:
+            write_below(temporary, self._run.text().encode())
+        with storage_errors(self._folder):
+            (self._folder / MethodFile.FILE).unlink(missing_ok=True)
+            removed = [name for name in sorted(before) if self._remove(name)]
+        self._note(sorted(self._kept))
+        if removed and say:
+            say(_removed_line(self._folder, len(removed), _difference(done, begun, self._run)))
+
+    def _remove(self, name: str) -> bool:
+        """Remove a file that this run has not written; whether there was one."""
+        path = self._folder / name
+        if path.is_dir() or not (path.is_symlink() or path.exists()):
+            return False
+        if not lies_below(path.parent, self._folder.resolve()):  # as a method.json could say
+            return False
+        path.unlink()
+        return True
+
+    def _note(self, names: Sequence[str]) -> None:
+        path = self._folder / PREDICTED
+        with storage_errors(path), path.open("a", encoding="utf-8") as file:
+            for name in names:
+                line = PredictedFile(run_sha256=self._run.sha256, file=name, digest=self._kept[name]).line()
+                file.write(line)
+
+    def _digest(self, name: str) -> str | None:
+        """Of a file as it is; None if it cannot be read."""
+        try:
+            with open_plain(self._folder / name) as file:
+                return blake3_of(file)
+        except OSError:
+            return None
+
+
+def _name(target: Target) -> str:
+    return f"{target.recording}/{target.view}{SUFFIX}"
+
+
+def _difference(done: MethodFile | None, begun: UnfinishedFile | None, run: UnfinishedFile) -> str:
+    """In what the run that left the files differs, in words; "" where it is this one."""
+    if begun is not None:
+        before = begun.json_value()
+    elif done is not None:
+        before = {**(done.settings or {}), "hardware": done.hardware}
+        before["version"] = (done.version or "").removeprefix("kinectbench ")
+    else:
+        before = {}
+    now = run.json_value()
+    return ", ".join(words for key, words in WORDS.items() if before.get(key) != now.get(key))
+
+
+def _removed_line(folder: Path, count: int, difference: str) -> str:
+    files = "1 prediction" if count == 1 else f"{count} predictions"
+    if not difference:
+        return f"{folder}: removes {files} that this run did not write, or that changed since"
+    return f"{folder}: removes {files} of another run ({difference}); --out keeps both"
