@@ -9,8 +9,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools
 from kinectbench.core.upright import upright_masks
-from kinectbench.engine.stages import Job
-from kinectbench.settings.models import Vector4
+from kinectbench.settings.models import SegmentBy, Vector4
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.turntable import plane_below, turntable_masks
 
@@ -18,31 +17,38 @@ from kinectbench.stages.segment.turntable import plane_below, turntable_masks
 FRAME_MASK = re.compile(r"[0-9]{1,9}\.(?i:png)")
 
 
-def frame_masks(job: Job, sequence: Sequence) -> Masks | None:
+def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
     """The masks that a recording is segmented by, index -> mask or None; None if it is not.
+
+    Args:
+        sequence: the recording.
+        by: what says what the object is; None: nothing but its place.
+        folder: of a person's masks of frames; None: the recording's own are meant.
 
     Raises:
         SegmentationError: it is to be, but brings no masks, a person's cannot be used, or nothing turns.
     """
-    if job.recording.segment_by is None:
+    if by is None:
         return None
-    if job.recording.segment_by == "turntable":
+    if by == "turntable":
         return turntable_masks(sequence)
-    if job.masks is not None:
-        return upright_masks(sequence, _of_folder(job.masks, sequence))
+    if folder is not None:
+        return upright_masks(sequence, _of_folder(folder, sequence))
     if sequence.masks is None:
         raise SegmentationError(
-            f"{job.source}: `segment_by: masks` asks for masks, but the recording brings none: put one PNG "
-            "per frame (0 = not the object), named by the frame's number such as 000012.png, into a folder, "
-            "and name that folder as `masks` in benchmark.yaml"
+            "`segment_by: masks` asks for masks, but the recording brings none: put one PNG per frame "
+            "(0 = not the object), named by the frame's number such as 000012.png, into a folder, and name "
+            "that folder as `masks` in benchmark.yaml"
         )
     return sequence.masks
 
 
-def plane_given(job: Job, sequence: Sequence, trajectory: Trajectory) -> Vector4 | None:
+def plane_given(
+    sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
+) -> Vector4 | None:
     """What the object stands on, in its world: a person's plane, or the one that it was seen to turn on."""
-    if job.recording.segment_by != "turntable" or job.recording.plane_world is not None:
-        return job.recording.plane_world
+    if by != "turntable" or floor is not None:
+        return floor
     plane_world = plane_below(whole(sequence), trajectory)
     if plane_world is None:
         return None

@@ -11,7 +11,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.core.voxels.observation import Observation, merge
-from kinectbench.settings.models import FusionSettings, SegmentationSettings, Vector4
+from kinectbench.settings.models import FloorCuts, FusionSettings, Vector4
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m
 from kinectbench.stages.segment.choose import Segmentation, segment
@@ -45,7 +45,7 @@ def build_object(
     trajectory: Trajectory,
     scene: TriangleMesh,
     given_box: OrientedBox | None,
-    segmentation: SegmentationSettings,
+    segmentation: FloorCuts,
     fusion: FusionSettings,
     progress: Progress | None = None,
     floor: Vector4 | None = None,

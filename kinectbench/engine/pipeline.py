@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from kinectbench.core.artefacts.manifest import Timing
@@ -24,6 +25,7 @@ from kinectbench.engine.locks import locked
 from kinectbench.engine.recording_summary import RecordingSummary
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
 from kinectbench.engine.time_limit import Hung, time_limit
+from kinectbench.engine.work import Source, Work
 
 NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
 
@@ -46,6 +48,7 @@ class Outcome:
 
 
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
+FOLDERS = {stage.name: stage.folder for stage in STAGES}
 
 
 def build_recording(
@@ -90,8 +93,8 @@ def build_recording(
                         check_masks(job)  # before the stages that take long
             for stage in stages:
                 with _failure_kept(job, stage, artefacts):
-                    artefact = _artefact(job, stage, artefacts)
-                    artefacts[stage.name] = artefact
+                    sources = stage.sources(job)
+                    artefact = artefacts[stage.name] = _artefact(job, stage, sources, artefacts)
                     if artefact.is_current() and stage.name not in force:
                         current.append(stage.name)
                         continue
@@ -99,7 +102,7 @@ def build_recording(
                         repeated = True
                         break
                     report(stage.name, 0, 1)
-                    _make(job, stage, artefact, report)
+                    _make(job, stage, sources, artefact, report)
                     made.append(stage.name)
             if not repeated:
                 forget_failure(job.build, (*made, *current))
@@ -142,7 +145,7 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
     """What each stage up to the named one is to make, by the stages' names in their order."""
     artefacts: dict[str, Artefact] = {}
     for stage in stages_upto(upto):
-        artefacts[stage.name] = _artefact(job, stage, artefacts)
+        artefacts[stage.name] = _artefact(job, stage, stage.sources(job), artefacts)
     return artefacts
 
 
@@ -191,21 +194,35 @@ def listed_box(job: Job, number: int) -> BoxPart:
     return boxes[number]
 
 
-def _artefact(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Artefact:
-    inputs = {name: artefacts[name].fingerprint for name in stage.inputs} | dict(stage.sources(job))
+def _artefact(
+    job: Job, stage: Stage, sources: Mapping[str, Source], artefacts: Mapping[str, Artefact]
+) -> Artefact:
+    inputs = {name: artefacts[name].fingerprint for name in stage.inputs}
+    inputs |= {name: source.sha256 for name, source in sources.items()}
     return Artefact(job.build / stage.folder, stage.name, stage.version, stage.settings(job), inputs)
 
 
-def _make(job: Job, stage: Stage, artefact: Artefact, report: Callable[[str, int, int], None]) -> None:
-    from kinectbench.engine.steps import STEPS
+def _make(
+    job: Job,
+    stage: Stage,
+    sources: Mapping[str, Source],
+    artefact: Artefact,
+    report: Callable[[str, int, int], None],
+) -> None:
+    """Make an artefact; its step is given what is in its fingerprint and nothing else, so not the job."""
+    from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()
+    folders = {name: job.build / folder for name, folder in FOLDERS.items() if name in stage.inputs}
     with artefact.write() as folder:
+        progress = partial(report, stage.name)
         try:
-            STEPS[stage.name](job, folder, lambda done, total: report(stage.name, done, total))
+            STEPS[stage.name](Work(stage.needs(job), folders, sources, folder, progress))
         except (TrackingError, SegmentationError, ShapeError) as failure:
             raise type(failure)(_explained(job, failure)) from failure
         Timing(seconds=round(time.monotonic() - started, 3)).write(folder)
+        if stage.name in OVERTAKEN:
+            (job.build / OVERTAKEN[stage.name]).unlink(missing_ok=True)
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:

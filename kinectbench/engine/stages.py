@@ -7,7 +7,21 @@ from typing import Any
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
-from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
+from kinectbench.engine.stage_settings import (
+    FuseSettings,
+    IngestSettings,
+    ObjectFusion,
+    PairsSettings,
+    SampleSettings,
+    SceneFusion,
+    SegmentSettings,
+    StageSettings,
+    SuggestSettings,
+    TrackSettings,
+    part_of,
+)
+from kinectbench.engine.work import Source
+from kinectbench.settings.models import BenchmarkSettings, FitLimits, FloorCuts, RecordingSettings
 
 
 @dataclass(frozen=True)
@@ -61,61 +75,70 @@ class Stage:
         name: of the command.
         folder: of the artefact, below `build/<recording>/`.
         inputs: names of the stages it stands on.
-        settings: what of the settings it depends on, as plain JSON values.
-        sources: hashes of files outside `build/` that it depends on.
+        needs: what of the settings it depends on; its step is given nothing else of them.
+        sources: what outside `build/` it depends on, by name.
     """
 
     name: str
     folder: str
     inputs: tuple[str, ...]
-    settings: Callable[[Job], Mapping[str, Any]]
-    sources: Callable[[Job], Mapping[str, str]] = lambda job: {}
+    needs: Callable[[Job], StageSettings]
+    sources: Callable[[Job], Mapping[str, Source]] = lambda job: {}
 
     @property
     def version(self) -> int:
         """Of what it writes; artefacts of another version are made again."""
         return VERSIONS[self.name]
 
-
-def _section(job: Job, name: str, *keys: str, without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """A section of the settings as JSON values: the named keys, or all but some."""
-    section = getattr(job.settings, name).model_dump(mode="json")
-    return {key: value for key, value in section.items() if (not keys or key in keys) and key not in without}
+    def settings(self, job: Job) -> Mapping[str, Any]:
+        """What of the settings it depends on, as plain JSON values."""
+        return self.needs(job).fingerprinted()
 
 
-def _ingest_settings(job: Job) -> Mapping[str, Any]:
-    camera = job.recording.camera
-    return {"camera": None if camera is None else camera.model_dump(mode="json")}
+def _ingest(job: Job) -> StageSettings:
+    own = job.recording
+    return IngestSettings(camera=own.camera, needs_trajectory=own.trajectory_mode != "ignore")
 
 
-def _track_settings(job: Job) -> Mapping[str, Any]:
-    """What comes after it depends on `segment_by` through it."""
-    by = {} if job.recording.segment_by is None else {"segment_by": job.recording.segment_by}
-    return {"trajectory": job.recording.trajectory, **by, "tracking": _section(job, "tracking")}
+def _track(job: Job) -> StageSettings:
+    own = job.recording
+    mode, tracking = own.trajectory_mode, job.settings.tracking
+    return TrackSettings(trajectory=mode, segment_by=own.segment_by, tracking=tracking)
 
 
-def _segment_settings(job: Job) -> Mapping[str, Any]:
-    box = job.recording.box
-    return {
-        "box": None if box is None else box.model_dump(mode="json"),
-        **_floor_settings(job),
-        "segmentation": _section(job, "segmentation", without=("mask_tolerance_m",)),
-        "fusion": _section(job, "fusion", without=("scene_voxel_size_m",)),
-    }
+def _fuse(job: Job) -> StageSettings:
+    fusion = part_of(SceneFusion, job.settings.fusion)
+    return FuseSettings(segment_by=job.recording.segment_by, fusion=fusion)
 
 
-def _floor_settings(job: Job) -> Mapping[str, Any]:
-    """Nothing where no plane is given, so that what was made before the setting came stays current."""
-    plane_world = job.recording.plane_world
-    return {} if plane_world is None else {"floor": list(plane_world)}
+def _suggest(job: Job) -> StageSettings:
+    own, cuts = job.recording, part_of(FloorCuts, job.settings.segmentation)
+    return SuggestSettings(segment_by=own.segment_by, floor=own.plane_world, segmentation=cuts)
 
 
-def _view_settings(job: Job) -> Mapping[str, Any]:
-    return {
-        "views": _section(job, "views"),
-        "segmentation": _section(job, "segmentation", "mask_tolerance_m"),
-        "pairs": _section(job, "pairs", "min_containment", "max_residual_m", "min_visible_share"),
-    }
+def _segment(job: Job) -> StageSettings:
+    own, settings = job.recording, job.settings
+    return SegmentSettings(
+        segment_by=own.segment_by,
+        box=own.box,
+        floor=own.plane_world,
+        segmentation=part_of(FloorCuts, settings.segmentation),
+        fusion=part_of(ObjectFusion, settings.fusion),
+    )
+
+
+def _sample_views(job: Job) -> StageSettings:
+    settings = job.settings
+    return SampleSettings(
+        segment_by=job.recording.segment_by,
+        views=settings.views,
+        segmentation=settings.segmentation,
+        pairs=part_of(FitLimits, settings.pairs),
+    )
+
+
+def _pairs(job: Job) -> StageSettings:
+    return PairsSettings(pairs=job.settings.pairs)
 
 
 def check_masks(job: Job) -> None:
@@ -134,7 +157,7 @@ def check_masks(job: Job) -> None:
         raise RecordingError(f"{job.masks}: {missing}")
 
 
-def _mask_sources(job: Job) -> Mapping[str, str]:
+def _masks(job: Job) -> Mapping[str, Source]:
     check_masks(job)
     if job.masks is None:
         return {}
@@ -142,60 +165,36 @@ def _mask_sources(job: Job) -> Mapping[str, str]:
 
     files = files_below(job.masks, follow_links=job.recording.follow_links)
     pictures = [file for file in files if file.parent == job.masks and file.suffix.lower() == ".png"]
-    return {"masks": content_hash(pictures, job.masks)}
+    return {"masks": Source(job.masks, content_hash(pictures, job.masks))}
 
 
-def _frame_mask_sources(job: Job) -> Mapping[str, str]:
+def _frame_masks(job: Job) -> Mapping[str, Source]:
     """A person's masks of frames; nothing where those of views are meant."""
-    return _mask_sources(job) if job.recording.segment_by == "masks" else {}
+    return _masks(job) if job.recording.segment_by == "masks" else {}
 
 
-def _recording_sources(job: Job) -> Mapping[str, str]:
+def _recording(job: Job) -> Mapping[str, Source]:
     if job.source_sha256 is not None:
-        return {"recording": job.source_sha256}
+        return {"recording": Source(job.source, job.source_sha256)}
     from kinectbench.stages.ingest.readers import source_files
     from kinectbench.stages.ingest.sources import check_there
 
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
-    return {"recording": content_hash(files, job.source, job.build)}
+    return {"recording": Source(job.source, content_hash(files, job.source, job.build))}
 
 
 STAGES: tuple[Stage, ...] = (
-    Stage("ingest", "sequence", (), _ingest_settings, _recording_sources),
-    Stage(
-        "track",
-        "trajectory",
-        ("ingest",),
-        _track_settings,
-        _frame_mask_sources,
-    ),
-    Stage(
-        "fuse",
-        "reconstruction",
-        ("ingest", "track"),
-        lambda job: {"fusion": _section(job, "fusion", without=("voxel_size_m",))},
-    ),
-    Stage("segment", "object", ("ingest", "track", "fuse"), _segment_settings),
-    Stage("sample-views", "views", ("ingest", "track", "segment"), _view_settings, _mask_sources),
-    Stage(
-        "pairs",
-        "pairs",
-        ("ingest", "track", "segment", "sample-views"),
-        lambda job: {"pairs": _section(job, "pairs", "framing", "partial_rule", "min_containment")},
-    ),
+    Stage("ingest", "sequence", (), _ingest, _recording),
+    Stage("track", "trajectory", ("ingest",), _track, _frame_masks),
+    Stage("fuse", "reconstruction", ("ingest", "track"), _fuse, _frame_masks),
+    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _frame_masks),
+    Stage("sample-views", "views", ("ingest", "track", "segment"), _sample_views, _masks),
+    Stage("pairs", "pairs", ("ingest", "track", "segment", "sample-views"), _pairs),
 )
 
 # Beside the way: boxes to choose from, for a person to look at. No other stage stands on it.
-SUGGEST = Stage(
-    "suggest",
-    "candidates",
-    ("ingest", "track", "fuse"),
-    lambda job: {
-        "segmentation": _section(job, "segmentation", "seed", "floor_cut_m", "low_cut_m"),
-        **_floor_settings(job),
-    },
-)
+SUGGEST = Stage("suggest", "candidates", ("ingest", "track", "fuse"), _suggest)
 
 
 def stages_upto(name: str) -> tuple[Stage, ...]:

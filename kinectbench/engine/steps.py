@@ -6,6 +6,7 @@ Import late: the functions load numba.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import TriangleMesh
@@ -13,13 +14,22 @@ from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
-from kinectbench.core.types import Progress
 from kinectbench.core.upright import upright
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
 from kinectbench.engine.frame_masks import frame_masks, plane_given
 from kinectbench.engine.object import build_object
-from kinectbench.engine.stages import SUGGEST, Job
+from kinectbench.engine.stage_settings import (
+    FuseSettings,
+    IngestSettings,
+    PairsSettings,
+    SampleSettings,
+    SegmentSettings,
+    SuggestSettings,
+    TrackSettings,
+)
+from kinectbench.engine.stages import SUGGEST
 from kinectbench.engine.track_scene import track_scene
+from kinectbench.engine.work import Work
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.reconstruction import write_reconstruction
 from kinectbench.stages.ingest.readers import open_recording
@@ -39,95 +49,106 @@ NOTHING_TO_CHOOSE = (
 )
 
 
+# By the stage's name: files of `build/<recording>/` that show what it is about to replace.
+OVERTAKEN: Mapping[str, str] = {"track": COMPARISON}
+
+
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
     """The sequence as the tracker saw it, and the trajectory of `build/<recording>/`.
 
     Its depth is calibrated, and a rolling shutter that was found is undone.
     """
-    sequence = read_sequence(build / "sequence")
-    trajectory = read_trajectory(build / "trajectory", sequence.stamps_ns)
+    return _tracked({"ingest": build / "sequence", "track": build / "trajectory"})
+
+
+def _tracked(stages: Mapping[str, Path]) -> tuple[Sequence, Trajectory]:
+    sequence = read_sequence(stages["ingest"])
+    trajectory = read_trajectory(stages["track"], sequence.stamps_ns)
     calibrated = sequence.calibrated(trajectory.depth_calibration)
     return upright(calibrated, trajectory.shutter), trajectory
 
 
-def read_own(job: Job) -> tuple[Sequence, Trajectory]:
+def _own(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
     """As `read_tracked`; of what is segmented by masks, with the object's own depth only."""
-    sequence, trajectory = read_tracked(job.build)
-    masks = frame_masks(job, sequence)
+    sequence, trajectory = _tracked(work.stages)
+    masks = frame_masks(sequence, work.settings.segment_by, work.masks)
     return (sequence if masks is None else by_own_pixels(sequence, masks)), trajectory
 
 
-def _scene(build: Path) -> TriangleMesh:
-    return read_own_ply(build / "reconstruction" / "mesh.ply")
+def _scene(stages: Mapping[str, Path]) -> TriangleMesh:
+    return read_own_ply(stages["fuse"] / "mesh.ply")
 
 
-def _ingest(job: Job, folder: Path, progress: Progress) -> None:
-    recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
+def _ingest(work: Work[IngestSettings]) -> None:
+    # Where links are not to be followed, they were refused when the recording's files were hashed.
+    recording = open_recording(work.sources["recording"].path, work.settings.camera, follow_links=True)
     refuse_hopeless(recording)
-    needed = job.recording.trajectory_mode != "ignore"
+    needed = work.settings.needs_trajectory
     watched = recording if needed else replace(recording, given_trajectory=None)
-    write_sequence(recording, folder, progress, needs_trajectory=needed, watch=OffsetWatch(watched))
+    watch = OffsetWatch(watched)
+    write_sequence(recording, work.folder, work.progress, needs_trajectory=needed, watch=watch)
 
 
-def _track(job: Job, folder: Path, progress: Progress) -> None:
-    sequence = read_sequence(job.build / "sequence")
-    masks, how = frame_masks(job, sequence), (job.recording.trajectory_mode, job.settings.tracking)
-    if masks is None:
-        trajectory = track_scene(sequence, *how, progress)
-    else:
-        trajectory = track_own_pixels(sequence, masks, *how, progress)
-    write_trajectory(trajectory, folder)
-    write_pictures(folder, trajectory)
-    # It shows the trajectory that is about to be replaced.
-    (job.build / COMPARISON).unlink(missing_ok=True)
-
-
-def _fuse(job: Job, folder: Path, progress: Progress) -> None:
-    reconstruction = fuse(*read_own(job), job.settings.fusion, progress)
-    write_reconstruction(reconstruction, folder)
-
-
-def _suggest(job: Job, folder: Path, progress: Progress) -> None:
-    if job.recording.segment_by is not None:
-        raise SegmentationError(NOTHING_TO_CHOOSE)
-    sequence, trajectory = read_tracked(job.build)
-    found = find_candidates(
-        _scene(job.build),
-        trajectory,
-        job.settings.segmentation,
-        floor_hint(sequence, trajectory, job.recording.plane_world),
+def _track(work: Work[TrackSettings]) -> None:
+    sequence, settings = read_sequence(work.stages["ingest"]), work.settings
+    masks, how = (
+        frame_masks(sequence, settings.segment_by, work.masks),
+        (settings.trajectory, settings.tracking),
     )
-    write_candidates(found, sequence, trajectory, folder)
+    if masks is None:
+        trajectory = track_scene(sequence, *how, work.progress)
+    else:
+        trajectory = track_own_pixels(sequence, masks, *how, work.progress)
+    write_trajectory(trajectory, work.folder)
+    write_pictures(work.folder, trajectory)
 
 
-def _segment(job: Job, folder: Path, progress: Progress) -> None:
-    tracked, scene, settings = read_own(job), _scene(job.build), job.settings
-    box = job.recording.box.box() if job.recording.box else None
+def _fuse(work: Work[FuseSettings]) -> None:
+    reconstruction = fuse(*_own(work), work.settings.fusion, work.progress)
+    write_reconstruction(reconstruction, work.folder)
+
+
+def _suggest(work: Work[SuggestSettings]) -> None:
+    settings = work.settings
+    if settings.segment_by is not None:
+        raise SegmentationError(NOTHING_TO_CHOOSE)
+    sequence, trajectory = _tracked(work.stages)
+    hint = floor_hint(sequence, trajectory, settings.floor)
+    found = find_candidates(_scene(work.stages), trajectory, settings.segmentation, hint)
+    write_candidates(found, sequence, trajectory, work.folder)
+
+
+def _segment(work: Work[SegmentSettings]) -> None:
+    settings, (sequence, trajectory) = work.settings, _own(work)
+    box = settings.box.box() if settings.box else None
     wanted = settings.segmentation, settings.fusion
-    model = build_object(*tracked, scene, box, *wanted, progress, plane_given(job, *tracked))
-    write_object(model, folder)
+    floor = plane_given(sequence, trajectory, settings.segment_by, settings.floor)
+    scene = _scene(work.stages)
+    model = build_object(sequence, trajectory, scene, box, *wanted, work.progress, floor)
+    write_object(model, work.folder)
 
 
-def _sample_views(job: Job, folder: Path, progress: Progress) -> None:
-    sequence, trajectory = read_tracked(job.build)
-    model = read_object(job.build / "object")
-    of_frames = frame_masks(job, sequence)
-    of_views = None if job.recording.segment_by == "masks" else job.masks
+def _sample_views(work: Work[SampleSettings]) -> None:
+    settings, (sequence, trajectory) = work.settings, _tracked(work.stages)
+    model = read_object(work.stages["segment"])
+    of_frames = frame_masks(sequence, settings.segment_by, work.masks)
+    of_views = None if settings.segment_by == "masks" else work.masks
     masks = None if of_views is None else read_masks(of_views)
     sequence = replace(sequence, masks=of_frames) if of_frames else sequence
-    wanted = job.settings.views, job.settings.segmentation, job.settings.pairs
-    views = sample_views(sequence, trajectory, model, *wanted, masks, progress)
-    write_views(views, sequence, folder)
+    wanted = settings.views, settings.segmentation, settings.pairs
+    views = sample_views(sequence, trajectory, model, *wanted, masks, work.progress)
+    write_views(views, sequence, work.folder)
 
 
-def _pairs(job: Job, folder: Path, progress: Progress) -> None:
-    sequence, _ = read_tracked(job.build)
-    shape = full_shape(read_object(job.build / "object"))
-    write_pairs(read_views(job.build / "views"), sequence, shape, job.settings.pairs, folder, progress)
+def _pairs(work: Work[PairsSettings]) -> None:
+    sequence, _ = _tracked(work.stages)
+    shape = full_shape(read_object(work.stages["segment"]))
+    views = read_views(work.stages["sample-views"])
+    write_pairs(views, sequence, shape, work.settings.pairs, work.folder, work.progress)
 
 
-# By the stage's name: (job, folder to fill, progress).
-STEPS: Mapping[str, Callable[[Job, Path, Progress], None]] = {
+# By the stage's name; each takes the settings of its own stage.
+STEPS: Mapping[str, Callable[[Work[Any]], None]] = {
     "ingest": _ingest,
     "track": _track,
     "fuse": _fuse,

@@ -13,12 +13,11 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 from kinectbench.core.errors import KinectBenchError
-from kinectbench.engine.pipeline import Outcome
+from kinectbench.engine.pipeline import FOLDERS, Outcome
 from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
-from kinectbench.engine.stages import STAGES, Job
+from kinectbench.engine.stages import Job
 
 File = TypeVar("File", bound=Stored)
-FOLDERS = {stage.name: stage.folder for stage in STAGES}
 
 
 @dataclass(frozen=True)

@@ -205,14 +205,19 @@ class FusionSettings(Settings):
         return self
 
 
-class SegmentationSettings(Settings):
-    """Floor plane and object selection."""
+class FloorCuts(Settings):
+    """What is floor, and what stands on it."""
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
     floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="what rises no higher than this is floor")
     low_cut_m: float = Field(
         0.01, ge=0.002, le=0.1, description="but not from here on, if it touches the object (a mat? raise it)"
     )
+
+
+class SegmentationSettings(FloorCuts):
+    """Floor plane and object selection."""
+
     mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
 
 
@@ -228,14 +233,23 @@ class ViewSettings(Settings):
     recorded_masks: bool = Field(True, description="use the masks that came with a recording, such as BOP's")
 
 
-class PairSettings(Settings):
-    """Pairs of partial view and full shape."""
+class PairForm(Settings):
+    """How a pair is made."""
 
     framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
     partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
+
+
+class FitLimits(Settings):
+    """How well a view has to fit the object."""
+
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
     max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
     min_visible_share: float = Field(0.25, ge=0, le=1, description="less of the outline with depth: refused")
+
+
+class PairSettings(FitLimits, PairForm):  # fields of the last base come first
+    """Pairs of partial view and full shape."""
 
 
 class CitationSettings(Settings):

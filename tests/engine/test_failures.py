@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,6 +20,7 @@ from kinectbench.engine import failures, pipeline, steps
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.pipeline import STAGE_NAMES, Outcome, build_recording
 from kinectbench.engine.stages import Job
+from kinectbench.engine.work import Work
 from kinectbench.settings.models import BenchmarkSettings
 
 REASON = "frame 7: too dark; record again"
@@ -40,11 +42,11 @@ class Attempts:
         self.of: list[str] = []
 
     def step(self, name: str) -> Callable[..., None]:
-        def make(job: Job, folder: Path, progress: object) -> None:
+        def make(work: Work[Any]) -> None:
             self.of.append(name)
             if name == self.failing:
                 self.error()
-            (folder / "made").write_text(name)
+            (work.folder / "made").write_text(name)
 
         return make
 
@@ -112,6 +114,22 @@ def test_each_stage_that_failed_waits_for_a_change(
     assert (changed.error, changed.repeated, tried.of[-1]) == (REASON, False, stage)
     tried.of.clear()
     assert built(root, force=(stage,)).error == REASON and tried.of[-1] == stage
+
+
+@pytest.mark.parametrize("setting", [{"trajectory": "ignore"}, {"segment_by": "turntable"}])
+def test_what_the_message_of_a_broken_trajectory_advises_is_tried(
+    setting: dict[str, object], root: Path, attempts: Callable[..., Attempts]
+) -> None:
+    tried = attempts(
+        "ingest", raising(RecordingError("poses.txt: row 3; `trajectory: ignore` does without it"))
+    )
+    assert built(root).error is not None
+    tried.failing = ""
+    assert built(root).repeated
+    assert built(root, recordings=setting).error is None
+    # And what was read without a trajectory is not taken for what was read with it.
+    tried.of.clear()
+    assert built(root).error is None and tried.of == list(STAGE_NAMES)
 
 
 @pytest.mark.parametrize("stage", STAGE_NAMES)

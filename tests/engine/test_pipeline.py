@@ -46,10 +46,13 @@ SETTINGS = {
     "recordings.chair.object=red_chair": (),
     "recordings.chair.split=train": (),
     "recordings.chair.trajectory=trust": FROM_TRACK,
+    "recordings.chair.trajectory=refine": FROM_TRACK,
+    "recordings.chair.trajectory=ignore": ALL,  # a broken one ends ingest no more
     "recordings.chair.camera={fx: 131.0}": ALL,
     "recordings.chair.box={center_m: [0, 0, 0.5], size_m: [1, 1, 0.99]}": FROM_SEGMENT,
     "recordings.chair.floor={plane_world: [0, 0, 1, 0]}": FROM_SEGMENT,
-    "recordings.chair.segment_by=masks": FROM_TRACK,
+    "recordings.chair.segment_by=masks": ALL,  # which ignores the trajectory
+    "recordings.chair.segment_by=turntable": ALL,
     "recordings.chair.masks=masks": FROM_VIEWS,
     "recordings.chair.license=CC0-1.0": (),
     "recordings.chair.source=simulated": (),
@@ -107,14 +110,12 @@ def test_the_table_of_settings_is_complete() -> None:
 
 def planned(root: Path, *overrides: str) -> tuple[str, ...]:
     """The stages that are not current under these settings, by fingerprints alone."""
-    from kinectbench.engine.pipeline import STAGES, _artefact
+    from kinectbench.engine.pipeline import artefacts_upto
     from kinectbench.engine.stages import Job
     from kinectbench.settings.file import load_benchmark
 
     settings = load_benchmark(root / "benchmark.yaml", overrides)
-    job, artefacts = Job(settings, settings.recordings[0], root), {}
-    for stage in STAGES:
-        artefacts[stage.name] = _artefact(job, stage, artefacts)
+    artefacts = artefacts_upto(Job(settings, settings.recordings[0], root), "pairs")
     return tuple(name for name, artefact in artefacts.items() if not artefact.is_current())
 
 

@@ -12,7 +12,7 @@ from kinectbench.core.voxels.morphology import containment_of_cells
 from kinectbench.core.voxels.pair_file import BLOCK
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube
-from kinectbench.settings.models import PairSettings, ViewSettings
+from kinectbench.settings.models import FitLimits, ViewSettings
 from kinectbench.stages.sample_views.masks import inner_silhouette
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -114,7 +114,7 @@ def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRend
     return 1 - int(inside.sum()) / int(outline.sum()) if outline.any() else 0.0
 
 
-def refusal(fit: ViewFit, settings: ViewSettings, pairs: PairSettings) -> str | None:
+def refusal(fit: ViewFit, settings: ViewSettings, pairs: FitLimits) -> str | None:
     """Why a frame is no view, or None if it is one."""
     if fit.pixels < settings.min_pixels:
         return f"only {fit.pixels} pixels on the object, less than {settings.min_pixels}"

@@ -22,7 +22,7 @@ from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
 from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
-from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
+from kinectbench.settings.models import FitLimits, SegmentationSettings, ViewSettings
 from kinectbench.stages.sample_views.alignment import Alignment, align_view
 from kinectbench.stages.sample_views.masks import (
     GivenMasks,
@@ -83,7 +83,7 @@ def sample_views(
     model: ObjectModel,
     settings: ViewSettings,
     segmentation: SegmentationSettings,
-    pairs: PairSettings,
+    pairs: FitLimits,
     masks: GivenMasks | None = None,
     progress: Progress | None = None,
 ) -> Views:

@@ -8,7 +8,7 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
-from kinectbench.settings.models import SegmentationSettings
+from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.doubts import FINE_CELL_M
 from kinectbench.stages.segment.find_object import Scene, find_object, find_scene
 from kinectbench.stages.segment.floor import floor_cut_m
@@ -55,7 +55,7 @@ class Candidates:
 def find_candidates(
     mesh: TriangleMesh,
     trajectory: Trajectory,
-    settings: SegmentationSettings,
+    settings: FloorCuts,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Candidates:
     """Find what stands on the floor: connected pieces, and their parts where there is a gap (own rule).
@@ -94,9 +94,7 @@ def find_candidates(
     return Candidates(scene, tuple(found[:MAX_CANDIDATES]))
 
 
-def _automatic(
-    scene: Scene, vertices_floor: Float64, settings: SegmentationSettings, least_m: float
-) -> list[Candidate]:
+def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least_m: float) -> list[Candidate]:
     """What `segment` would choose, or nothing if it would refuse."""
     if not scene.floor.found:
         return []

@@ -8,7 +8,7 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.settings.models import SegmentationSettings
+from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.doubts import FINE_CELL_M, Selection, doubts
 from kinectbench.stages.segment.find_object import find_object, find_scene
 from kinectbench.stages.segment.floor import Floor, floor_cut_m
@@ -93,7 +93,7 @@ def segment(
     mesh: TriangleMesh,
     trajectory: Trajectory,
     given_box: OrientedBox | None,
-    settings: SegmentationSettings,
+    settings: FloorCuts,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Segmentation:
     """Find the floor, and on it the object: the piece the cameras look at, or what a given box holds.

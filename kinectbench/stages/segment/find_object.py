@@ -9,7 +9,7 @@ from kinectbench.core.geometry import OrientedBox, TriangleMesh, invert_rigid, t
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.settings.models import SegmentationSettings
+from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.doubts import LOOK
 from kinectbench.stages.segment.floor import Floor, find_floor, floor_cut_m, level_floor, low_cut_m
 from kinectbench.stages.segment.near import cell_scale, enlarged_box, near_scale
@@ -54,7 +54,7 @@ class Scene:
 def find_scene(
     mesh: TriangleMesh,
     trajectory: Trajectory,
-    settings: SegmentationSettings,
+    settings: FloorCuts,
     floor_may_lack: bool,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Scene:
@@ -160,9 +160,7 @@ class FoundObject:
     box: OrientedBox
 
 
-def find_object(
-    scene: Scene, vertices_floor: Float64, settings: SegmentationSettings, cell_m: float
-) -> FoundObject:
+def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell_m: float) -> FoundObject:
     """Choose the piece the cameras look at, and what is connected to it near the floor.
 
     Args:

@@ -9,7 +9,7 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
-from kinectbench.settings.models import SegmentationSettings
+from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.near import enlarged_transform, near_scale
 from kinectbench.stages.segment.planes import (
     FLAT_COSINE,
@@ -203,12 +203,12 @@ def level_floor(
     return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False, scale=scale)
 
 
-def floor_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
+def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
     """What rises no higher above the floor is floor, metres: that of the settings, less for near cameras."""
     return settings.floor_cut_m * floor.scale
 
 
-def low_cut_m(floor: Floor, settings: SegmentationSettings) -> float:
+def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
     """From which height on a surface may be the object's where it goes on above the floor cut, metres.
 
     `low_cut_m` of the settings, or four standard deviations of the floor if that is more, but at most the

@@ -10,7 +10,7 @@ from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
 from kinectbench.core.voxels.observation import Observation, ray_width_m
-from kinectbench.settings.models import SegmentationSettings
+from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.floor import Floor, floor_cut_m, low_cut_m
 
@@ -51,7 +51,7 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: b
     return Grid((nx, ny, nz), voxel_size_m, floor.T_world_floor @ rigid(turn, corner))
 
 
-def floor_layers(floor: Floor, segmentation: SegmentationSettings, voxel_size_m: float) -> FloorLayers:
+def floor_layers(floor: Floor, segmentation: FloorCuts, voxel_size_m: float) -> FloorLayers:
     """Which layers of an object's grid are floor, contact with it, and low parts of the object.
 
     Args:

@@ -1,0 +1,48 @@
+"""All that the step of a stage is given: nothing in it that is not in the stage's fingerprint."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from kinectbench.core.types import Progress
+from kinectbench.engine.stage_settings import StageSettings
+
+Needed = TypeVar("Needed", bound=StageSettings)
+
+
+@dataclass(frozen=True)
+class Source:
+    """What lies outside of `build/` and a stage depends on: the recording, or a person's masks.
+
+    Attributes:
+        path: the file or folder.
+        sha256: one hash over the names and contents of its files.
+    """
+
+    path: Path
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Work(Generic[Needed]):
+    """What one stage is to be made from.
+
+    Attributes:
+        settings: those that the stage depends on.
+        stages: by their names the folders of the stages that it stands on, and of no others.
+        sources: by their names those whose hashes are in the stage's fingerprint, and no others.
+        folder: to be filled; it is empty.
+        progress: called with (done, total).
+    """
+
+    settings: Needed
+    stages: Mapping[str, Path]
+    sources: Mapping[str, Source]
+    folder: Path
+    progress: Progress
+
+    @property
+    def masks(self) -> Path | None:
+        """The folder of a person's masks, if the stage depends on one."""
+        return self.sources["masks"].path if "masks" in self.sources else None
