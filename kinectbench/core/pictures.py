@@ -27,6 +27,8 @@ BLUE: Color = (118, 160, 205)
 # Towards the light, in the viewpoint's axes: from above, the left and behind the viewer.
 LIGHT = np.array([-0.45, -0.7, -0.55]) / np.linalg.norm([-0.45, -0.7, -0.55])
 SUPERSAMPLING = 1.5
+# Left, bottom, right, top.
+Margins = tuple[float, float, float, float]
 # Of plots: dots per inch, the colours of their lines and of their paper.
 DPI = 110
 INK, SOFT, PLOT_PAPER = "#1f2328", "#8a8f98", "#fdfcf9"
@@ -183,12 +185,27 @@ def smoothed(density: Float32) -> Float32:
     return result[1:-1, 1:-1, 1:-1]
 
 
-def new_figure(width_in: float, height_in: float, paper: str = PLOT_PAPER) -> "Figure":
-    """An empty figure for a plot, in inches."""
+def new_figure(
+    width_in: float, height_in: float, paper: str = PLOT_PAPER, margins: Margins | None = None
+) -> "Figure":
+    """An empty figure for a plot, in inches.
+
+    Args:
+        width_in: of the picture.
+        height_in: of the picture.
+        paper: its colour.
+        margins: of the plots, as shares of the picture; None: what their labels need, which the library finds
+            in as much time as it then takes to draw.
+    """
     # Without pyplot: no global state, no display.
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor=paper)
+    layout = "constrained" if margins is None else None
+    figure = Figure(figsize=(width_in, height_in), layout=layout, facecolor=paper)
+    if margins is not None:
+        left, bottom, right, top = margins
+        figure.subplots_adjust(left, bottom, 1 - right, 1 - top)
+    return figure
 
 
 def figure_png(figure: "Figure", version: bool = False) -> bytes:

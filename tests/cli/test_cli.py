@@ -21,6 +21,9 @@ from kinectbench.release.release import Release
 pytestmark = pytest.mark.xdist_group("commands")
 
 Command = Callable[..., Run]
+SMALL_IMAGES = ("--set", "sensor.width=160", "--set", "sensor.height=120")
+# Scores without what most tests do not look at.
+PLAIN = ("--no-surface", "--no-baselines")
 METHODS = ("empty", "hull")
 COMMANDS = [name for commands in PANELS.values() for name in commands]
 
@@ -86,7 +89,8 @@ def test_simulate_init_build_publish_score(command: Command, tmp_path: Path) -> 
     """The way of a newcomer, with nothing but commands."""
     for name in ("chair:seed=1", "table:seed=1"):
         path = tmp_path / "recordings" / name.split(":")[0]
-        assert command(tmp_path, "simulate", str(path), "--object", name, "--frames", "10").status == 0
+        simulate = ("simulate", str(path), "--object", name, "--frames", "8", *SMALL_IMAGES)
+        assert command(tmp_path, *simulate).status == 0
     found = command(tmp_path, "init", ".")
     assert found.status == 0 and "2 recordings" in found.out
     text = (tmp_path / "benchmark.yaml").read_text()
@@ -127,7 +131,7 @@ def test_score_publishes_first_and_writes_the_page(command: Command, scored: Pat
     page = (root / "scores" / "index.html").read_text()
     assert all(name in page for name in ("chair", "table", *METHODS))
     stamp = (root / "benchmark" / "benchmark.json").stat().st_mtime_ns
-    assert command(root, "score", "predictions/hull", "--jobs", "1").status == 0
+    assert command(root, "score", "predictions/hull", "--jobs", "1", *PLAIN).status == 0
     assert (root / "benchmark" / "benchmark.json").stat().st_mtime_ns == stamp, "published again for nothing"
 
 
@@ -135,12 +139,13 @@ def test_scores_of_another_benchmark_are_left_out_of_the_page(
     command: Command, scored: Path, tmp_path: Path
 ) -> None:
     root = copied(scored, tmp_path / "b")
-    assert command(root, "score", "predictions/hull", "--method", "old-hull", "--jobs", "1").status == 0
+    old = ("score", "predictions/hull", "--method", "old-hull", "--jobs", "1", *PLAIN)
+    assert command(root, *old).status == 0
     (root / "scores" / "old").mkdir()
     (root / "scores" / "scores.json").rename(root / "scores" / "old" / "scores.json")
     with (root / "benchmark.yaml").open("a") as file:
         file.write("license: CC0-1.0\n")
-    result = command(root, "score", "predictions/empty", "--jobs", "1")
+    result = command(root, "score", "predictions/empty", "--jobs", "1", *PLAIN)
     assert result.status == 0
     assert "scores/old/scores.json: scores of another benchmark, left out" in result.err
     page = (root / "scores" / "index.html").read_text()
@@ -224,7 +229,7 @@ def test_bad_predictions(
     for pair, (spoil, _) in zip(pairs, bad, strict=True):
         spoil(method / f"{pair}.npy")
     of = ("mine", "--benchmark", str(release.folder), "--jobs", "1")
-    for arguments in (["score", *of, "--no-baselines"], ["check", *of]):
+    for arguments in (["score", *of, *PLAIN], ["check", *of]):
         result = command(tmp_path, *arguments)
         errors = [line for line in result.err.splitlines() if "error: " in line]
         assert result.status == 3, result
@@ -237,7 +242,7 @@ def test_bad_predictions(
 
 def test_missing_predictions_may_count_as_empty(command: Command, release: Release, tmp_path: Path) -> None:
     remove_first(predict(tmp_path / "mine", release))
-    score = ["score", "mine", "--benchmark", str(release.folder), "--jobs", "1"]
+    score = ["score", "mine", "--benchmark", str(release.folder), "--jobs", "1", *PLAIN]
     assert command(tmp_path, *score, "--missing", "empty").status == 0
     assert json.loads((tmp_path / "scores" / "scores.json").read_text())["overall"] is not None
 
@@ -247,7 +252,7 @@ def test_a_name_is_no_markup(command: Command, release: Release, tmp_path: Path)
     remove_first(predict(tmp_path / "mine", release))
     evil = "[red]x[bold]"
     (tmp_path / "mine" / f"{evil}.npy").touch()
-    arguments = ("score", "mine", "--benchmark", str(release.folder), "--jobs", "1", "--no-surface")
+    arguments = ("score", "mine", "--benchmark", str(release.folder), "--jobs", "1", *PLAIN)
     result = command(tmp_path, *arguments)
     assert result.status == 3 and f"{evil}.npy: answers no target" in result.err
     assert f"'{evil}': no name for a method" in command(tmp_path, *arguments, "--method", evil).err
@@ -277,7 +282,7 @@ def test_several_methods_and_one(command: Command, scored: Path, tmp_path: Path)
     """What a method scores does not depend on the others."""
     for predictions, out in (("predictions", "all"), ("predictions/hull", "one")):
         score = ["score", str(scored / predictions), "--benchmark", str(scored / "benchmark"), "--out", out]
-        assert command(tmp_path, *score, "--jobs", "1").status == 0
+        assert command(tmp_path, *score, "--jobs", "1", "--no-baselines").status == 0
     alone = (tmp_path / "one" / "scores.json").read_bytes()
     assert (tmp_path / "all" / "hull" / "scores.json").read_bytes() == alone
 
@@ -338,6 +343,7 @@ def test_nothing_is_left_behind(scored: Path) -> None:
     assert leftovers(scored) == []
 
 
+@pytest.mark.slow  # test_resume.py builds a second time as well, test_release_alone.py predicts
 def test_the_same_recordings_make_the_same_benchmark(command: Command, scored: Path, tmp_path: Path) -> None:
     """Simulated, built, published, predicted and scored twice, in two folders: the same bytes."""
     root = make_benchmark(tmp_path / "again")

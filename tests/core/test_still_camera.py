@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinectbench.core.still_camera import Watched, some_of, watch
+from kinectbench.core.still_camera import Watched, _nanquantiles, some_of, watch
 from kinectbench.core.types import Float32
 
 HEIGHT, WIDTH, FRAMES = 60, 80, 12
@@ -79,3 +79,13 @@ def test_too_few_frames_say_nothing() -> None:
     assert some_of(0) == []
     assert some_of(3) == [0, 1, 2]
     assert len(some_of(1000)) == 24
+
+
+def test_quantiles_are_those_of_numpy() -> None:
+    random = np.random.default_rng(0)
+    values = random.random((9, 6, 8)).astype(np.float32)
+    values[random.random(values.shape) < 0.5] = np.nan
+    values[3] = 1.0  # no pixel is without a value
+    shares = [0.0, 0.1, 0.5, 0.9, 1.0]
+    expected = np.nanquantile(values, shares, axis=0)
+    np.testing.assert_allclose(_nanquantiles(values, shares), expected, atol=1e-6)

@@ -37,7 +37,12 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     path = str((Path(DATA or ".") / "7scenes_redkitchen_000-149").resolve())
     recording = {"id": "kitchen", "path": path, "category": "chair", "box": BOX}
     settings = BenchmarkSettings.model_validate(
-        {"name": "kitchen", "recordings": [recording], "views": {"count": VIEWS}}
+        {
+            "name": "kitchen",
+            "recordings": [recording],
+            "views": {"count": VIEWS},
+            "fusion": {"voxel_size_m": 0.008},
+        }
     )
     return Job(settings, settings.recordings[0], tmp_path_factory.mktemp("kitchen"))
 

@@ -218,7 +218,7 @@ def test_included_files_together_may_hold_as_much_as_one(tmp_path: Path) -> None
 
 
 def test_a_parquet_file_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
-    table = pyarrow.table({"id": ["a" * 100_000] * 50_000})
+    table = pyarrow.table({"id": ["a" * 100_000] * 2_000})
     parquet.write_table(table, tmp_path / "t.parquet", compression="zstd")
     assert (tmp_path / "t.parquet").stat().st_size < 1 << 20
     assert complaint(tmp_path, main("[t.parquet]")) == "t.parquet: a column of more than 16777216 characters"

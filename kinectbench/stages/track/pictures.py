@@ -66,7 +66,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
     if the health knows an arc around it, the point where the optical axes meet. Metres from the first camera
     with a pose.
     """
-    figure = new_figure(6.6, 5.6)
+    figure = new_figure(6.6, 5.6, margins=(0.11, 0.14, 0.02, 0.02))
     axes = figure.add_subplot(xlabel="right, m", ylabel="ahead, m")
     # More is shown beside a narrow path, instead of an empty margin.
     axes.set_aspect("equal", adjustable="datalim")
@@ -101,7 +101,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
         shown = np.concatenate([shown, meeting[None, :2]])
     _fit(axes, shown)
     if axes.get_legend_handles_labels()[0]:
-        figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8)
+        figure.legend(loc="lower center", ncols=6, frameon=False, fontsize=8)
     return figure_png(figure)
 
 
@@ -125,7 +125,7 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
         ("turn_rad_per_s", turn, INK, 180 / np.pi),
         ("blur", "blur, × median", ORANGE, 1.0),
     )
-    figure = new_figure(8.6, 6.8)
+    figure = new_figure(8.6, 6.8, margins=(0.09, 0.08, 0.01, 0.05))
     grid = figure.subplots(len(panels), 1, sharex=True)
     for axes, (key, label, color, unit) in zip(grid, panels, strict=True):
         # What is not known, None, becomes NaN.
@@ -144,13 +144,13 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
     figure.align_ylabels(grid)
     handles, labels = grid[0].get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc="outside upper right", ncols=3, frameon=False, fontsize=8)
+        figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=8)
     return figure_png(figure)
 
 
 def covisibility_picture(health: TrajectoryHealth) -> bytes:
     """The share of each keyframe's points that others see, and the loops: a PNG file."""
-    figure = new_figure(5.6, 4.8)
+    figure = new_figure(5.6, 4.8, margins=(0.11, 0.11, 0.03, 0.07))
     axes = figure.add_subplot(xlabel="… that this keyframe sees", ylabel="points of this keyframe …")
     keyframes = np.array(health.covisibility.keyframes, np.int64)
     if not len(keyframes):
@@ -165,7 +165,7 @@ def covisibility_picture(health: TrajectoryHealth) -> bytes:
         at = np.abs(ends[..., None] - keyframes).argmin(axis=-1)
         axes.plot(*np.concatenate([at, at[:, ::-1]]).T, "s", color=RED, markersize=3.5, fillstyle="none",
                   markeredgewidth=0.9, label="loops")  # fmt: skip
-        figure.legend(loc="outside upper right", frameon=False, fontsize=8)
+        figure.legend(loc="upper right", frameon=False, fontsize=8)
     ticks = np.unique(np.linspace(0, len(keyframes) - 1, 7).astype(int))
     axes.set_xticks(ticks, [str(keyframes[t]) for t in ticks], fontsize=8)
     axes.set_yticks(ticks, [str(keyframes[t]) for t in ticks], fontsize=8)
