@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 2,
     "pairs": 2,
     "suggest": 4,
-    "publish": 22,
+    "publish": 23,
     "synthesize": 2,
     "score": 4,
     "baselines": 1,

@@ -7,23 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
-from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import lies_below, listed, printable
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
 from kinectbench.scoring.mesh_prediction import MESHES
-from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.truth import read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Files of a folder of predictions that are looked at; no release has as many pairs (own choice).
 MOST_FILES = 1_000_000
-# Files that answer no target and are named; of more than that a pattern has gone wrong (own choice).
-NAMED = 20
-# Characters of a note that are shown (own choice).
-LONGEST_NOTE = 200
 
 
 @dataclass(frozen=True)
@@ -35,12 +32,14 @@ class FoundPredictions:
         missing: targets without a file.
         problems: targets whose file is ambiguous or unsafe, and why.
         stray: files that answer no target, relative to the folder, sorted.
+        method: what method.json says of them; None if there is none.
     """
 
     files: dict[Target, Path]
     missing: tuple[Target, ...]
     problems: dict[Target, str]
     stray: tuple[str, ...]
+    method: MethodFile | None = None
 
 
 def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
@@ -51,21 +50,21 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
         targets: names are safe (see `parse_targets`).
 
     Raises:
-        PredictionError: the folder is missing.
+        PredictionError: the folder is missing, or its method.json is refused (`read_method`).
     """
     if not folder.is_dir():
         raise PredictionError(f"{folder}: no such folder of predictions")
     with _readable(folder):
-        return _matched(folder, targets)
+        return _matched(folder, targets, read_method(folder))
 
 
-def _matched(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
+def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None) -> FoundPredictions:
     """`find_predictions` in a folder that is there."""
     root = folder.resolve()
     files: dict[Target, Path] = {}
     missing: list[Target] = []
     problems: dict[Target, str] = {}
-    expected = {MethodFile.FILE}
+    expected = {MethodFile.FILE, UnfinishedFile.FILE}
     for target in targets:
         expected.update(target.name + suffix for suffix in SUFFIXES)
         candidates = [folder / target.recording / (target.view + suffix) for suffix in SUFFIXES]
@@ -81,9 +80,11 @@ def _matched(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
             problems[target] = (
                 f"{target.name}{present[0].suffix}: a link out of the folder; put the file itself"
             )
+        elif other_form := form_problem(method, present[0].suffix):
+            problems[target] = f"{target.name}{present[0].suffix}: {other_form}"
         else:
             files[target] = present[0]
-    return FoundPredictions(files, tuple(missing), problems, _stray(folder, expected))
+    return FoundPredictions(files, tuple(missing), problems, _stray(folder, expected), method)
 
 
 def _stray(folder: Path, expected: set[str]) -> tuple[str, ...]:
@@ -114,25 +115,6 @@ def _readable(folder: Path) -> Iterator[None]:
     except OSError as error:
         where = printable(str(error.filename or folder))
         raise PredictionError(f"{where}: cannot be looked into ({error.strerror or error})") from error
-
-
-def method_lines(folder: Path) -> list[str]:
-    """What method.json in a method's folder says that readers of its scores must know, `training.notes`.
-
-    A file that cannot be read gives the line that says so: scores do not depend on it.
-    """
-    try:
-        method = MethodFile.read_if_there(folder)
-    except PredictionError as error:
-        return list(error.lines[:1])
-    notes = (method.training or {}).get("notes") if method else None
-    if not isinstance(notes, list):
-        return []
-    return [
-        f"{MethodFile.FILE}: {printable(note, LONGEST_NOTE)}"
-        for note in notes[:NAMED]
-        if isinstance(note, str)
-    ]
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
@@ -231,20 +213,21 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
         progress: called with (files done, files in all).
 
     Returns:
-        One line per problem, in the order of the targets, stray files last; empty if all is well.
+        One line per problem: of the folder as a whole first, then in the order of the targets, stray files
+        last; empty if all is well.
 
     Raises:
-        PredictionError: the folder is missing.
+        PredictionError: the folder is missing, or its method.json is refused (`read_method`).
     """
     found = find_predictions(folder, release.targets)
     answered = {target.split for target in (*found.files, *found.problems)}
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in found.missing if target.split in required}
-    problems = []
+    problems = method_problems(folder, found.method, release)
     for done, target in enumerate(release.targets, start=1):
         line = found.problems.get(target) or missing.get(target)
         if target in found.files:
-            line = _file_problem(release, target, found.files[target])
+            line = _file_problem(release, target, found.files[target], found.method)
         if line:
             problems.append(line)
         if progress:
@@ -252,11 +235,14 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     return problems + stray_lines(found.stray, found.missing)
 
 
-def _file_problem(release: Release, target: Target, path: Path) -> str | None:
+def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:
     """What is wrong with one file, or None."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
+    name = target.name + path.suffix
     try:
-        load_prediction(path, target.name + path.suffix, size_m)
+        _, digest = load_hashed(path, name, size_m)
     except PredictionError as error:
         return str(error)
+    if changed_files(method, {name: digest}):
+        return f"{name}: not what its run of `predict` wrote: changed since, or of another run; predict again"
     return None

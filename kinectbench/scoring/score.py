@@ -1,10 +1,11 @@
 """Score a method's predictions, or those of several methods, against a release."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import get_args
 
 from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
@@ -13,19 +14,14 @@ from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.counts import PROTOCOLS
+from kinectbench.scoring.declared import changed_files, changed_line, method_lines, read_method
 from kinectbench.scoring.pair_result import Counting, Journal
-from kinectbench.scoring.predictions import (
-    check_folder,
-    check_method,
-    method_lines,
-    split_methods,
-    stray_lines,
-)
+from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.rounds import Missing, Rounds, plan
+from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
 
 # Rows of a table, one for each test pair and protocol: what `ScoreTable` has room for.
@@ -66,7 +62,7 @@ def score(
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
 
     Raises:
-        PredictionError: the folder is missing.
+        PredictionError: the folder is missing, or its method.json is refused (`read_method`).
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
             is held back.
         SettingsError: an unknown protocol or an unusable threshold file.
@@ -86,8 +82,40 @@ def score(
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
         journal.remove()
-    more = (*method_lines(predictions), *stray_lines(asked.found.stray, asked.found.missing))
-    return table.model_copy(update={"warnings": (*table.warnings, *more)})
+    return _with_what_is_said(table, predictions, asked, release, results)
+
+
+def _with_what_is_said(
+    table: ScoreTable,
+    predictions: Path,
+    asked: Plan,
+    release: Release,
+    results: Mapping[Target, PairResult],
+) -> ScoreTable:
+    """The table with what method.json and the folder itself say; arguments as in `score`."""
+    method = asked.found.method
+    more = (
+        *method_lines(predictions, method, release),
+        *_changed(method, asked.files, results),
+        *stray_lines(asked.found.stray, asked.found.missing),
+    )
+    update: dict[str, object] = {"warnings": (*table.warnings, *more)}
+    if method is not None and method.run_sha256 is not None:
+        update["run_sha256"] = method.run_sha256
+    return table.model_copy(update=update)
+
+
+def _changed(
+    method: MethodFile | None, files: Mapping[Target, Path | None], results: Mapping[Target, PairResult]
+) -> list[str]:
+    """A line where files that were scored are not those of the run that method.json names."""
+    digests = {
+        target.name + file.suffix: digest
+        for target, file in files.items()
+        if file is not None and target in results and (digest := results[target].digest) is not None
+    }
+    changed = changed_files(method, digests)
+    return [changed_line(changed, len(digests))] if changed else []
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
@@ -257,8 +285,9 @@ def _methods(
                 f"{option} one method, but {predictions} holds {len(methods)}: name the folder of one of them"
             )
     named = methods if method is None else dict(zip([method], methods.values(), strict=True))
-    for name in named:
+    for name, folder in named.items():
         check_method(name)
+        read_method(folder)  # before any is counted
     return named
 
 

@@ -1,25 +1,54 @@
 """method.json beside a method's predictions, and training.json beside a network's weights."""
 
-from typing import Annotated, Any, ClassVar, Literal
+import re
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kinectbench.core.artefacts.benchmark import SHA256
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.errors import KinectBenchError, PredictionError
 from kinectbench.core.storage import canonical_json, sha256_text
+from kinectbench.core.untrusted import printable
 
 # What `predict` has written of a run that is not complete, a file a line.
 PREDICTED = ".predicted.jsonl"
+# Keys of a method.json that are nobody's (own choice).
+MOST_UNKNOWN = 200
+# Characters of a key that are compared with the known ones, which have up to 19.
+LONGEST_NAME = 40
 Blake3 = Annotated[str, Field(pattern="^blake3:[0-9a-f]{64}$")]
+
+
+def is_misspelt(name: str, known: str) -> bool:
+    """Whether a name is another one with one slip, or two in eight letters and more (own choice).
+
+    A slip is a letter too many, too few, another, or two exchanged; capitals and what joins words are none.
+    """
+    one, other = (re.sub(r"[\W_]", "", text).casefold() for text in (name[:LONGEST_NAME], known))
+    allowed = 1 if len(other) < 8 else 2
+    if abs(len(one) - len(other)) > allowed:
+        return False
+    # Optimal string alignment: the last two rows of the table of distances between beginnings.
+    before, row = [0] * (len(other) + 1), list(range(len(other) + 1))
+    for i, letter in enumerate(one, start=1):
+        earlier, before, row = before, row, [i]
+        for j, wanted in enumerate(other, start=1):
+            cost = min(before[j] + 1, row[j - 1] + 1, before[j - 1] + (letter != wanted))
+            if i > 1 and j > 1 and one[i - 2] == wanted and letter == other[j - 2]:
+                cost = min(cost, earlier[j - 2] + 1)
+            row.append(cost)
+    return row[-1] <= allowed
 
 
 class MethodFile(Stored):
     """method.json: what made a folder of predictions; all but the name may be missing."""
 
     FILE: ClassVar[str] = "method.json"
-    ADVICE: ClassVar[str] = "have the method write it again, or remove it"
+    ADVICE: ClassVar[str] = "have the method write it again"
     ERROR: ClassVar[type[KinectBenchError]] = PredictionError
+    # The digests of 100,000 files take 11 MB.
+    MAX_BYTES: ClassVar[int] = 32 << 20
 
     name: str = Field(description="of the method")
     version: str | None = Field(None, description="of the method or of what ran it")
@@ -28,6 +57,13 @@ class MethodFile(Stored):
         "grid", description="axes of the predictions; grid: those of `full`"
     )
     form: Literal["voxels", "mesh", "points", "sdf"] = Field("voxels", description="what a prediction is")
+    unit: Literal["m", "mm", "free"] = Field("m", description="of lengths in a prediction")
+    axes: Literal["cv", "pytorch3d", "opengl"] = Field(
+        "cv", description="cv: x right, y down, z forward, as those of `full`"
+    )
+    T_camera_prediction: Any = Field(
+        None, description="view -> 4 x 4 similarity from the prediction to the camera"
+    )
     scale: Literal["metric", "free"] = Field("metric", description="whether its size is known")
     hypotheses: int = Field(1, ge=1, description="predictions of each pair")
     inputs: tuple[str, ...] = Field((), description="what was looked at: depth, color, mask, …")
@@ -47,6 +83,26 @@ class MethodFile(Stored):
     files: dict[str, Blake3] | None = Field(
         None, description="every file that the run wrote -> blake3:<hex> of its bytes"
     )
+
+    @field_validator("frame", "form", "unit", "axes", "scale", mode="before")
+    @classmethod
+    def _a_known_word(cls, value: Any, info: ValidationInfo) -> Any:
+        words = get_args(cls.model_fields[str(info.field_name)].annotation)
+        if value not in words:
+            raise ValueError(f"{printable(repr(value), 60)} is none of {', '.join(words)}")
+        return value
+
+    @model_validator(mode="after")
+    def _no_misspelt_key(self) -> Self:
+        """Refuse a key that is nearly a known one; what it says would not be looked at."""
+        unknown = self.model_extra or {}
+        if len(unknown) > MOST_UNKNOWN:
+            raise ValueError(f"{len(unknown)} keys that are not known: at most {MOST_UNKNOWN} are read")
+        for key in unknown:
+            for known in type(self).model_fields:
+                if is_misspelt(key, known):
+                    raise ValueError(f"'{key}': no such key; did you mean '{known}'?")
+        return self
 
 
 class UnfinishedFile(Stored):

@@ -188,6 +188,9 @@ class ScoreTable(Stored):
     method: str = Field(description="its name")
     benchmark_sha256: Sha256 = Field("", description="SHA-256 of the release it was scored against")
     package_version: str = Field("", description="of kinectbench")
+    run_sha256: Sha256 | None = Field(
+        None, description="which run of `predict` made the predictions, by their method.json; null: not known"
+    )
     settings: ScoreSettings = Field(ScoreSettings(), description="every choice that the numbers depend on")
     complete: bool = Field(
         False, description="whether every test pair was scored; if not, there are no averages"
@@ -333,7 +336,7 @@ NO_FACTS = {*DERIVED, "verified"}
 # Keys that tables of the first versions lack.
 LATER_KEYS = (
     *("threshold_source_by_category", "threshold_objects", "validation", "missing_as_empty", "marks"),
-    "verified",
+    *("verified", "run_sha256"),
     *("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories"),
     "all_unknown_pairs",
 )

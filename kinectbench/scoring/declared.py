@@ -1,0 +1,119 @@
+"""What a folder of predictions says of itself, in method.json: held against what can be scored."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.untrusted import printable
+from kinectbench.release.release import Release
+from kinectbench.scoring.mesh_prediction import MESHES
+
+# What a method may declare today, by key; the file's format knows more words.
+SUPPORTED: Mapping[str, tuple[Any, ...]] = {
+    "frame": ("grid",),
+    "form": ("voxels", "mesh"),
+    "unit": ("m",),
+    "axes": ("cv",),
+    "scale": ("metric",),
+    "hypotheses": (1,),
+    "T_camera_prediction": (None,),
+}
+SUFFIXES_OF = {"voxels": (".npy", ".npz"), "mesh": MESHES}
+# Notes, keys and files that are named (own choice); characters of a note that are shown.
+NAMED = 20
+LONGEST_NOTE = 200
+
+
+def read_method(folder: Path) -> MethodFile | None:
+    """method.json in a method's folder; None if there is none.
+
+    Raises:
+        PredictionError: it cannot be read, has a misspelt key, or declares what is not supported yet. One
+            line.
+    """
+    method = MethodFile.read_if_there(folder)
+    told = [] if method is None else list(_not_supported(method))
+    if told:
+        raise PredictionError(f"{folder / MethodFile.FILE}: {'; '.join(told)}")
+    return method
+
+
+def _not_supported(method: MethodFile) -> Iterator[str]:
+    """A few words for each key whose value is not supported yet."""
+    for key, supported in SUPPORTED.items():
+        if (value := getattr(method, key)) not in supported:
+            words = "leave it out" if supported == (None,) else ", ".join(map(str, supported))
+            shown = "" if supported == (None,) else f" {printable(repr(value), 60)}"
+            yield f"'{key}'{shown} is not supported yet (supported: {words})"
+
+
+def form_problem(method: MethodFile | None, suffix: str) -> str | None:
+    """Why a file of this suffix is not what method.json says that predictions are; None if it is."""
+    if method is None or "form" not in method.model_fields_set or suffix in SUFFIXES_OF[method.form]:
+        return None
+    return f"{MethodFile.FILE} says 'form': '{method.form}', which no {suffix} is; correct one of them"
+
+
+def method_problems(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
+    """Why a folder's predictions may not be those of one run for a release, a line each.
+
+    Args:
+        folder: of the predictions.
+        method: what `read_method` found there.
+        release: that is scored.
+    """
+    if method is None:
+        if (folder / UnfinishedFile.FILE).is_file():
+            return [f"{UnfinishedFile.FILE}: `predict` has not completed these predictions; run it again"]
+        return []
+    # With its truth held back and with all of it a release is the same to who predicts.
+    halves = (release.metadata.public_benchmark_sha256, release.metadata.private_benchmark_sha256)
+    if method.benchmark_sha256 in (None, release.benchmark_sha256, *halves):
+        return []
+    made = printable(method.benchmark_sha256[:8])
+    return [
+        f"{MethodFile.FILE}: the predictions are for another release ({made}…, this is "
+        f"{release.benchmark_sha256[:8]}…): views of the same name may differ; predict this one"
+    ]
+
+
+def method_lines(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
+    """What readers of a method's scores must know, a line each: `method_problems`, keys, `training.notes`."""
+    if method is None:
+        return method_problems(folder, method, release)
+    said = list(_unknown_keys(method))
+    notes = (method.training or {}).get("notes")
+    if isinstance(notes, list):
+        said += [printable(note, LONGEST_NOTE) for note in notes[:NAMED] if isinstance(note, str)]
+    return [*method_problems(folder, method, release), *(f"{MethodFile.FILE}: {line}" for line in said)]
+
+
+def _unknown_keys(method: MethodFile) -> Iterator[str]:
+    """One line that names the keys that nothing looks at."""
+    keys = [printable(key, 60) for key in method.model_extra or {}]
+    if keys:
+        more = f" and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
+        yield f"not known, and not looked at: {', '.join(keys[:NAMED])}{more}"
+
+
+def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
+    """The files that are not those of the run that method.json names, sorted; none if it names no files.
+
+    Args:
+        method: what `read_method` found.
+        digests: {file, relative to the method's folder: digest of its bytes}.
+    """
+    if method is None or method.files is None:
+        return []
+    return sorted(name for name, digest in digests.items() if method.files.get(name) != digest)
+
+
+def changed_line(names: list[str], count: int) -> str:
+    """A line that says how many of some files are not those of the run, with the first."""
+    verb = "is" if len(names) == 1 else "are"
+    return (
+        f"{MethodFile.FILE}: {len(names)} of {count} files {verb} not what its run of `predict` wrote, such "
+        f"as {names[0]}: changed since, or of another run; predict again"
+    )

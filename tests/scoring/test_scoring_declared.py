@@ -1,0 +1,148 @@
+"""What method.json declares is held against what can be scored, before anything is counted."""
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinectbench.core.artefacts.method import MethodFile, is_misspelt
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import PredictionError
+from kinectbench.release.release import Release
+from kinectbench.scoring.declared import SUPPORTED
+from kinectbench.scoring.prediction_file import blake3_of
+from kinectbench.scoring.predictions import check, find_predictions
+from kinectbench.scoring.recheck import recheck
+from kinectbench.scoring.score import score, score_methods
+
+
+def folder_of(release: Release, folder: Path, method: object = None) -> Path:
+    """Half of each cube for every test pair, and a method.json."""
+    grid = np.zeros((4, 4, 4), bool)
+    grid[:2] = True
+    for target in release.split("test"):
+        path = folder / target.recording / f"{target.view}.npy"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, grid)
+    if method is not None:
+        (folder / "method.json").write_text(json.dumps(method), encoding="utf-8")
+    return folder
+
+
+def scored(release: Release, folder: Path) -> ScoreTable:
+    return score(release, folder, method="mine", protocols=["known"], surface=False)
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "frame": ({"frame": "camera"}, "'frame' 'camera' is not supported yet (supported: grid)"),
+    "points": ({"form": "points"}, "'form' 'points' is not supported yet (supported: voxels, mesh)"),
+    "sdf": ({"form": "sdf"}, "'form' 'sdf' is not supported yet"),
+    "scale": ({"scale": "free"}, "'scale' 'free' is not supported yet (supported: metric)"),
+    "hypotheses": ({"hypotheses": 5}, "'hypotheses' 5 is not supported yet (supported: 1)"),
+    "unit": ({"unit": "mm"}, "'unit' 'mm' is not supported yet (supported: m)"),
+    "axes": ({"axes": "opengl"}, "'axes' 'opengl' is not supported yet (supported: cv)"),
+    "matrix": ({"T_camera_prediction": {"000": [[1]]}}, "'T_camera_prediction' is not supported yet"),
+    "two": ({"frame": "camera", "unit": "mm"}, "(supported: grid); 'unit' 'mm' is not"),
+    "a typo": ({"fram": "camera"}, "'fram': no such key; did you mean 'frame'?"),
+    "capitals": ({"Frame": "camera"}, "'Frame': no such key; did you mean 'frame'?"),
+    "a plural": ({"hypothesis": 5}, "'hypothesis': no such key; did you mean 'hypotheses'?"),
+    "no such word": ({"frame": "world"}, "'frame': 'world' is none of grid, camera"),
+    "a type": ({"hypotheses": "5"}, "'hypotheses': Input should be a valid integer"),
+    "no name": ({"name": 7}, "'name': Input should be a valid string"),
+    "many keys": ({f"key {n}": n for n in range(5000)}, "5000 keys that are not known: at most 200"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_is_not_supported_is_refused_before_anything_is_counted(
+    kind: str, release: Release, tmp_path: Path
+) -> None:
+    content, words = REFUSED[kind]
+    folder = folder_of(release, tmp_path / "all" / "mine", {"name": "net"} | content)
+    folder_of(release, tmp_path / "all" / "before", {"name": "fine"})
+    for look in (lambda: scored(release, folder), lambda: check(release, folder),
+                 lambda: score_methods(release, tmp_path / "all", tmp_path / "out")):  # fmt: skip
+        with pytest.raises(PredictionError) as caught:
+            look()
+        assert f"{folder}/method.json: " in str(caught.value) and words in str(caught.value)
+        assert len(str(caught.value)) < 400 and str(caught.value).isprintable()
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_supported_is_declared_in_words_that_are() -> None:
+    assert SUPPORTED.keys() <= MethodFile.model_fields.keys()
+    MethodFile(name="net", **{key: values[-1] for key, values in SUPPORTED.items()})
+
+
+def test_a_key_that_is_nobodys_is_named(release: Release, tmp_path: Path) -> None:
+    content = {"name": "net", "frame": "grid", "paper": "https://…", "training_time_h": 7, "x\x1b[2J": 1}
+    table = scored(release, folder_of(release, tmp_path, content))
+    line = "method.json: not known, and not looked at: paper, training_time_h, x?[2J"
+    assert line in table.warnings and table.complete
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "misspelt"),
+    [("axis", "axes", True), ("from", "form", True), ("paramter_cuont", "parameter_count", True),
+     ("parameterCount", "parameter_count", True), ("T-camera-prediction", "T_camera_prediction", True),
+     ("format", "form", False), ("date", "name", False), ("size", "scale", False), ("", "name", False),
+     ("training_time", "training", False), ("framework", "frame", False), ("e" * 10**6, "scale", False)],
+)  # fmt: skip
+def test_a_slip_or_two(name: str, known: str, misspelt: bool) -> None:
+    assert is_misspelt(name, known) == misspelt
+
+
+def test_large_declarations_cost_little(release: Release, tmp_path: Path) -> None:
+    content = {"name": "net", "training": {"notes": [["x"] * 400_000]}} | {
+        "k" * 10**5 + str(n): 0 for n in range(99)
+    }
+    folder = folder_of(release, tmp_path, content)
+    started = time.process_time()
+    assert find_predictions(folder, release.targets).method is not None
+    assert time.process_time() - started < 5
+    (folder / "method.json").write_bytes(b" " * (33 << 20))
+    with pytest.raises(PredictionError, match="larger than the 33554432 bytes"):
+        find_predictions(folder, release.targets)
+
+
+def test_a_form_that_the_files_do_not_have(release: Release, tmp_path: Path) -> None:
+    table = scored(release, folder_of(release, tmp_path, {"name": "net", "form": "mesh"}))
+    assert len(table.failures) == 4 and not table.complete
+    assert "chair_01/000.npy: method.json says 'form': 'mesh', which no .npy is" in table.failures[0].reason
+
+
+def test_predictions_for_another_release_are_told(release: Release, tmp_path: Path) -> None:
+    folder = folder_of(release, tmp_path, {"name": "net", "benchmark_sha256": "0" * 64})
+    (line,) = check(release, folder)
+    assert line.startswith("method.json: the predictions are for another release (00000000…, this is ")
+    assert line in scored(release, folder).warnings
+
+
+def test_what_predict_has_not_completed_is_told(release: Release, tmp_path: Path) -> None:
+    folder = folder_of(release, tmp_path)
+    (folder / "unfinished.json").write_text("{")
+    line = "unfinished.json: `predict` has not completed these predictions; run it again"
+    assert check(release, folder) == [line] and line in scored(release, folder).warnings
+
+
+def test_files_that_are_not_the_runs_are_told(release: Release, tmp_path: Path) -> None:
+    """Its table names the run; a recheck of the same files finds the same."""
+    folder = folder_of(release, tmp_path / "mine")
+    names = [f"{target.name}.npy" for target in release.split("test")]
+    files = {name: blake3_of((folder / name).read_bytes()) for name in names}
+    method = {"name": "net", "run_sha256": "a" * 64, "files": files}
+    (folder / "method.json").write_text(json.dumps(method))
+    (table,) = score_methods(release, folder, tmp_path / "out", surface=False)
+    assert table.run_sha256 == "a" * 64 and not any("not what its run" in line for line in table.warnings)
+    assert not check(release, folder)
+    assert not recheck(release, tmp_path / "out" / "scores.json", folder)
+    np.save(folder / "chair_01" / "001.npy", np.ones((4, 4, 4), bool))
+    words = "chair_01/001.npy: not what its run of `predict` wrote"
+    assert [line.startswith(words) for line in check(release, folder)] == [True]
+    assert (
+        "method.json: 1 of 4 files is not what its run of `predict` wrote, such as chair_01/001.npy: changed "
+        "since, or of another run; predict again"
+    ) in scored(release, folder).warnings
