@@ -200,11 +200,11 @@ def new_figure(
     # Without pyplot: no global state, no display.
     from matplotlib.figure import Figure
 
-    layout = "constrained" if margins is None else None
-    figure = Figure(figsize=(width_in, height_in), layout=layout, facecolor=paper)
-    if margins is not None:
-        left, bottom, right, top = margins
-        figure.subplots_adjust(left, bottom, 1 - right, 1 - top)
+    if margins is None:
+        return Figure(figsize=(width_in, height_in), layout="constrained", facecolor=paper)
+    figure = Figure(figsize=(width_in, height_in), facecolor=paper)
+    left, bottom, right, top = margins
+    figure.subplots_adjust(left, bottom, 1 - right, 1 - top)
     return figure
 
 
