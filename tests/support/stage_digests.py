@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from numba import njit
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
@@ -121,19 +122,34 @@ def array_digest(values: NDArray[Any], kind: str | None = None) -> Part:
 def _sums(flat: NDArray[np.float64], finite: int) -> tuple[float, ...]:
     """How many are finite and how many are not 0 (up to rounding), mean, RMS, two projections."""
     count = max(len(flat), 1)
-    index = np.arange(len(flat), dtype=np.uint64)
     rms = float(np.sqrt(np.square(flat).sum() / count))
-    projections = (float((flat * _weights(index, seed)).sum() / np.sqrt(count)) for seed in SEEDS)
-    filled = np.count_nonzero(np.abs(flat) > ROUNDING * rms)
-    return (finite, int(filled), float(flat.sum() / count), rms, *projections)
+    filled, total, *projections = _weighted_sums(flat, ROUNDING * rms, *map(np.uint64, SEEDS))
+    return (finite, int(filled), total / count, rms, *(float(each / np.sqrt(count)) for each in projections))
 
 
-def _weights(index: NDArray[np.uint64], seed: int) -> NDArray[np.float64]:
+@njit(cache=True)
+def _weighted_sums(
+    flat: NDArray[np.float64], nothing: float, first_seed: np.uint64, second_seed: np.uint64
+) -> tuple[int, float, float, float]:
+    """How many exceed `nothing`; their sum; their sums by the weights of two seeds."""
+    filled, total, first, second = 0, 0.0, 0.0, 0.0
+    for index in range(len(flat)):
+        value = flat[index]
+        filled += abs(value) > nothing
+        total += value
+        if value != 0:
+            first += value * _weight(np.uint64(index), first_seed)
+            second += value * _weight(np.uint64(index), second_seed)
+    return filled, total, first, second
+
+
+@njit(cache=True)
+def _weight(index: np.uint64, seed: np.uint64) -> float:
     """In [-1, 1), by the index alone: the mixing steps of SplitMix64 (Steele et al., 2014)."""
-    mixed = (index + np.uint64(1)) * np.uint64(seed)
+    mixed = (index + np.uint64(1)) * seed
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return (mixed >> np.uint64(11)).astype(np.float64) / 2.0**52 - 1.0
+    return float(mixed >> np.uint64(11)) / 2.0**52 - 1.0
 
 
 def mesh_digest(mesh: TriangleMesh) -> Digest:

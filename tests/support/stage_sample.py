@@ -1,7 +1,7 @@
 """One small sample of everything that has a version: what each stage writes of a recording that lies here.
 
 The recording's bytes are the same on every machine, so that no simulation comes between. It is built
-with the poses that it brings. Without them it is tracked, and no further: what is fused along tracked poses
+with the poses that it brings. Without them its first half is tracked, and no further: what is fused along tracked poses
 differs more from one processor to the next than a tolerance should allow. With a box and masks only those
 stages are pinned that look at them. Baselines and scores are those of simple shapes by formula: a score's
 fingerprint holds no stage's version, so a stage's change may not hide one of theirs.
@@ -34,8 +34,8 @@ SETTINGS = {
     "source": "simulated",
     "recordings": [
         {"id": "given", "path": str(RECORDING), "category": "chair"},
-        {"id": "tracked", "path": str(RECORDING), "category": "chair", "trajectory": "ignore"},
-        {"id": "refined", "path": str(RECORDING), "category": "chair", "trajectory": "refine"},
+        {"id": "tracked", "path": "half", "category": "chair", "trajectory": "ignore"},
+        {"id": "refined", "path": "half", "category": "chair", "trajectory": "refine"},
         {
             "id": "boxed",
             "path": str(RECORDING),
@@ -94,6 +94,7 @@ def jobs(root: Path) -> tuple[Job, ...]:
 def make_sample(root: Path) -> Sample:
     """Build, publish, synthesise, predict and score the sample in an empty folder; some 20 s on two cores."""
     _draw_masks(root / "masks")
+    _halve(root / "half")
     for job in jobs(root):
         stages = BUILT[job.recording.id]
         if job.recording.id == "boxed":
@@ -110,6 +111,19 @@ def make_sample(root: Path) -> Sample:
     score_methods(release, root / "fixed" / "predictions", root / "fixed" / "scores")
     synthesize(SynthesisSettings.model_validate(SYNTHESIS), root / "synthetic")
     return read_sample(root)
+
+
+def _halve(folder: Path) -> None:
+    """The first half of the recording's frames."""
+    for name in ("depth", "rgb"):
+        (folder / name).mkdir(parents=True)
+        rows = (RECORDING / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+        kept = rows[: 1 + (len(rows) - 1) // 2]
+        (folder / f"{name}.txt").write_text("\n".join(kept) + "\n", encoding="utf-8")
+        for row in kept[1:]:
+            shutil.copy(RECORDING / row.split()[1], folder / name)
+    for name in ("camera.json", "groundtruth.txt"):
+        shutil.copy(RECORDING / name, folder)
 
 
 def _draw_masks(folder: Path) -> None:
