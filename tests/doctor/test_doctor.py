@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from ingest_writers import BagWriter
+from slow import slow
 from small_benchmark import Run, small_spec
 from wrong_recordings import WRONG, make_wrong, rows_of
 
@@ -173,8 +174,10 @@ def small_chair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("scale", [1000, 50000])
-@pytest.mark.parametrize("trajectory", ["trust", "ignore"])
+@pytest.mark.parametrize(
+    ("scale", "trajectory"),
+    [(1000, "trust"), (50000, "ignore"), slow(1000, "ignore"), slow(50000, "trust")],
+)
 def test_a_build_that_fails_names_the_scale(
     scale: int, trajectory: str, small_chair: Path, command: Callable[..., Run], tmp_path: Path
 ) -> None:

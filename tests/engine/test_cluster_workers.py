@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from slow import slow
 from small_benchmark import copied, hashes
 from test_cluster import Heard
 from test_many_recordings import Deadly, Listener
@@ -38,7 +39,7 @@ def dies_once(task: tuple[int, str], say: Say) -> int:
     return number
 
 
-@pytest.mark.parametrize("allowed", [0, 2])
+@pytest.mark.parametrize("allowed", [slow(0), 2])
 def test_a_worker_that_dies_is_told_once_and_its_recording_named(
     allowed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,7 @@ from concurrent.futures import Future
 from pathlib import Path, PosixPath
 
 import pytest
+from slow import slow
 from small_benchmark import Run, copied, finish, hashes, leftovers, start
 from test_resume import group, wait_for, wait_until_all_ended
 
@@ -194,7 +195,7 @@ def test_a_killed_worker_costs_nothing(small: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "held", "status"),
-    [("build", "build/chair", 3), ("track", "build/chair", 3), ("publish", "build", 1)],
+    [("build", "build/chair", 3), slow("track", "build/chair", 3), ("publish", "build", 1)],
 )
 def test_a_second_run_that_does_not_wait_says_who_is_there(
     command: Command, small: Path, tmp_path: Path, name: str, held: str, status: int

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from bounds import children_within
+from slow import slow
 from small_benchmark import STAGE_FOLDERS, Run, copied, finish, hashes, leftovers, run, start
 
 pytestmark = pytest.mark.xdist_group("resume")
@@ -149,7 +150,7 @@ def test_back_and_forth_gives_the_first_bytes(command: Command, one: Path) -> No
     assert hashes(one / "build") == before
 
 
-@pytest.mark.parametrize("name", ["build", "segment", "pairs"])
+@pytest.mark.parametrize("name", [slow("build"), "segment", "pairs"])
 def test_force(command: Command, one: Path, name: str) -> None:
     before = hashes(one / "build")
     assert made(command(one, name, "--force", "--json")) == (ALL if name == "build" else (name,))

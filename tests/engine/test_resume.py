@@ -100,7 +100,7 @@ def test_workers_end_when_their_parent_is_killed(fresh: Path) -> None:
     process.communicate()
 
 
-@pytest.mark.parametrize("published_before", [False, True])
+@pytest.mark.parametrize("published_before", [slow(False), True])
 def test_killed_while_publishing(
     command: Command, small: Path, tmp_path: Path, published_before: bool
 ) -> None:

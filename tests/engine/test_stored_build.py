@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from fault_proxy import FaultProxy, for_a_while
 from s3_server import S3Server
+from slow import slow
 from small_benchmark import Run, finish, hashes, start
 from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import proxied, s3, s3_server
@@ -228,7 +229,7 @@ def test_a_store_that_is_gone(
     assert command(tmp_path, "build", "chair", *config(s3)).status == 0
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", [slow("1"), "2"])
 def test_a_store_that_is_gone_ends_the_build_in_one_line(
     command: Command, small: Path, tmp_path: Path, proxied: FaultProxy, s3: str, jobs: str
 ) -> None:

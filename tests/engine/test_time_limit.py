@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path, PosixPath
 
 import pytest
+from slow import slow
 from small_benchmark import Run, copied, hashes, leftovers
 from test_many_recordings import Listener
 
@@ -110,7 +111,7 @@ def hang(job: object, folder: Path, progress: Callable[[int, int], None]) -> Non
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.parametrize("place", ["processes", "cluster"])
+@pytest.mark.parametrize("place", ["processes", slow("cluster")])
 @pytest.mark.xdist_group("resume")
 def test_a_recording_that_hangs_fails_with_the_reason_and_once(
     place: str, small: Path, tmp_path: Path
@@ -137,14 +138,14 @@ def test_a_recording_that_takes_too_long_fails_and_is_tried_again(
 ) -> None:
     root = copied(small, tmp_path / "b")
     with monkeypatch.context() as patched:
-        patched.setitem(steps.STEPS, "pairs", slow)  # type: ignore[arg-type]
+        patched.setitem(steps.STEPS, "pairs", slowly)  # type: ignore[arg-type]
         result = command(root, "pairs", "chair", "--force", "--time-limit", "1", "--jobs", "1")
     assert result.status == 1 and "chair: error: pairs: took longer than --time-limit 1" in result.err
     assert leftovers(root) == []
     assert command(root, "pairs", "chair", "--jobs", "1").status == 0
 
 
-def slow(job: object, folder: Path, progress: Callable[[int, int], None]) -> None:
+def slowly(job: object, folder: Path, progress: Callable[[int, int], None]) -> None:
     for done in range(600):
         progress(done, 600)
         time.sleep(0.1)

@@ -1,10 +1,10 @@
 """One small sample of everything that has a version: what each stage writes of a recording that lies here.
 
 The recording's bytes are the same on every machine, so that no simulation comes between. It is built
-with the poses that it brings. Without them its first half is tracked, and no further: what is fused along tracked poses
-differs more from one processor to the next than a tolerance should allow. With a box and masks only those
-stages are pinned that look at them. Baselines and scores are those of simple shapes by formula: a score's
-fingerprint holds no stage's version, so a stage's change may not hide one of theirs.
+with the poses that it brings. Without them its first half is tracked, and no further: what is fused along
+tracked poses differs more from one processor to the next than a tolerance should allow. With a box and masks
+only those stages are pinned that look at them. Baselines and scores are those of simple shapes by formula: a
+score's fingerprint holds no stage's version, so a stage's change may not hide one of theirs.
 """
 
 import shutil

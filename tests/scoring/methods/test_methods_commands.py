@@ -48,6 +48,7 @@ def test_a_checkpoint_becomes_a_method(command: Command, tmp_path: Path) -> None
     assert made.out.startswith("36 tensors fit: generator ") and made.out.endswith("\nwrote ours\n")
 
 
+@pytest.mark.slow  # test_methods_training.py kills one as well, in this process
 def test_a_training_that_is_killed_goes_on(
     tiny: Callable[..., Path], learning: Release, tmp_path: Path
 ) -> None:

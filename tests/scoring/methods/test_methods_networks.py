@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 import torch
+from slow import slow
 from synthetic_release import synthetic_pair
 
 from kinectbench.core.voxels.pair_file import unpack
@@ -61,7 +62,7 @@ def test_one_step_moves_every_parameter(kind: NetworkName, precision: str) -> No
     assert [name for name in still if not (kind == "3d-epn" and name.endswith("bias"))] == []
 
 
-@pytest.mark.parametrize("kind", NETWORKS)
+@pytest.mark.parametrize("kind", [kind if kind == "varley" else slow(kind) for kind in NETWORKS])
 def test_one_pair_is_learnt_by_heart(kind: NetworkName, monkeypatch: pytest.MonkeyPatch) -> None:
     """IoU at the network's own side, where its truth is."""
     monkeypatch.setattr(han_like, "TAUGHT_PATCHES", 4)  # of eight: a step takes half the time
@@ -81,7 +82,7 @@ def test_one_pair_is_learnt_by_heart(kind: NetworkName, monkeypatch: pytest.Monk
     assert (predicted & true).sum() / (predicted | true).sum() >= 0.95
 
 
-@pytest.mark.parametrize(("output_cells", "cells"), [(256, 128), (256, 64), (128, 32)])
+@pytest.mark.parametrize(("output_cells", "cells"), [(256, 128), slow(256, 64), (128, 32)])
 def test_tiles_are_cut_from_the_whole(output_cells: Any, cells: int) -> None:
     """Of logits, targets and weights, wherever the tile lies: at a corner, a side, within."""
     network = make_network(NetworkSettings(kind="3d-recae", channel_divisor=16, output_cells=output_cells))

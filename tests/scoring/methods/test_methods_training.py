@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow import slow
 from small_method import TINY
 from synthetic_release import Recordings, publish_synthetic
 
@@ -66,7 +67,7 @@ def test_a_training_leaves_what_it_is_known_by(whole: Path) -> None:
         assert sum(arrays[name].size for name in arrays.files) == told["parameter_count"]
 
 
-@pytest.mark.parametrize("step", [1, 2, 3])
+@pytest.mark.parametrize("step", [slow(1), 2, slow(3)])
 def test_an_interrupted_training_goes_on_the_same_course(
     whole: Path, learning: Release, tiny: Tiny, tmp_path: Path, step: int
 ) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from analytic_scenes import Furniture, furniture
 from scipy.spatial.transform import Rotation
+from slow import slow
 from tracking_scenes import couch, errors_m
 
 from kinectbench.core.geometry import Camera, rigid
@@ -144,7 +145,7 @@ def found_in(recording: Furniture):
     return find_shutter(maps, follow(maps, FeatureCache(maps)))
 
 
-@pytest.mark.parametrize(("readout_s", "delay_s"), [(0.03, 0.01), (-0.02, 0.0)])
+@pytest.mark.parametrize(("readout_s", "delay_s"), [(0.03, 0.01), slow(-0.02, 0.0)])
 def test_readout_and_delay_are_found(readout_s, delay_s):
     found = found_in(turns(readout_s, delay_s))
     assert found is not None

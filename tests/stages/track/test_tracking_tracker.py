@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from analytic_scenes import Furniture, box, displaced, sphere
+from slow import slow
 from tracking_scenes import (
     CORNER_VIEW,
     FLOOR,
@@ -195,7 +196,7 @@ def foreign_couch() -> Furniture:
     return orbit("couch:seed=4", 14, 0.6, faults={"foreign_frames": 3})
 
 
-@pytest.mark.parametrize("color", [True, False])
+@pytest.mark.parametrize("color", [True, slow(False)])
 def test_frames_of_another_scene_are_left_out(color):
     recorded = foreign_couch()
     foreign = {i for i, frame in enumerate(recorded.simulation.frames) if frame.foreign}
@@ -239,7 +240,7 @@ def test_after_a_gap_frames_are_right_or_lost(missing):
     assert np.nanmax(errors_m(tracked.T_world_camera, couch_poses(order))) < 0.01
 
 
-@pytest.mark.parametrize("color", [True, False])
+@pytest.mark.parametrize("color", [True, slow(False)])
 def test_after_a_long_gap_the_circle_joins_again(color):
     """A quarter of the circle is missing: what follows comes back to the beginning and is joined there."""
     order = [*range(12), *range(24, 48)]

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow import slow
 
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -49,9 +50,9 @@ def wrong(sequence: Sequence, frame: int, shift_m: float) -> Sequence:
 @pytest.mark.parametrize(
     ("name", "model", "frames", "scene"),
     [
-        ("fridge:seed=0", "ideal", 60, {}),
+        slow("fridge:seed=0", "ideal", 60, {}),
         ("fridge:seed=1", "ideal", 24, {"walls": 0, "clutter": 0}),
-        ("sideboard:seed=2", "kinect_v1", 30, {"walls": 0, "clutter": 0}),
+        slow("sideboard:seed=2", "kinect_v1", 30, {"walls": 0, "clutter": 0}),
         ("mug:seed=0", "ideal", 40, {}),
     ],
 )
