@@ -221,7 +221,8 @@ def build_jobs(
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
-        console.recording_lines(name, "warning", row.summary.warnings if row.made else unused, "yellow")
+        own = row.summary.warnings if row.made else (*outcome.warnings, *unused)
+        console.recording_lines(name, "warning", own, "yellow")
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [reason] if reason else [], "red")
     return rows

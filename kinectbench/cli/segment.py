@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, run_stage
-from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -27,10 +27,18 @@ def segment(
             min=1, metavar="NUMBER", help="write this box of --suggest to benchmark.yaml; name one recording"
         ),
     ] = None,
+    carry_masks: Annotated[
+        bool,
+        typer.Option("--carry-masks", help="name hand-drawn masks by the frames that they were drawn on"),
+    ] = False,
 ) -> int:
     """Find floor and object, and make the object solid."""
-    if suggest and pick is not None:
-        raise SettingsError("segment: --suggest lists boxes, --pick takes one: give one of them")
+    if suggest + (pick is not None) + carry_masks > 1:
+        raise SettingsError(
+            "segment: --suggest lists boxes, --pick takes one, --carry-masks renames masks: give one of them"
+        )
+    if carry_masks:
+        return _carry_masks(common, ids)
     if suggest:
         return _suggest(common, ids)
     if pick is not None:
@@ -54,6 +62,30 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
             if each is not None:
                 _show(row.recording, each)
     return exit_status(rows)
+
+
+def _carry_masks(common: Common, ids: list[str] | None) -> int:
+    """Carry masks over to the frames of the recordings as they are now."""
+    from kinectbench.cli import console
+    from kinectbench.engine.drawn_masks import carry_masks
+
+    root = common.root  # masks in a store are not renamed
+    rows = build_recordings(common, ids, "ingest", ("ingest",) if common.force else ())
+    failed = {row.recording for row in rows if row.error}
+    told = []
+    for job in chosen_jobs(common, ids):
+        name = job.recording.id
+        if name in failed:
+            continue
+        moved, left = carry_masks(replace(job, root=root))
+        told.append({"recording": name, "moved": dict(moved), "left": left})
+        if not common.as_json:
+            lines = [f"{name}: {old} is now {new}" for old, new in moved]
+            console.say(*lines or [f"{name}: no mask has another name now"])
+        console.recording_lines(name, "error", left, "red")
+    if common.as_json:
+        console.say_json(told)
+    return exit_status(rows) or (SOME_FAILED if any(each["left"] for each in told) else 0)
 
 
 def _candidates(root: Path, recording: str) -> "CandidatesFile":

@@ -10,11 +10,12 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools
 from kinectbench.core.upright import upright_masks
 from kinectbench.settings.models import SegmentBy, Vector4
+from kinectbench.stages.sample_views.masks import mask_name
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.turntable import plane_below, turntable_masks
 
-# A frame's number, and the ending of a mask.
-FRAME_MASK = re.compile(r"[0-9]{1,9}\.(?i:png)")
+# The number of a frame, alone or after "frame_", and the ending of a mask.
+FRAME_MASK = re.compile(r"(?:frame_)?([0-9]{1,9})\.(?i:png)")
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
@@ -37,8 +38,8 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
     if sequence.masks is None:
         raise SegmentationError(
             "`segment_by: masks` asks for masks, but the recording brings none: put one PNG per frame "
-            "(0 = not the object), named by the frame's number such as 000012.png, into a folder, and name "
-            "that folder as `masks` in benchmark.yaml"
+            "(0 = not the object), named by the frame such as frame_000012.png, into a folder, and name that "
+            "folder as `masks` in benchmark.yaml"
         )
     return sequence.masks
 
@@ -57,16 +58,23 @@ def plane_given(
 
 
 def _of_folder(folder: Path, sequence: Sequence) -> Masks:
-    """A person's masks, `<frame>.png`: the frame's number counts from 0, as in frames.json.
+    """A person's masks, `frame_<index>.png` or `<index>.png`: as in frames.json, numbers count from 0.
 
     Raises:
-        SegmentationError: no file is named by a frame's number, or two by one; later: one is damaged or
-            of another size.
+        SegmentationError: no file is named by a frame's number, or two by one; one only adds to a mask or
+            takes from it; later: one is damaged or of another size.
     """
     given = read_masks(folder)
     names: dict[int, str] = {}
     for name in given.names:
-        if FRAME_MASK.fullmatch(name) and (before := names.setdefault(int(Path(name).stem), name)) != name:
+        kind = named.kind if (named := mask_name(name)) and named.of_frame else ""
+        if kind:
+            raise SegmentationError(
+                f"{folder}/{name}: with `segment_by: masks` a mask is all of the object in a frame, so that "
+                f"nothing can be added or taken away; name the whole mask {name.replace(kind, '')}"
+            )
+        match = FRAME_MASK.fullmatch(name)
+        if match and (before := names.setdefault(int(match[1]), name)) != name:
             raise SegmentationError(
                 f"{folder}: {before} and {name} are masks of one frame; remove the one that is wrong"
             )
@@ -74,7 +82,7 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
     if not any(number <= last for number in names):
         raise SegmentationError(
             f"{folder}: holds no mask of a frame; for `segment_by: masks`, name the mask of each frame by "
-            f"the frame's number, 000000.png to {last:06d}.png"
+            f"the frame's number, frame_000000.png to frame_{last:06d}.png"
         )
 
     def mask(index: int) -> Bools | None:

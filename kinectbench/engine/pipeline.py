@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from kinectbench.core.artefacts.manifest import Timing
@@ -25,7 +26,7 @@ from kinectbench.engine.locks import locked
 from kinectbench.engine.recording_summary import RecordingSummary
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
 from kinectbench.engine.time_limit import Hung, time_limit
-from kinectbench.engine.work import Source, Work
+from kinectbench.engine.work import MASKS, Source, Work
 
 NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
 
@@ -36,6 +37,7 @@ class Outcome:
 
     `repeated`: the error is that of an earlier run, as nothing has changed; nothing was tried.
     `row`: its figures, of a recording in a store; None: they are read in its folder.
+    `warnings`: of the run itself, one line each; those of stages are in their artefacts.
     """
 
     recording: str
@@ -45,6 +47,7 @@ class Outcome:
     seconds: float
     repeated: bool = False
     row: RecordingSummary | None = None
+    warnings: tuple[str, ...] = ()
 
 
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
@@ -77,7 +80,7 @@ def build_recording(
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
-    made, current = list[str](), list[str]()
+    made, current, warnings = list[str](), list[str](), tuple[str, ...]()
     error: str | None = None
     repeated = False
     try:
@@ -87,10 +90,7 @@ def build_recording(
         ):
             artefacts: dict[str, Artefact] = {}
             stages = stages_upto(upto)
-            for stage in stages:
-                if stage.name == "sample-views":
-                    with _failure_kept(job, stage, artefacts):
-                        check_masks(job)  # before the stages that take long
+            warnings = _look_at_masks(job, stages)
             for stage in stages:
                 with _failure_kept(job, stage, artefacts):
                     sources = stage.sources(job)
@@ -110,7 +110,21 @@ def build_recording(
         error = told(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
-    return Outcome(job.recording.id, tuple(made), tuple(current), error, time.monotonic() - started, repeated)
+    seconds, done = time.monotonic() - started, (tuple(made), tuple(current))
+    return Outcome(job.recording.id, *done, error, seconds, repeated, warnings=warnings)
+
+
+def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
+    """Refuse masks of a person that cannot be used, before what takes long; lines to tell of others."""
+    samples = next((stage for stage in stages if stage.name == "sample-views"), None)
+    with _failure_kept(job, samples or stages[-1], {}):
+        if samples:
+            check_masks(job)
+        if job.masks is None and job.unused_masks is None:
+            return ()
+        from kinectbench.engine.drawn_masks import look_at_masks
+
+        return look_at_masks(job, used=samples is not None)
 
 
 @contextmanager
@@ -213,6 +227,7 @@ def _make(
     from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()
+    check_views = _checked_masks(job) if MASKS in sources else None
     folders = {name: job.build / folder for name, folder in FOLDERS.items() if name in stage.inputs}
     with artefact.write() as folder:
         progress = partial(report, stage.name)
@@ -220,9 +235,27 @@ def _make(
             STEPS[stage.name](Work(stage.needs(job), folders, sources, folder, progress))
         except (TrackingError, SegmentationError, ShapeError) as failure:
             raise type(failure)(_explained(job, failure)) from failure
+        if check_views is not None and stage.name == "sample-views":
+            check_views(folder)
         Timing(seconds=round(time.monotonic() - started, 3)).write(folder)
         if stage.name in OVERTAKEN:
             (job.build / OVERTAKEN[stage.name]).unlink(missing_ok=True)
+
+
+def _checked_masks(job: Job) -> Callable[[Path], None] | None:
+    """Refuse masks of frames that are other images now; what checks those of views in the folder of views.
+
+    It can only refuse, and changes nothing that a step makes: so masks.json is in no fingerprint, and the
+    refusal is not one that is kept.
+    """
+    from kinectbench.engine.drawn_masks import DrawnMasks
+    from kinectbench.stages.ingest.sequence_folder import read_sequence
+
+    drawn, sequence = DrawnMasks.of(job), read_sequence(job.build / FOLDERS["ingest"])
+    if drawn is None:
+        return None
+    drawn.check_frames(sequence)
+    return partial(drawn.check_views, sequence)
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from kinectbench.core.artefacts.views import MasksFile
 from kinectbench.core.errors import RecordingError
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
 from kinectbench.engine.stage_settings import (
@@ -20,7 +21,7 @@ from kinectbench.engine.stage_settings import (
     TrackSettings,
     part_of,
 )
-from kinectbench.engine.work import Source
+from kinectbench.engine.work import MASKS, Source
 from kinectbench.settings.models import BenchmarkSettings, FitLimits, FloorCuts, RecordingSettings
 
 
@@ -164,8 +165,9 @@ def _masks(job: Job) -> Mapping[str, Source]:
     from kinectbench.stages.ingest.sources import files_below
 
     files = files_below(job.masks, follow_links=job.recording.follow_links)
-    pictures = [file for file in files if file.parent == job.masks and file.suffix.lower() == ".png"]
-    return {"masks": Source(job.masks, content_hash(pictures, job.masks))}
+    # masks.json allows a mask or refuses it (`drawn_masks`), and changes nothing that is made with it.
+    given = [file for file in files if file.parent == job.masks and file.name != MasksFile.FILE]
+    return {MASKS: Source(job.masks, content_hash(given, job.masks))}
 
 
 def _frame_masks(job: Job) -> Mapping[str, Source]:

@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import PurePosixPath
 
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
-from kinectbench.core.artefacts.views import PairsFile, ViewsFile
+from kinectbench.core.artefacts.views import MasksFile, PairsFile, ViewsFile
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.store import in_parallel
@@ -115,7 +116,11 @@ def _built(
         if error is not None:
             return _nothing_made(found, error)
     _fetch_needed(found, missing, report)
+    drawn = _masks_file(found)
     outcome = build()
+    if _masks_file(found) != drawn:
+        place = PurePosixPath(f"{found.job.recording.masks}", MasksFile.FILE)
+        found.store.put(str(place), _masks_file(found).encode())
     if outcome.error is not None:
         outcome = replace(outcome, error=as_there(found.store, found.job.root, outcome.error))
     outcome = replace(outcome, row=summary(found.job, outcome))
@@ -125,6 +130,12 @@ def _built(
             return None
     _put_failure(found)
     return outcome
+
+
+def _masks_file(found: Checkout) -> str:
+    """What masks.json says here, which a build may add to; "" if there is none."""
+    masks = None if found.job.masks is None else MasksFile.read_if_there(found.job.masks)
+    return "" if masks is None else masks.text()
 
 
 def _nothing_made(found: Checkout, error: str | None) -> Outcome:

@@ -88,7 +88,8 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         residual_m=_median(row.residual_m for row in rows),
         warnings=tuple(
             line for part in (sequence, health, scene, quality, views) if part for line in part.warnings
-        ),
+        )
+        + outcome.warnings,
         status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
         error=outcome.error,
         made=outcome.made,

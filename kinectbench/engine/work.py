@@ -8,6 +8,8 @@ from typing import Generic, TypeVar
 from kinectbench.core.types import Progress
 from kinectbench.engine.stage_settings import StageSettings
 
+# The name of the source that a person's masks are.
+MASKS = "masks"
 Needed = TypeVar("Needed", bound=StageSettings)
 
 
@@ -45,4 +47,4 @@ class Work(Generic[Needed]):
     @property
     def masks(self) -> Path | None:
         """The folder of a person's masks, if the stage depends on one."""
-        return self.sources["masks"].path if "masks" in self.sources else None
+        return self.sources[MASKS].path if MASKS in self.sources else None

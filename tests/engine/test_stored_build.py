@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from fault_proxy import FaultProxy, for_a_while
 from s3_server import S3Server
@@ -180,6 +182,20 @@ def test_masks_that_are_not_there(command: Command, small: Path, tmp_path: Path,
     said = f"{s3}/drawn: no such folder of masks of chair; make it, or correct `masks`"
     assert result.status == 1 and said in " ".join(result.err.split()), result
     assert said in store.read("build/chair/failed.json").decode()
+
+
+def test_masks_there_are_tied_to_their_frames(command: Command, small: Path, tmp_path: Path, s3: str) -> None:
+    store = put_benchmark(small, s3, STAGE_NAMES[:4])
+    know_sources(s3)
+    text = store.read("benchmark.yaml")
+    store.put("benchmark.yaml", text.replace(b"recordings/chair", b"recordings/chair, masks: drawn"))
+    picture = cv2.imencode(".png", np.full((120, 160), 255, np.uint8))[1].tobytes()
+    store.put("drawn/frame_000004.png", picture)
+    assert command(tmp_path, "sample-views", "chair", *config(s3)).status == 0
+    assert set(json.loads(store.read("drawn/masks.json"))) == {"frame_000004.png"}
+    store.put("drawn/000.png", picture)
+    refused = command(tmp_path, "sample-views", "chair", *config(s3))
+    assert refused.status == 1 and "drawn/000.png: nobody knows which image it was drawn on" in refused.err
 
 
 def test_commands_that_need_a_folder_say_so(command: Command, small: Path, tmp_path: Path, s3: str) -> None:

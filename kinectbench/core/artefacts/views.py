@@ -11,6 +11,8 @@ from kinectbench.core.untrusted import MOST_SIDE_PX
 UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
 
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
+# SHA-256 of an image's size and depth.
+Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
 Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
 
@@ -127,3 +129,16 @@ class PairsFile(Stored):
     format_version: Literal[1] = Field(1, description="of this file's format")
     pairs: tuple[PairRow, ...] = Field(description="a row for each pair")
     refused: tuple[Refused, ...] = Field(description="views of which no pair was made")
+
+
+class MasksFile(Stored):
+    """masks.json beside a person's masks: which image each was drawn on, by the masks' file names."""
+
+    FILE = "masks.json"
+    ADVICE = "correct it, or remove it and look at every mask again"
+    __pydantic_extra__: dict[str, Digest]
+
+    @property
+    def drawn_on(self) -> dict[str, Digest]:
+        """By file name, SHA-256 of the depth image: its size and native units, as the recording has it."""
+        return self.__pydantic_extra__

@@ -1,7 +1,10 @@
 """Masks of a view: the rendered object where the measured depth agrees, the recording's own, a person's."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -21,8 +24,13 @@ CLEAR_SIGMAS = 3.0
 # What was measured lower than this is the floor: feet are drawn square to the floor, and round ones are
 # narrower there.
 FLOOR_M = 0.002
-# What follows a view's name in those of a person's PNGs.
-OVERRIDES = ("", ".include", ".exclude")
+# How the names of a person's PNGs end, in the order in which they are applied.
+KINDS = ("", ".include", ".exclude")
+MASK_NAME = re.compile(r"(frame_)?([0-9]{1,9})(|\.include|\.exclude)\.(?i:png)")
+# A view's number has so many or more, a frame's any.
+VIEW_DIGITS = 3
+# Names in one line (own choice).
+MOST_TOLD = 5
 
 
 def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float, beside_px: int = 0) -> Bools:
@@ -121,9 +129,36 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
     return np.asarray(cv2.erode(silhouette, kernel), dtype=np.bool_)
 
 
+class MaskName(NamedTuple):
+    """What the name of a person's mask says.
+
+    Attributes:
+        number: of the frame in the sequence, or of the view.
+        of_frame: whether it is the frame's; masks named by views are older, and views change.
+        kind: "" replaces the mask, ".include" adds to it, ".exclude" takes away.
+    """
+
+    number: int
+    of_frame: bool
+    kind: str
+
+
+def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
+    """What a file's name says, such as frame_000024.exclude.png; None: it is no mask's.
+
+    Args:
+        file: the name.
+        plain_of_frame: a number alone is that of a frame, with `segment_by: masks`; else that of a view.
+    """
+    match = MASK_NAME.fullmatch(file)
+    if match is None or not (match[1] or plain_of_frame or len(match[2]) >= VIEW_DIGITS):
+        return None
+    return MaskName(int(match[2]), plain_of_frame or match[1] is not None, match[3])
+
+
 @dataclass(frozen=True)
 class GivenMasks:
-    """A person's masks of views, in files called `<view>.png`, `<view>.include.png` or `<view>.exclude.png`.
+    """A person's masks: `frame_<index>.png`, `.include.png`, `.exclude.png`; older ones: `<view>.png`, ….
 
     Attributes:
         folder: where they are, for messages.
@@ -135,20 +170,49 @@ class GivenMasks:
     names: tuple[str, ...]
     read: Callable[[str], Bools]
 
+    @cached_property
+    def _of(self) -> Mapping[MaskName, list[str]]:
+        found: dict[MaskName, list[str]] = {}
+        for file in self.names:
+            if name := mask_name(file):
+                found.setdefault(name, []).append(file)
+        return found
 
-def override_mask(mask: Bools, given: GivenMasks, view: str) -> Bools:
+    def of_image(self, view: str, frame: int, kind: str) -> str | None:
+        """The name of an image's mask of one kind, or None.
+
+        Raises:
+            SegmentationError: there are several.
+        """
+        of_view = [
+            name for name in self._of.get(MaskName(int(view), False, kind), ()) if name == f"{view}{kind}.png"
+        ]
+        files = [*self._of.get(MaskName(frame, True, kind), ()), *of_view]
+        if len(files) > 1:
+            raise SegmentationError(
+                f"{self.folder}: {files[0]} and {files[1]} are masks of one image; remove one of them"
+            )
+        return files[0] if files else None
+
+
+def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bools:
     """Apply a person's masks, if there are any, to the automatic mask of a view.
 
-    `<view>.png` replaces the mask; `<view>.include.png` adds its pixels, `<view>.exclude.png` takes its
-    pixels away.
+    `frame_<index>.png` replaces the mask; `.include.png` adds its pixels, `.exclude.png` takes them away.
+
+    Args:
+        mask: (height, width), the automatic one.
+        given: the person's.
+        view: its name.
+        frame: its frame's index in the sequence.
 
     Raises:
-        SegmentationError: one cannot be read, or is not of the depth image's size.
+        SegmentationError: one cannot be read, or is not of the depth image's size; there are two of a kind.
     """
     result = mask
-    for suffix in OVERRIDES:
-        name = f"{view}{suffix}.png"
-        if name not in given.names:
+    for kind in KINDS:
+        name = given.of_image(view, frame, kind)
+        if name is None:
             continue
         own = given.read(name)
         if own.shape != mask.shape:
@@ -156,16 +220,34 @@ def override_mask(mask: Bools, given: GivenMasks, view: str) -> Bools:
                 f"{given.folder}/{name}: the mask is {own.shape[1]}x{own.shape[0]}, the depth image "
                 f"{mask.shape[1]}x{mask.shape[0]}; draw it in depth pixels"
             )
-        result = {"": own, ".include": result | own, ".exclude": result & ~own}[suffix]
+        result = {"": own, ".include": result | own, ".exclude": result & ~own}[kind]
     return result
 
 
-def stray_masks(given: GivenMasks, views: list[str]) -> list[str]:
-    """One warning per file whose name is no mask's, and which is therefore not used."""
-    names = {f"{view}{suffix}.png" for view in views for suffix in OVERRIDES}
-    return [
-        f"{given.folder}/{name}: not used, no view's mask has that name; masks are called <view>.png, "
-        f"<view>.include.png or <view>.exclude.png, as in {views[0]}.png"
-        for name in given.names
-        if name not in names and not name.startswith(".")
-    ]
+def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
+    """Warnings of files that are not used: no mask has such a name, or its frame is no view.
+
+    Args:
+        given: a person's masks.
+        views: the frame of each view.
+    """
+    frames, lines, waiting = set(views.values()), [], []
+    of_views = {f"{view}{kind}.png" for view in views for kind in KINDS}
+    for file in given.names:
+        name = mask_name(file)
+        if name is not None and name.of_frame:
+            waiting += [] if name.number in frames else [file]
+        elif file not in of_views and not file.startswith("."):
+            lines.append(
+                f"{given.folder}/{file}: not used, no mask has that name; they are called frame_<index>.png, "
+                f".include.png or .exclude.png, as in frame_{min(frames):06d}.exclude.png"
+            )
+    if waiting:
+        lines.append(f"{given.folder}: not used, as their frames are no views: {first_of(waiting)}")
+    return lines
+
+
+def first_of(names: Sequence[str]) -> str:
+    """Some names in one line, and how many more there are."""
+    more = len(names) - MOST_TOLD
+    return ", ".join(names[:MOST_TOLD]) + (f" and {more} more" if more > 0 else "")

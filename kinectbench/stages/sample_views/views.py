@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.stored import known, number
-from kinectbench.core.artefacts.views import Refused, ViewRow, ViewsFile
+from kinectbench.core.artefacts.views import MasksFile, Refused, ViewRow, ViewsFile
 from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
@@ -29,7 +29,7 @@ from kinectbench.stages.sample_views.masks import (
     object_mask,
     override_mask,
     recorded_mask,
-    stray_masks,
+    unused_masks,
 )
 from kinectbench.stages.sample_views.view_fit import ViewFit, fit_of_view, refusal
 from kinectbench.stages.sample_views.view_order import frame_order
@@ -119,7 +119,7 @@ def sample_views(
             continue
         name = f"{len(views):03d}"
         if masks is not None:
-            mask = override_mask(mask, masks, name)
+            mask = override_mask(mask, masks, name, frame)
         stamp_ns = int(sequence.stamps_ns[frame])
         row = health.get(frame)
         figures = (row.blur, row.residual_m) if row else (None, None)
@@ -133,7 +133,7 @@ def sample_views(
         raise SegmentationError(f"no view fits the object: {len(refused)} frames refused ({first})")
     warnings = _warnings(views, settings, len(order))
     if masks is not None:
-        warnings += stray_masks(masks, [view.name for view in views])
+        warnings += unused_masks(masks, {view.name: view.frame for view in views})
     return Views(views, refused, warnings)
 
 
@@ -214,7 +214,7 @@ def _row(view: View) -> ViewRow:
         turned_rad=known(view.alignment.turned_rad, 6),
         blur=view.blur,
         pose_residual_m=view.pose_residual_m,
-        pixels=view.fit.pixels,
+        pixels=int(view.mask.sum()),
         **fit,
     )
 
@@ -261,7 +261,8 @@ def read_masks(folder: Path) -> GivenMasks:
             raise SegmentationError(f"{folder / name}: not a readable PNG; save the mask again")
         return mask
 
-    return GivenMasks(str(folder), tuple(sorted(path.name for path in listed(folder))), read)
+    names = (path.name for path in listed(folder) if path.name != MasksFile.FILE and path.is_file())
+    return GivenMasks(str(folder), tuple(sorted(names)), read)
 
 
 def _read_mask(path: Path) -> Bools | None:

@@ -22,7 +22,7 @@ from kinectbench.stages.sample_views.masks import (
     inner_silhouette,
     object_mask,
     override_mask,
-    stray_masks,
+    unused_masks,
 )
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.choose import segment
@@ -267,43 +267,54 @@ def save(path: Path, mask: np.ndarray) -> None:
     assert cv2.imwrite(str(path), mask.astype(np.uint8) * 255)
 
 
-def test_overrides_replace_add_and_take_away(tmp_path: Path):
+@pytest.mark.parametrize("name", ["003", "frame_000024", "frame_24"])
+def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path):
     rng = np.random.default_rng(0)
     automatic, replaced, include, exclude = rng.random((4, 12, 16)) < 0.5
-    np.testing.assert_array_equal(override_mask(automatic, read_masks(tmp_path), "003"), automatic)
-    save(tmp_path / "003.include.png", include)
-    np.testing.assert_array_equal(override_mask(automatic, read_masks(tmp_path), "003"), automatic | include)
-    save(tmp_path / "003.exclude.png", exclude)
-    np.testing.assert_array_equal(
-        override_mask(automatic, read_masks(tmp_path), "003"), (automatic | include) & ~exclude
-    )
-    save(tmp_path / "003.png", replaced)
-    np.testing.assert_array_equal(
-        override_mask(automatic, read_masks(tmp_path), "003"), (replaced | include) & ~exclude
-    )
-    np.testing.assert_array_equal(override_mask(automatic, read_masks(tmp_path), "004"), automatic)
+
+    def overridden(view: str = "003", frame: int = 24) -> np.ndarray:
+        return override_mask(automatic, read_masks(tmp_path), view, frame)
+
+    np.testing.assert_array_equal(overridden(), automatic)
+    save(tmp_path / f"{name}.include.png", include)
+    np.testing.assert_array_equal(overridden(), automatic | include)
+    save(tmp_path / f"{name}.exclude.png", exclude)
+    np.testing.assert_array_equal(overridden(), (automatic | include) & ~exclude)
+    save(tmp_path / f"{name}.png", replaced)
+    np.testing.assert_array_equal(overridden(), (replaced | include) & ~exclude)
+    np.testing.assert_array_equal(overridden("004", 3), automatic)
+
+
+def test_two_masks_of_one_image_are_refused(tmp_path: Path):
+    for name in ("003.exclude.png", "frame_24.exclude.png"):
+        save(tmp_path / name, np.ones((12, 16), bool))
+    with pytest.raises(SegmentationError, match=r"frame_24.exclude.png and 003.exclude.png are masks of one"):
+        override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "003", 24)
 
 
 def test_files_that_are_no_views_mask(tmp_path: Path):
     for name in ("000.png", "001.exclude.png", "000.PNG", "001.includes.png", "7.png", "002.jpg", ".cache"):
         (tmp_path / name).touch()
-    stray = stray_masks(read_masks(tmp_path), ["000", "001", "002"])
+    for name in ("frame_7.png", "frame_8.exclude.png", "frame_x.png", "masks.json"):
+        (tmp_path / name).touch()
+    *stray, waiting = unused_masks(read_masks(tmp_path), {"000": 4, "001": 7, "002": 5})
     assert [Path(line.split(": ")[0]).name for line in stray] == sorted(
-        ["000.PNG", "001.includes.png", "7.png", "002.jpg"]
+        ["000.PNG", "001.includes.png", "7.png", "002.jpg", "frame_x.png"]
     )
+    assert waiting.endswith("not used, as their frames are no views: frame_8.exclude.png")
 
 
 def test_override_of_another_size(tmp_path: Path):
     save(tmp_path / "000.png", np.ones((24, 32), bool))
     with pytest.raises(SegmentationError, match=r"000\.png.*32x24.*16x12.*depth pixels"):
-        override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000")
+        override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000", 0)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a picture", b"\x89PNG\r\n\x1a\n\x00\x00\x00\x0dIHDR"])
 def test_damaged_override(tmp_path: Path, content: bytes):
     (tmp_path / "000.exclude.png").write_bytes(content)
     with pytest.raises(SegmentationError, match=r"000\.exclude\.png.*not a readable PNG"):
-        override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000")
+        override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000", 0)
 
 
 # --- render
