@@ -184,6 +184,7 @@ def known_build(
         stamps_ns=truth.stamps_ns,
         camera=sequence.camera,
         depth_m=sequence.depth_m,
+        given=None,
         scene=lambda: mesh,
         trajectory=Trajectory(truth.stamps_ns, cameras, "tracked", health=health),
         model=model,

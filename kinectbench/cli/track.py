@@ -13,6 +13,7 @@ from kinectbench.core.errors import KinectBenchError
 
 if TYPE_CHECKING:
     from kinectbench.core.sequence import GivenTrajectory
+    from kinectbench.core.trajectory.clock_offset import ClockOffset
     from kinectbench.engine.summary import RecordingSummary
     from kinectbench.stages.track.comparison import Comparison
 
@@ -143,6 +144,16 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
         yield f"{row.recording}: {row.verdict}{advice}"
 
 
+def _clock_line(recording: str, clock: "ClockOffset") -> str:
+    """How far the reference's clock is off, what that costs, and the setting that says so."""
+    when = f"{abs(1000 * clock.late_s):.0f} ms {'late' if clock.late_s > 0 else 'early'}"
+    return (
+        f"{recording}: the stamps of the reference are {when}: moved by that, ATE is "
+        f"{1000 * clock.ate_moved_m:.2f} mm, not {1000 * clock.ate_m:.2f}; if it is the recording's own "
+        f"trajectory, put `camera: {{trajectory_delay_s: {clock.late_s:.3f}}}` into benchmark.yaml"
+    )
+
+
 def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
     if not compared:
         return
@@ -158,4 +169,6 @@ def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
                 f"{one.recording}: these are the given poses themselves, which are trusted: "
                 "the comparison says nothing of how right they are"
             )
+        if (clock := one.comparison.clock) is not None:
+            console.say(_clock_line(one.recording, clock))
         console.say(f"picture: {one.picture}")

@@ -1,4 +1,4 @@
-"""Offsets between clocks, by the motion that both show: of colour and of given poses against depth."""
+"""Offsets of colour's clock against that of depth, by the motion that both show."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.association import pairing_tolerance_ns, poses_at
+from kinectbench.core.trajectory.association import pairing_tolerance_ns
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.doctor.color import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import Pair, Reading, disagreement, frames_of
 from kinectbench.doctor.look import Look, SmallFrame
 
 LONGEST_NS = 500_000_000
@@ -75,10 +73,10 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
     best = int(np.argmax(scores))
     if not scores[best] > LEAST_CORRELATION or best in (0, len(lags_ns) - 1):
         return None
-    return round(float(lags_ns[best]) + _beside(scores, best) * STEP_NS)
+    return round(float(lags_ns[best]) + beside(scores, best) * STEP_NS)
 
 
-def _beside(values: NDArray[np.float64], best: int) -> float:
+def beside(values: NDArray[np.float64], best: int) -> float:
     """By how many steps the parabola through the best value and its neighbours is best beside it."""
     before, here, after = values[best - 1 : best + 2]
     bend = before - 2 * here + after
@@ -105,13 +103,9 @@ def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
 ASSUMED_HZ = 30
 # Less is told apart badly, and hardly matters: 60 ms, and of colour so many frames.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
-LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
-# Poses that are moved in time must fit this much better before it is said.
-BETTER = 0.93
 EDGE_LAGS, EDGE_SIZE = 12, (160, 120)
 # The best lag must fit by so many standard errors, and so much better than none.
 EDGE_CLEAR, EDGE_BETTER = 5.0, 1.15
-MAX_GAP_S = 0.2
 PAIRED_SHARE = 0.8
 
 
@@ -129,71 +123,17 @@ def check_color_delay(look: Look) -> Iterator[Finding]:
     late, frames = delay_ns / 1e9, delay_ns / period_ns
     own_clock = len(look.recording.recorded_stamps_ns[1]) > 0 and not look.counts_frames
     line = camera_line("color_delay_s", look.recording.color_delay_s + late)
-    what = f"colour is {_offset(late)} against depth (about {abs(frames):.1f} frames), by what both show"
+    what = (
+        f"colour is {offset_in_words(late)} against depth (about {abs(frames):.1f} frames), by what both show"
+    )
     advice = line if own_clock else "pair the images anew: they have no stamps of their own"
     yield Finding("color_delay", "warning", what, look.where, advice)
-
-
-def check_trajectory_delay(
-    look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
-) -> Iterator[Finding]:
-    """Whether given poses fit the depth better at other times."""
-    delay_ns = trajectory_delay_ns(look, given, reading, pairs)
-    if delay_ns is None or abs(delay_ns) < LEAST_NS:
-        return
-    what = f"the stamps of the given poses are {_offset(delay_ns / 1e9)}: so moved, they fit the depth best"
-    advice = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + delay_ns / 1e9)
-    if look.counts_frames:
-        which = "late" if delay_ns > 0 else "early"
-        what = f"the given poses are {abs(delay_ns) * ASSUMED_HZ / 1e9:.0f} frames {which}"
-        advice = "number them anew"
-    yield Finding("trajectory_delay", "warning", what, look.where, advice)
 
 
 def clock_ns(look: Look, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
     """(n,) stamps of frames; at 30 a second where the recording only counts them."""
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     return stamps_ns // ASSUMED_HZ if look.counts_frames else stamps_ns
-
-
-def on_clock(look: Look, given: GivenTrajectory) -> GivenTrajectory:
-    """The given trajectory on the clock of `clock_ns`."""
-    divisor = ASSUMED_HZ if look.counts_frames else 1
-    return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
-
-
-def trajectory_delay_ns(
-    look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
-) -> int | None:
-    """The delay of the poses' stamps at which they fit the depth best (own rule); None: not clear.
-
-    Lags up to half a second are tried in steps of 50 ms, on the pairs for which all of them have poses.
-    """
-    poses = [_poses(look, given, pairs, int(lag)) for lag in LAGS_NS]
-    posed = np.all([np.isfinite(each[:, 0, 0]) for each in poses], axis=0)
-    usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
-    if len(usable) < 4:
-        return None
-    costs = np.array([disagreement(usable, reading.apply(each)) for each in poses])
-    best, still = int(np.argmin(costs)), len(LAGS_NS) // 2
-    if best in (0, len(LAGS_NS) - 1) or costs[best] > BETTER * costs[still]:
-        return 0 if best == still else None
-    return round(float(LAGS_NS[best]) + _beside(costs, best) * float(LAGS_NS[1] - LAGS_NS[0]))
-
-
-def _poses(look: Look, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
-    """Poses of the frames in pairs at stamps that are later by a lag: (n, 4, 4), NaN for all other frames."""
-    needed = frames_of(pairs)
-    poses = np.full((len(look.frames), 4, 4), np.nan)
-    moved = on_clock(look, given)
-    poses[needed] = poses_at(moved, clock_ns(look, look.frames)[needed] + lag_ns, longest_gap_s(moved))
-    return poses
-
-
-def longest_gap_s(given: GivenTrajectory) -> float:
-    """How far apart two poses may be for one in between: coarse, as this is but a look (own rule)."""
-    usual_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
-    return max(MAX_GAP_S, 2.5 * usual_s)
 
 
 def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
@@ -269,5 +209,6 @@ def _edges_of(frame: SmallFrame) -> NDArray[np.float64]:
     return np.asarray(edges - edges.mean())
 
 
-def _offset(late_s: float) -> str:
+def offset_in_words(late_s: float) -> str:
+    """A delay in seconds, such as "28 ms late"."""
     return f"{abs(late_s) * 1000:.0f} ms {'late' if late_s > 0 else 'early'}"

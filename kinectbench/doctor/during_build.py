@@ -4,10 +4,11 @@ from collections.abc import Iterator
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor.clocks import check_partners
-from kinectbench.doctor.delays import check_color_delay, check_trajectory_delay
+from kinectbench.doctor.delays import check_color_delay
 from kinectbench.doctor.depth import check_depth, check_intrinsics
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.look import Gathering, frames_to_read, take_look
+from kinectbench.doctor.pose_delay import check_trajectory_delay
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 

@@ -192,11 +192,6 @@ def frames_of(pairs: Sequence[Pair]) -> NDArray[np.int64]:
     return np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
 
 
-def disagreement(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
-    """How badly poses (n, 4, 4) of the frames looked at fit: the mean of `pair_disagreement`."""
-    return float(np.mean([pair_disagreement(pair, T_world_camera) for pair in pairs]))
-
-
 def pair_disagreement(pair: Pair, T_world_camera: Float64) -> float:
     """How badly poses fit two frames: 0 to 1, the mean over points of how far off each is (own rule).
 

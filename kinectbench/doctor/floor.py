@@ -11,9 +11,10 @@ from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import convergence_point
-from kinectbench.doctor.delays import clock_ns, longest_gap_s, on_clock
+from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.doctor.pose_delay import longest_gap_s, on_clock
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import covered_arc_rad
-from kinectbench.doctor.delays import check_trajectory_delay, clock_ns, longest_gap_s, on_clock
+from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import (
@@ -26,6 +26,7 @@ from kinectbench.doctor.fit import (
     residual_m,
 )
 from kinectbench.doctor.look import Look
+from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 
 # Another reading is said to be right only if poses fit so much better by it.
 BETTER = 0.87

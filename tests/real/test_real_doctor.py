@@ -1,6 +1,7 @@
 """The doctor on real recordings: no alarm on right ones, and wrong copies of one are named."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -23,13 +24,26 @@ NOT_HERE = {"a frame of another scene", "intrinsics of twice the size", "millime
     [
         ("tum_fr3_cabinet", None, set()),
         ("7scenes_redkitchen_000-149", None, {"color_display_only", "arc"}),
-        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "no_floor"}),
+        # Its depth lags the motion capture, by some 28 ms.
+        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "no_floor", "trajectory_delay"}),
     ],
 )
 def test_no_alarm_on_right_recordings(name: str, settings: CameraSettings | None, expected: set[str]) -> None:
     diagnosis, _ = inspect(ROOT / name, settings)
     assert {found.name for found in diagnosis.findings} == expected and not diagnosis.stops
     assert diagnosis.facts["poses_read_as"] == "as given"
+
+
+def test_the_offset_of_a_motion_capture_is_found_and_taken_away() -> None:
+    """Depth of freiburg1_xyz lags the motion capture by 28 ms, by the error of all its frames."""
+    diagnosis, _ = inspect(ROOT / "tum_fr1_xyz_150-179", FREIBURG1)
+    (found,) = [each for each in diagnosis.findings if each.name == "trajectory_delay"]
+    said = re.search(r"camera: \{trajectory_delay_s: (-?[\d.]+)\}", found.advice)
+    assert said and float(said[1]) == pytest.approx(-0.028, abs=0.008)
+    moved = FREIBURG1.model_copy(update={"trajectory_delay_s": float(said[1])})
+    after, _ = inspect(ROOT / "tum_fr1_xyz_150-179", moved)
+    assert "trajectory_delay" not in {each.name for each in after.findings}
+    assert after.facts["pose_disagreement"] < 0.85 * diagnosis.facts["pose_disagreement"]  # type: ignore[operator]
 
 
 def test_a_phone_that_looks_down_76_degrees_sees_the_floor() -> None:

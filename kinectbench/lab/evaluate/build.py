@@ -11,6 +11,7 @@ from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.images import read_gray
+from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
 from kinectbench.core.types import Float32
@@ -33,6 +34,7 @@ class Build:
         camera: intrinsics of their depth.
         depth_m: of a frame, the depth as recorded: (height, width) float32, metres, 0 = none.
         trajectory: a pose for each of them.
+        given: the trajectory that came with the recording, as it was stored; or None.
         scene: the fused mesh of the whole scene, in the trajectory's world.
         model: the object, in the trajectory's world.
         views: the sampled views.
@@ -45,6 +47,7 @@ class Build:
     camera: Camera
     depth_m: Callable[[int], Float32]
     trajectory: Trajectory | None
+    given: GivenTrajectory | None
     scene: Callable[[], TriangleMesh] | None
     model: ObjectModel | None
     views: tuple[View, ...] | None
@@ -86,6 +89,7 @@ def read_build(folder: Path) -> Build:
         camera=sequence.camera,
         depth_m=sequence.depth_m,
         trajectory=read_trajectory(folder / "trajectory", sequence.stamps_ns) if "track" in current else None,
+        given=sequence.given_trajectory,
         scene=(lambda: read_own_ply(folder / "reconstruction" / "mesh.ply")) if "fuse" in current else None,
         model=read_object(folder / "object") if "segment" in current else None,
         views=tuple(read_views(folder / "views")) if "sample-views" in current else None,

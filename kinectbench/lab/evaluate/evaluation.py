@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.geometry import rotation_angle_rad
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.clock_offset import ClockOffset, clock_offset
 from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Progress
@@ -37,6 +39,8 @@ class TrajectoryFigures:
         rejected: frames whose pose was found and left out, because their depth disagrees with it.
         foreign_tracked: frames that show another scene and have a pose all the same.
         error: of the poses of the frames whose truth is known; None if there are fewer than three.
+        given_clock: by how much the clock of the trajectory that came with the recording is late against the
+            true poses, where that can be told and matters; or None.
     """
 
     frames: int
@@ -46,12 +50,26 @@ class TrajectoryFigures:
     rejected: tuple[int, ...]
     foreign_tracked: tuple[int, ...]
     error: TrajectoryError | None
+    given_clock: ClockOffset | None
 
 
-def trajectory_figures(trajectory: Trajectory, truth: Truth, registration: Registration) -> TrajectoryFigures:
+def trajectory_figures(
+    trajectory: Trajectory,
+    truth: Truth,
+    registration: Registration,
+    stamps_ns: NDArray[np.int64],
+    given: GivenTrajectory | None = None,
+) -> TrajectoryFigures:
     """Compare the poses of all matched frames (see `tracking.compare`), and count the others.
 
     The alignment of ATE is the least-squares one of the positions, whatever the registration says.
+
+    Args:
+        trajectory: as it was built.
+        truth: the simulator's.
+        registration: of the build to the truth.
+        stamps_ns: (n,) int64, of the build's frames.
+        given: the trajectory that came with the recording, or None.
     """
     posed = has_pose(trajectory.T_world_camera)
     common = posed & registration.shown
@@ -70,7 +88,17 @@ def trajectory_figures(trajectory: Trajectory, truth: Truth, registration: Regis
         rejected=rejected,
         foreign_tracked=tuple(np.flatnonzero(foreign).tolist()),
         error=error,
+        given_clock=_given_clock(truth, registration, stamps_ns, given),
     )
+
+
+def _given_clock(
+    truth: Truth, registration: Registration, stamps_ns: NDArray[np.int64], given: GivenTrajectory | None
+) -> ClockOffset | None:
+    shown = registration.shown
+    if given is None or not shown.any():
+        return None
+    return clock_offset(stamps_ns[shown], truth.T_world_camera[registration.true_frame[shown]], given)
 
 
 @dataclass(frozen=True)
@@ -178,7 +206,8 @@ def evaluate(
         floor = floor_figures(model.floor, truth, registration)
     trajectory = scene = masks = pairs = None
     if build.trajectory is not None:
-        trajectory = trajectory_figures(build.trajectory, truth, registration)
+        clocks = build.stamps_ns, build.given
+        trajectory = trajectory_figures(build.trajectory, truth, registration, *clocks)
     if build.scene is not None:
         errors = scene_errors(build.scene().transformed(registration.T_truth_built), truth)
         scene = surface_figures(errors) if errors else None

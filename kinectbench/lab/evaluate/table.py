@@ -102,6 +102,11 @@ def _trajectory(figures: TrajectoryFigures) -> Iterator[Row]:
     yield Row("frames rejected", _frames(figures.rejected))
     if figures.foreign_tracked:
         yield Row("frames of another scene with a pose", _frames(figures.foreign_tracked))
+    clock = figures.given_clock
+    if clock is not None:
+        yield Row("given poses' clock late by", f"{1000 * clock.late_s:.1f}", "ms")
+        yield _row("given poses' ATE", clock.ate_m, "mm")
+        yield _row("the same, at the right time", clock.ate_moved_m, "mm")
     error = figures.error
     if error is None:
         yield Row("ATE, RPE", "fewer than 3 poses match")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.clock_offset import ClockOffset, clock_offset
 from kinectbench.core.trajectory.compare import TrajectoryError, compare_poses, has_pose, match_stamps
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.stages.track.pictures import comparison_picture, timeline
@@ -18,17 +19,20 @@ class Comparison:
         frames: of the recording.
         tracked: of these, frames with a pose.
         error: over the poses that both have.
+        clock: by how much the reference's clock is late, where that can be told and matters; or None.
     """
 
     frames: int
     tracked: int
     error: TrajectoryError
+    clock: ClockOffset | None = None
 
     def row(self) -> dict[str, float | int | None]:
         """The figures as they are shown, and printed as JSON: millimetres and degrees.
 
         Relative errors (rmse) are from one matched frame to the next, and over a metre of path: None if the
-        path is shorter.
+        path is shorter. `clock_late_ms` is None where no offset of the clocks is found, and then
+        `ate_rmse_moved_mm`, the error without it, is None, too.
         """
         error, metre_m, metre_rad = self.error, self.error.rpe_metre_m, self.error.rpe_metre_rad
         return {
@@ -43,6 +47,8 @@ class Comparison:
             "rpe_frame_deg": math.degrees(error.rpe_frame_rad.rmse),
             "rpe_metre_mm": None if metre_m is None else 1000 * metre_m.rmse,
             "rpe_metre_deg": None if metre_rad is None else math.degrees(metre_rad.rmse),
+            "clock_late_ms": None if self.clock is None else 1000 * self.clock.late_s,
+            "ate_rmse_moved_mm": None if self.clock is None else 1000 * self.clock.ate_moved_m,
         }
 
 
@@ -69,6 +75,7 @@ def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Co
     T_estimate = trajectory.T_world_camera[frames[posed]]
     T_reference = reference.T_world_camera[rows[posed]]
     error = compare_poses(T_estimate, T_reference)
-    figures = Comparison(len(trajectory.stamps_ns), len(trajectory.good_frames), error)
+    clock = clock_offset(trajectory.stamps_ns, trajectory.T_world_camera, reference)
+    figures = Comparison(len(trajectory.stamps_ns), len(trajectory.good_frames), error, clock)
     moments, when = timeline(trajectory.stamps_ns)
     return figures, comparison_picture(error, T_estimate, T_reference, moments[frames[posed]], when)

@@ -10,6 +10,7 @@ from known_builds import T_WORLD_OBJECT, VIEW_FRAMES, Known, chair
 
 from kinectbench.core.artefacts.trajectory import RejectedFrame
 from kinectbench.core.geometry import TriangleMesh, rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.lab.evaluate.build import Registration, register, true_frames
 from kinectbench.lab.evaluate.evaluation import floor_figures, trajectory_figures
@@ -176,7 +177,7 @@ def test_lost_rejected_and_foreign_frames(perfect: Known):
     truth = replace(perfect.truth, T_world_camera=true)
     built = replace(perfect.build, trajectory=replace(trajectory, T_world_camera=cameras, health=health))
     assert built.trajectory
-    figures = trajectory_figures(built.trajectory, truth, register(built, truth))
+    figures = trajectory_figures(built.trajectory, truth, register(built, truth), built.stamps_ns)
     assert (figures.frames, figures.tracked, figures.lost) == (60, 57, (4, 10))
     assert figures.rejected == (9,)
     assert figures.foreign_tracked == (20,)
@@ -193,7 +194,25 @@ def test_two_poses_are_too_few_for_ate_but_align(perfect: Known):
     built = replace(perfect.build, trajectory=replace(trajectory, T_world_camera=cameras))
     registration = register(built, perfect.truth)
     np.testing.assert_allclose(registration.T_built_truth, T, atol=1e-9)
-    assert trajectory_figures(built.trajectory, perfect.truth, registration).error is None  # type: ignore[arg-type]
+    of = perfect.truth, registration, built.stamps_ns
+    assert trajectory_figures(built.trajectory, *of).error is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("late_ms", [0, 28])
+def test_the_clock_of_a_given_trajectory_is_judged_by_the_truth(perfect: Known, late_ms: int):
+    trajectory = perfect.build.trajectory
+    assert trajectory
+    stamps_ns = np.arange(len(trajectory.stamps_ns)) * 33_333_333 + 10**18
+    times_s = np.arange(len(stamps_ns)) / 30
+    wave_m = np.stack([0.3 * np.sin(2.1 * times_s), 0.2 * np.sin(3.3 * times_s), 0 * times_s], axis=1)
+    poses = np.stack([rigid(np.eye(3), point) for point in wave_m])
+    truth = replace(perfect.truth, T_world_camera=poses)
+    given = GivenTrajectory(stamps_ns + late_ms * 1_000_000, poses)
+    figures = trajectory_figures(trajectory, truth, register(perfect.build, truth), stamps_ns, given)
+    if not late_ms:
+        assert figures.given_clock is None
+    else:
+        assert figures.given_clock and figures.given_clock.late_s == pytest.approx(0.028, abs=0.002)
 
 
 def test_frames_are_found_by_stamp_or_by_number():
