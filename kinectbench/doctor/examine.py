@@ -23,7 +23,7 @@ from kinectbench.doctor.depth import (
     range_by_look,
 )
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
-from kinectbench.doctor.floor import Ground, camera_heights_m, check_floor
+from kinectbench.doctor.floor import Ground, check_floor, seen_floor
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
@@ -123,10 +123,10 @@ def _examined(
     stands = any(finding.name in NO_MOTION for finding in still)
     edges, poses = fit_edges(look), None if stands else fit_trajectory(look)
     depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
-    heights_m = camera_heights_m(look, ground, poses, depth_range.max_depth_m)
+    floor = seen_floor(look, ground, poses, depth_range.max_depth_m)
     late = [*_late(look, edges, poses), *check_range(look, depth_range)]
     if not own_pixels:
-        late += [*check_floor(look, heights_m, ground), *still]
+        late += [*check_floor(look, floor, ground), *still]
     if poses is not None and poses.proven:
         found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
     # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
@@ -137,7 +137,7 @@ def _examined(
         if not (explained and finding.name == "trajectory_wrong")
         and not (stands and (finding.name == "arc" or finding.name.startswith("trajectory")))
     ]
-    facts = _late_facts(edges, poses, heights_m)
+    facts = _late_facts(edges, poses, floor.heights_m)
     if poses is not None:
         facts |= {name: getattr(depth_range, name) for name in ("max_depth_m", "beyond_share")}
     return facts, found

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, transform_points
-from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.trajectory.association import poses_at
-from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.look import Look, SmallFrame
@@ -18,18 +16,16 @@ from kinectbench.doctor.pose_delay import longest_gap_s, on_clock
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
 
-# Frames that are looked at alone, or together by their poses, and every how many pixels: for the sake of time
-# (own choices).
-FRAMES, POSED_FRAMES, STEP_PX = 6, 40, 4
+# Frames that are looked at alone, or together by their poses, for the sake of time (own choices).
+FRAMES, POSED_FRAMES = 6, 40
 # Poses with a larger share of the depth against them make no scene to find a floor in.
 FITTING = 0.5
 # What a frame without a pose looks at, camera frame: as far as furniture is recorded, metres (own choice).
 FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
 # Of a person's camera above the floor, or above the table that the object stands on, metres.
 LOWEST_M, HIGHEST_M = 0.25, 2.5
-# A floor in fewer of the frames is told; of fewer points no plane is looked for (own choices).
+# A floor in fewer of the frames is told (own choice).
 SEEN_SHARE = 0.3
-MIN_POINTS = 200
 # A frame sees the scene's floor if this share of its points lies within so many metres of it.
 MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
 
@@ -51,10 +47,23 @@ class Ground:
     is_needed: bool = True
 
 
-def camera_heights_m(
+@dataclass(frozen=True)
+class SeenFloor:
+    """The floor in some frames.
+
+    Attributes:
+        heights_m: (k,) of the camera above it in each, metres; NaN where no floor is found.
+        doubts: what speaks against it where it is one floor of all frames, one line each, as a build says it.
+    """
+
+    heights_m: Points
+    doubts: tuple[str, ...] = ()
+
+
+def seen_floor(
     look: Look, ground: Ground, poses: PoseFit | None = None, max_depth_m: float = np.inf
-) -> Points:
-    """(k,) height above the floor in each of some frames, metres; NaN where no floor is found.
+) -> SeenFloor:
+    """Look for the floor in some frames.
 
     With given poses that fit, the floor is looked for once, in all the frames together and with all that the
     build knows; else in each frame alone, as if it were a recording. A person's plane is in the world of the
@@ -73,15 +82,17 @@ def camera_heights_m(
         return _heights_together(look, *posed, max_depth_m, replace(ground, recording=recording))
     count = len(look.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
-    return np.array([_height_m(look.frames[i], look.small_camera, ground.recording) for i in indices])
+    heights_m = [_height_m(look.frames[i], look.small_camera, ground.recording) for i in indices]
+    return SeenFloor(np.array(heights_m))
 
 
 def _without_poses(recording: Recording) -> Recording:
     return replace(recording, given_trajectory=None)
 
 
-def check_floor(look: Look, heights_m: Points, ground: Ground) -> Iterator[Finding]:
+def check_floor(look: Look, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
     """Judge whether there is a floor, and whether it is where floors are."""
+    heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
         if not ground.is_needed:
@@ -93,6 +104,9 @@ def check_floor(look: Look, heights_m: Points, ground: Ground) -> Iterator[Findi
         )
         yield Finding("no_floor", "warning" if not seen.any() else "note", what, look.where, advice)
         return
+    for doubt in floor.doubts:
+        what, advice = doubt.split("; ", 1)
+        yield Finding("floor_doubtful", "warning", what, look.where, advice)
     height_m = float(np.nanmedian(heights_m))
     if height_m <= 0:
         what = "most cameras are below the plane that benchmark.yaml gives as `floor`"
@@ -119,47 +133,36 @@ def _posed(look: Look, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None
 
 def _heights_together(
     look: Look, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
-) -> Points:
-    """(n,) heights of some of the frames above the one floor of all; of all above a person's plane."""
-    from kinectbench.stages.segment.floor import find_floor
-    from kinectbench.stages.segment.near import near_scale
-    from kinectbench.stages.segment.select import CELL_M, thinned
+) -> SeenFloor:
+    """Heights (n,) of some of the frames above the one floor of all; of all above a person's plane."""
+    from kinectbench.stages.segment.seen_floor import floor_of_frames
     from kinectbench.stages.segment.up import hint_of
 
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     hint = hint_of(ground.recording, stamps_ns, T_world_camera, ground.plane_world)
     if hint.plane_world is not None:
-        return np.asarray(T_world_camera[:, :3, 3] @ hint.plane_world[:3] + hint.plane_world[3])
-    clouds, normals = [], []
-    for frame, T in zip(frames, T_world_camera, strict=True):
-        near_m = np.where(frame.depth_m <= max_depth_m, frame.depth_m, 0)
-        points, toward = _surface(near_m, look.small_camera)
-        clouds.append(transform_points(T, points))
-        normals.append(toward @ T[:3, :3].T)
-    focus_world = convergence_point(T_world_camera)
-    cell_m = CELL_M * near_scale(T_world_camera, focus_world)
-    surface = thinned(np.concatenate(clouds), np.concatenate(normals), cell_m)
+        return SeenFloor(T_world_camera[:, :3, 3] @ hint.plane_world[:3] + hint.plane_world[3])
+    near_m = [np.where(frame.depth_m <= max_depth_m, frame.depth_m, np.float32(0)) for frame in frames]
     heights_m = np.full(len(frames), np.nan)
-    if len(surface.points) < MIN_POINTS:
-        return heights_m
     try:
-        floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, 0, hint)
+        floor, clouds = floor_of_frames(near_m, look.small_camera, T_world_camera, hint)
     except SegmentationError:
-        return heights_m
+        return SeenFloor(heights_m)
     for index, points_world in enumerate(clouds):
         on_floor = np.abs(transform_points(floor.T_floor_world, points_world)[:, 2]) < ON_FLOOR_M
         if on_floor.sum() > MIN_ON_FLOOR * len(points_world):
             heights_m[index] = transform_points(floor.T_floor_world, T_world_camera[index, :3, 3])[2]
-    return heights_m
+    return SeenFloor(heights_m, floor.choice.doubts())
 
 
 def _height_m(frame: SmallFrame, camera: Camera, recording: Recording) -> float:
     from kinectbench.stages.segment.floor import find_floor
+    from kinectbench.stages.segment.seen_floor import MIN_POINTS, oriented
     from kinectbench.stages.segment.up import hint_of
 
     if frame.depth_m.shape != (camera.height, camera.width):
         return float("nan")
-    points, normals = _surface(frame.depth_m, camera)
+    points, normals = oriented(frame.depth_m, camera)
     if len(points) < MIN_POINTS:
         return float("nan")
     # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
@@ -171,13 +174,3 @@ def _height_m(frame: SmallFrame, camera: Camera, recording: Recording) -> float:
     except SegmentationError:
         return float("nan")
     return float(floor.plane_world[3]) / unit
-
-
-def _surface(depth_m: NDArray[np.float32], camera: Camera) -> tuple[Points, Points]:
-    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel."""
-    surface = camera.backproject(depth_m)
-    normals = image_normals(surface, depth_m, reach_px=2)
-    chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
-    keep = np.zeros_like(chosen)
-    keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
-    return surface[keep], normals[keep]

@@ -1,6 +1,7 @@
 """The stage `segment` as a whole: an object is chosen in the scene, observed by its frames and made solid."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,7 @@ from kinectbench.stages.segment.resolution import (
     restored_frontier,
     restored_shape,
 )
+from kinectbench.stages.segment.seen_floor import other_floor
 from kinectbench.stages.segment.solid import SolidShape, make_solid, solidify
 from kinectbench.stages.segment.up import floor_hint
 from kinectbench.stages.segment.whole import NO_LAYERS, segment_whole
@@ -83,6 +85,9 @@ def build_object(
     width_m = usual_ray_width_m(sequence.camera, trajectory, middle_world)
     layers = NO_LAYERS if chosen.hangs else floor_layers(chosen.floor, segmentation, voxel_size_m)
     T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
+    if chosen.how != "masks":
+        lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
+        chosen = replace(chosen, doubts=(*lines, *chosen.doubts))
     made = _solids(
         lambda half: observe(sequence, trajectory, frames[half::2], grid, fusion, progress),
         (chosen.excluded(grid), layers, width_m / scale),

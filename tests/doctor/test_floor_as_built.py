@@ -161,7 +161,8 @@ def test_an_accelerometer_counts(
         raise SegmentationError("looked at")
 
     monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
-    monkeypatch.setattr("kinectbench.stages.segment.floor.find_floor", find_floor)
+    for module in ("floor", "seen_floor"):
+        monkeypatch.setattr(f"kinectbench.stages.segment.{module}.find_floor", find_floor)
     inspect(recording.path, without_trajectory=ignored)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]
     if not ignored:

@@ -44,6 +44,24 @@ class BoxPart(Part):
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
 
 
+class FloorCandidate(Part):
+    """A plane that may have been the floor, and why it is not."""
+
+    plane_world: Vector4 = Field(description="[a, b, c, d], as of the floor; before it was refined")
+    inlier_share: float = Field(description="of the scene's surface, that lies on the plane")
+    cameras_above_share: float = Field(description="of the cameras, that look down on it")
+    below_share: float = Field(description="of the scene's surface, that lies lower")
+    under_share: float = Field(
+        description="of that, what lies right below where the plane lies, by the surface on the plane; may "
+        "exceed 1"
+    )
+    tilt_rad: float = Field(
+        description="between its normal and up by gravity, or else as the cameras were held, radians"
+    )
+    evidence: float = Field(description="what speaks for it: docs/ground-truth.md has the rule")
+    refused: str | None = Field(description="why it is not the floor; null: it is")
+
+
 class FloorFile(Stored):
     """objects/<recording>/floor.json."""
 
@@ -64,6 +82,9 @@ class FloorFile(Stored):
     scale: float | None = Field(
         None,
         description="by what floor_cut_m and low_cut_m are multiplied, where cameras were nearer than 1 m",
+    )
+    candidates: tuple[FloorCandidate, ...] = Field(
+        (), description="the planes among which the floor was chosen; none of a person's plane"
     )
 
 

@@ -45,10 +45,11 @@ def own_world(T_floor_camera: Float64) -> Float64:
 
 
 def own_floor(floor: FloorFile) -> FloorFile:
-    """floor.json of these worlds: z up, floor at z = 0."""
-    return floor.model_copy(
+    """floor.json of these worlds: z up, floor at z = 0; without other planes of the scene."""
+    kept = floor.model_copy(
         update={"plane_world": np.array([0.0, 0.0, 1.0, 0.0]), "T_floor_world": np.eye(4)}
     )
+    return FloorFile(**{key: getattr(kept, key) for key in kept.model_fields_set - {"candidates"}})
 
 
 def own_views(views: ViewsFile) -> ViewsFile:

@@ -133,7 +133,8 @@ def segment(
         cell_m / scale,
         scale,
     )
-    lines = doubts(chose) if scene.floor.found else (NO_FLOOR, *doubts(chose))
+    of_floor = scene.floor.choice.doubts() if scene.floor.found else (NO_FLOOR,)
+    lines = (*of_floor, *doubts(chose))
     if hint.plane_world is not None and scene.floor.inlier_share < LEAST_ON_PLANE:
         lines = (PLANE_IS_EMPTY, *lines)
     how = "automatic" if given_box is None else "box"

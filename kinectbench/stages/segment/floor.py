@@ -10,36 +10,26 @@ from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import FloorCuts
+from kinectbench.stages.segment.floor_planes import (
+    MIN_NEAR_POINTS,
+    NO_CHOICE,
+    PlaneChoice,
+    choose_plane,
+    refined_near,
+)
 from kinectbench.stages.segment.near import enlarged_transform, near_scale
 from kinectbench.stages.segment.planes import (
-    FLAT_COSINE,
     INLIER_M,
-    MAX_NOISE_M,
-    Plane,
     Surface,
     floor_frame,
-    is_below,
-    is_flat,
     noise_about_m,
 )
-from kinectbench.stages.segment.support import carries_what_is_looked_at
-from kinectbench.stages.segment.up import NOTHING_KNOWN, Facing, FloorHint, facings
+from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 
-CANDIDATES = 6
-HYPOTHESES = 400
-MIN_CAMERA_HEIGHT_M = 0.1
-MAX_BELOW_SHARE = 0.05
-# What lies farther below a plane than so many times the distance of its inliers (50 mm) is below it.
-BELOW_INLIERS = 2.5
-BELOW_M = 0.05
-# A plane has this share of the points, and so many: of fewer its normal says little (own choices).
-MIN_INLIER_SHARE, MIN_PLANE_POINTS = 0.01, 50
-FOCUS_M = 1.2
-MIN_NEAR_POINTS = 100
 NO_FLOOR = (
-    "no floor found: no plane that faces up lies below all cameras; record with more of what the object "
-    "stands on in view, or give its plane (`floor: {plane_world: [a, b, c, d]}`) or a box (`kinectbench "
-    "segment --suggest` lists some)"
+    "no floor found: no plane that faces up, and below which nothing is seen, lies below most cameras{why}; "
+    "record with more of what the object stands on in view, or give its plane (`floor: {{plane_world: "
+    "[a, b, c, d]}}`) or a box (`kinectbench segment --suggest` lists some)"
 )
 ABOVE_CAMERAS = (
     "most cameras are below the plane that benchmark.yaml gives as `floor`; its normal must point up, in the "
@@ -65,6 +55,7 @@ class Floor:
             latter is coarse, as hands are; NaN if it is not known.
         found: False if it is not a measured plane but `level_floor`.
         scale: by what the cuts of the settings are multiplied for it, as cameras were near (`near_scale`).
+        choice: the planes among which it was chosen; none of a person's plane.
     """
 
     plane_world: Float64
@@ -74,6 +65,7 @@ class Floor:
     tilt_rad: float = 0.0
     found: bool = True
     scale: float = 1.0
+    choice: PlaneChoice = NO_CHOICE
 
     @property
     def T_world_floor(self) -> Float64:
@@ -101,15 +93,11 @@ def find_floor(
     seed: int,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Floor:
-    """Find the floor among up to six planes of the scene; a plane that a person gives is taken as it is.
+    """Find the floor among the planes of the scene (`choose_plane`); a person's plane is taken as it is.
 
-    A plane qualifies if its normal may be up (`facings`: by gravity, else as the cameras are held), every
-    camera is more than 0.1 m above it, and under 5 % of the points are below it. Of those that
-    qualify, the one with most points is the floor, unless another one lies parallel to it and at least
-    0.2 m lower: a table top may fill more of the frames than the floor does. The floor is then refined by
-    least squares where it matters, within 1.2 m of the focus: farther floor is measured with several times
-    the noise, and a Kinect's depth bias grows with distance. Where cameras are nearer than 1 m, all these
-    lengths are less in proportion (`near_scale`).
+    The plane is refined by least squares where it matters, within 1.2 m of the focus: farther floor is
+    measured with several times the noise, and a Kinect's depth bias grows with distance. Where cameras are
+    nearer than 1 m, all these lengths are less in proportion (`near_scale`).
 
     Args:
         points_world: (n, 3) points spread evenly over the scene's surface, metres.
@@ -120,7 +108,7 @@ def find_floor(
         hint: gravity, and a person's plane.
 
     Raises:
-        SegmentationError: no plane qualifies, or the cameras are below a person's.
+        SegmentationError: no plane may be a floor, or the cameras are below a person's.
     """
     scale = near_scale(T_world_camera, focus_world)
     if hint.plane_world is not None:
@@ -135,6 +123,7 @@ def find_floor(
         T_floor_world=floor_frame(plane),
         noise_m=floor.noise_m * scale,
         scale=scale,
+        choice=floor.choice.scaled(scale),
     )
 
 
@@ -144,19 +133,12 @@ def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: 
     There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
     lies on it must not pass for floor.
     """
-    for facing in facings(T_world_camera, up_world):
-        planes = _qualifying_planes(surface, T_world_camera[:, :3, 3], facing, seed)
-        lowest = [plane for plane in planes if plane.is_lowest]
-        chosen = _lowest(lowest, surface) if lowest else None
-        chosen = _support(planes, chosen, surface) or chosen
-        if chosen is None:
-            continue
-        plane, noise_m = _refined_near(chosen.plane, surface)
-        if noise_m <= MAX_NOISE_M:
-            tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
-            share = chosen.points / len(surface.points_world)
-            return Floor(plane, floor_frame(plane), noise_m, share, tilt_rad)
-    raise SegmentationError(NO_FLOOR)
+    choice = choose_plane(surface, T_world_camera, up_world, seed)
+    if choice.chosen is None:
+        raise SegmentationError(NO_FLOOR.format(why=choice.likeliest))
+    plane, noise_m = refined_near(choice.chosen.plane, surface)
+    tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
+    return Floor(plane, floor_frame(plane), noise_m, choice.chosen.inlier_share, tilt_rad, choice=choice)
 
 
 def _given_floor(
@@ -170,18 +152,6 @@ def _given_floor(
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
     tilt_rad = _tilt_rad(plane_world, T_world_camera, None)
     return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
-
-
-def _refined_near(plane: Float64, surface: Surface) -> tuple[Float64, float]:
-    """A plane refined near the focus, and the surface's noise about it, metres."""
-    points_world, inlier_m = surface.points_world, surface.inlier_m
-    flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
-    flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
-    near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * BELOW_M)]
-    if len(near) < MIN_NEAR_POINTS:
-        return plane, noise_about_m(plane, points_world, inlier_m)
-    plane = _refine(near, plane, 2 * BELOW_M if inlier_m == INLIER_M else inlier_m, inlier_m)
-    return plane, noise_about_m(plane, near, inlier_m)
 
 
 def level_floor(
@@ -222,75 +192,6 @@ def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
     if not floor.found:
         return cut_m
     return min(max(settings.low_cut_m * floor.scale, FLOOR_SIGMAS * floor.noise_m), cut_m)
-
-
-def _qualifying_planes(surface: Surface, cameras_world: Float64, facing: Facing, seed: int) -> list[Plane]:
-    """Of up to six planes of the scene those that cameras look down on, and that may be horizontal."""
-    points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
-    rng = np.random.default_rng(seed)
-    left = facing(normals_world)
-    planes: list[Plane] = []
-    for _ in range(CANDIDATES):
-        indices = np.flatnonzero(left)
-        if len(indices) < max(MIN_PLANE_POINTS, MIN_INLIER_SHARE * len(points_world)):
-            break
-        plane = _ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
-        plane = _refine(points_world[indices], plane, 2 * inlier_m, inlier_m)
-        distance_m = points_world @ plane[:3] + plane[3]
-        inliers = left & (np.abs(distance_m) < 2 * inlier_m)
-        left &= ~inliers
-        qualifies = (
-            facing(plane[None, :3])[0] and (cameras_world @ plane[:3] + plane[3]).min() > MIN_CAMERA_HEIGHT_M
-        )
-        if qualifies and inliers.sum() >= MIN_INLIER_SHARE * len(points_world):
-            below = np.mean(distance_m < -BELOW_INLIERS * inlier_m)
-            planes.append(Plane(plane, int(inliers.sum()), bool(below < MAX_BELOW_SHARE)))
-    return planes
-
-
-def _support(planes: list[Plane], floor: Plane | None, surface: Surface) -> Plane | None:
-    """The nearest plane above the floor that carries what is looked at; None: the floor does."""
-    higher = [plane for plane in planes if floor is None or is_below(floor, plane, surface)]
-    for plane in sorted(higher, key=surface.focus_above_m):
-        if is_flat(plane, surface) and carries_what_is_looked_at(plane.plane, surface):
-            return plane
-    return None
-
-
-def _ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
-    """The plane through one point with its own normal that has most inliers (one-point RANSAC)."""
-    judged = points[rng.permutation(len(points))[:20_000]]
-    chosen = rng.integers(len(points), size=HYPOTHESES)
-    offsets = -(points[chosen] * normals[chosen]).sum(axis=1)
-    counts = [
-        int((np.abs(judged @ normal + offset) < inlier_m).sum())
-        for normal, offset in zip(normals[chosen], offsets, strict=True)
-    ]
-    best = int(np.argmax(counts))
-    return np.append(normals[chosen[best]], offsets[best])
-
-
-def _refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> Float64:
-    """Least squares on the inliers, which are chosen anew eight times, within 3 robust deviations."""
-    for _ in range(8):
-        distance_m = points @ plane[:3] + plane[3]
-        inliers = points[np.abs(distance_m) < reach_m]
-        if len(inliers) < 10:
-            return plane
-        centre = inliers.mean(axis=0)
-        _, _, axes = np.linalg.svd(inliers - centre, full_matrices=False)
-        normal = axes[2] * np.sign(axes[2] @ plane[:3])
-        plane = np.append(normal, -normal @ centre)
-        deviation_m = 1.4826 * np.median(np.abs(inliers @ plane[:3] + plane[3]))
-        reach_m = float(np.clip(3 * deviation_m, 0.5 * inlier_m, 2 * inlier_m))
-    return plane
-
-
-def _lowest(planes: list[Plane], surface: Surface) -> Plane:
-    """The plane with most points, or the lowest parallel one well below it."""
-    most = max(planes, key=lambda each: each.points)
-    lower = [each for each in planes if is_below(each, most, surface) and is_flat(each, surface)]
-    return max([most, *lower], key=surface.focus_above_m)
 
 
 def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import FloorFile, QualityFile
+from kinectbench.core.artefacts.object import FloorCandidate, FloorFile, QualityFile
 from kinectbench.core.artefacts.object_grids import ObjectVolume, Surround
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.errors import StorageError
@@ -18,6 +18,7 @@ from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.estimate import PoseError
 from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.floor_planes import REASONS
 from kinectbench.stages.segment.frontiers import Frontier
 from kinectbench.stages.segment.grids import surround_labels
 from kinectbench.stages.segment.quality import measure_quality, solid_box
@@ -88,7 +89,9 @@ def usual_pose_error(trajectory: Trajectory) -> PoseError:
 def write_object(model: ObjectModel, folder: Path) -> None:
     """Write floor.json, mesh.ply, volume.npz, surround.npz and quality.json."""
     floor, shape = model.floor, model.shape
-    near: dict[str, Any] = {} if floor.scale == 1 else {"scale": round(floor.scale, 4)}
+    known_if: dict[str, Any] = {} if floor.scale == 1 else {"scale": round(floor.scale, 4)}
+    if floor.choice.candidates:
+        known_if["candidates"] = _candidates(floor)
     FloorFile(
         plane_world=floor.plane_world,
         T_floor_world=floor.T_floor_world,
@@ -96,13 +99,30 @@ def write_object(model: ObjectModel, folder: Path) -> None:
         inlier_share=round(floor.inlier_share, 4),
         tilt_rad=known(floor.tilt_rad, 4),
         found=floor.found,
-        **near,
+        **known_if,
     ).write(folder)
     write_ply(shape.mesh, folder / MESH)
     probability = shape.probability.astype(np.float16)
     ObjectVolume(shape.grid, shape.solid, shape.labels, probability).write(folder)
     Surround(model.surround, model.surround_labels).write(folder)
     model.quality.write(folder)
+
+
+def _candidates(floor: Floor) -> tuple[FloorCandidate, ...]:
+    """The planes among which it was chosen, as floor.json has them."""
+    return tuple(
+        FloorCandidate(
+            plane_world=each.plane,
+            inlier_share=round(each.inlier_share, 4),
+            cameras_above_share=round(each.above_share, 4),
+            below_share=round(each.below_share, 4),
+            under_share=round(each.under_share, 4),
+            tilt_rad=round(each.tilt_rad, 4),
+            evidence=round(each.evidence, 5),
+            refused=REASONS[each.reason] if each.reason else None,
+        )
+        for each in floor.choice.candidates
+    )
 
 
 def read_object(folder: Path) -> ObjectModel:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,14 +21,6 @@ LOWER_M = 0.2
 USUAL_SHARE = 0.9
 
 
-class Plane(NamedTuple):
-    """A plane of the scene: (4,) with its unit normal up, its points, and whether hardly any lies below."""
-
-    plane: Float64
-    points: int
-    is_lowest: bool
-
-
 @dataclass(frozen=True)
 class Surface:
     """What of a scene is judged; lengths as if cameras were 1 m and more away.
@@ -39,12 +30,14 @@ class Surface:
         normals_world: (n, 3) unit.
         focus_world: (3,) where the cameras look.
         inlier_m: so near to a plane points are on it.
+        times_noise: (n,) or one for all: so many times noisier than what the cameras look at each point is.
     """
 
     points_world: Float64
     normals_world: Float64
     focus_world: Float64
     inlier_m: float
+    times_noise: Float64 | float = 1.0
 
     @cached_property
     def spacing_m(self) -> float:
@@ -54,9 +47,9 @@ class Surface:
         points = self.points_world
         return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], USUAL_SHARE))
 
-    def focus_above_m(self, plane: Plane) -> float:
-        """How far the focus is above a plane."""
-        return float(self.focus_world @ plane.plane[:3] + plane.plane[3])
+    def focus_above_m(self, plane: Float64) -> float:
+        """How far the focus is above a plane (4,)."""
+        return float(self.focus_world @ plane[:3] + plane[3])
 
 
 def floor_frame(plane_world: Float64) -> Float64:
@@ -73,18 +66,22 @@ def floor_frame(plane_world: Float64) -> Float64:
     return invert_rigid(T_world_floor)
 
 
-def is_below(lower: Plane, upper: Plane, surface: Surface) -> bool:
-    """Whether a plane is parallel to another, and lies well below it."""
-    parallel = lower.plane[:3] @ upper.plane[:3] > PARALLEL_COSINE
+def is_below(lower: Float64, upper: Float64, surface: Surface) -> bool:
+    """Whether a plane (4,) is parallel to another, and lies well below it."""
+    parallel = lower[:3] @ upper[:3] > PARALLEL_COSINE
     return bool(parallel and surface.focus_above_m(lower) > surface.focus_above_m(upper) + LOWER_M)
 
 
-def is_flat(plane: Plane, surface: Surface) -> bool:
-    """Whether what lies about a plane is no clutter that it cuts."""
-    return noise_about_m(plane.plane, surface.points_world, surface.inlier_m) < MAX_NOISE_M
+def is_flat(plane: Float64, surface: Surface) -> bool:
+    """Whether what lies about a plane (4,) is no clutter that it cuts, its noise apart."""
+    distance_m = np.abs(surface.points_world @ plane[:3] + plane[3]) / surface.times_noise
+    return _noise_m(distance_m, surface.inlier_m) < MAX_NOISE_M
 
 
 def noise_about_m(plane: Float64, points_world: Float64, inlier_m: float = INLIER_M) -> float:
     """Robust standard deviation of the points about a plane that passes through them, metres."""
-    distance_m = np.abs(points_world @ plane[:3] + plane[3])
+    return _noise_m(np.abs(points_world @ plane[:3] + plane[3]), inlier_m)
+
+
+def _noise_m(distance_m: Float64, inlier_m: float) -> float:
     return float(1.4826 * np.median(distance_m[distance_m < 2 * inlier_m]))

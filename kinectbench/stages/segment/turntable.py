@@ -13,7 +13,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, watch_some
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.stages.segment.floor import MIN_PLANE_POINTS, Floor, find_floor
+from kinectbench.stages.segment.floor import Floor, find_floor
+from kinectbench.stages.segment.floor_planes import MIN_PLANE_POINTS
 from kinectbench.stages.segment.planes import floor_frame
 from kinectbench.stages.segment.select import connected
 

@@ -7,6 +7,7 @@ from analytic_scenes import ring
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.stages.segment.floor import find_floor
+from kinectbench.stages.segment.floor_planes import REASONS
 from kinectbench.stages.segment.planes import floor_frame
 
 CELL_M = 0.03
@@ -82,12 +83,57 @@ def test_no_floor():
         found_in("upright", points[wall], normals[wall])
 
 
-def test_a_ceiling_or_a_plane_above_a_camera_is_no_floor():
+@pytest.mark.parametrize("low_cameras", [1, 3])
+def test_a_floor_below_some_cameras_only_is_told_and_below_few_refused(low_cameras):
     points, normals = room()
     low = CAMERAS.copy()
-    low[3, 2, 3] = 0.05  # one camera less than 0.1 m above the floor
-    with pytest.raises(SegmentationError, match="no floor found"):
-        found_in("upright", points, normals, low)
+    low[:low_cameras, 2, 3] = 0.05  # less than 0.1 m above the floor, as one whose pose is off
+    if low_cameras == 3:
+        with pytest.raises(SegmentationError, match="too few of the cameras look down on it"):
+            found_in("upright", points, normals, low)
+        return
+    floor = found_in("upright", points, normals, low)
+    assert abs(floor.plane_world[3]) < 0.003
+    assert any("only 92% of the cameras look down on the plane" in line for line in floor.choice.doubts())
+    assert found_in("upright", points, normals).choice.doubts() == ()
+
+
+def table_in_a_corner():
+    """A table of 0.7 x 0.5 m, fronts of lower things behind it, and a wall at its left; no floor."""
+    rng = np.random.default_rng(0)
+    parts = [
+        patch((-0.35, 0.35), (-0.25, 0.25), 0.0, 2, 0.002, rng),
+        patch((-0.35, 0.35), (-0.4, -0.1), 0.6, 1, 0.002, rng),
+        patch((-0.3, 0.3), (-0.4, -0.1), 0.6, 0, 0.002, rng),
+        patch((-1.0, 1.0), (-0.3, 0.9), -0.8, 0, 0.002, rng),  # the wall, normal along x
+    ]
+    return tuple(np.concatenate([part[k] for part in parts]) for k in (0, 1))
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_refused_plane_makes_no_other_one_likelier(world):
+    """Much lies lower than the table, nothing beyond the wall: it is the table, and that is told."""
+    points, normals = table_in_a_corner()
+    before = CAMERAS[CAMERAS[:, 0, 3] > -0.6]  # before the wall
+    floor = found_in(world, points, normals, before)
+    up = WORLDS[world][:3, :3] @ [0, 0, 1]
+    assert np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ up))) < 0.5
+    assert abs(floor.plane_world[:3] @ WORLDS[world][:3, 3] + floor.plane_world[3]) < 0.003
+    chosen, others = floor.choice.chosen, [each for each in floor.choice.candidates if each.reason]
+    assert chosen.reason == "" and chosen.plane[:3] @ up > 0.99
+    assert others and all(each.reason in REASONS for each in others)
+    lower = f"{chosen.below_share:.0%} of the surface lies lower than the plane"
+    assert any(lower in line for line in floor.choice.doubts())
+
+
+def test_a_top_above_what_is_seen_right_below_it_is_no_floor():
+    """A chair on a floor without depth: where its seat is its legs are, too."""
+    rng = np.random.default_rng(0)
+    seat = patch((-0.2, 0.2), (-0.2, 0.2), 0.45, 2, 0.002, rng)
+    legs = [patch((x, x + 0.06), (0.0, 0.42), y, 1, 0.002, rng) for x in (-0.2, 0.14) for y in (-0.19, 0.19)]
+    points, normals = (np.concatenate([seat[k], *(leg[k] for leg in legs)]) for k in (0, 1))
+    with pytest.raises(SegmentationError, match=r"on the likeliest plane, but much is seen right below it"):
+        found_in("upright", points, normals)
 
 
 def test_frame_of_the_floor():

@@ -73,6 +73,13 @@ def test_with_and_without_the_floor_in_view(lower):
     assert height_of_floor_m(found) == pytest.approx(TOP_M, abs=0.003)
 
 
+def test_a_bin_that_fills_most_of_a_table_stands_on_it():
+    """Longer than half of the table, which goes on around it; the cameras look at the bin."""
+    bin_ = ((-0.33, -0.25, TOP_M), (0.33, 0.25, TOP_M + 0.3))
+    found = recorded([FLOOR, *table(), box(*bin_)], ring(20, 1.0, middle(*bin_), (0.7, 1.0)))
+    assert height_of_floor_m(found) == pytest.approx(TOP_M, abs=0.005)
+
+
 def test_a_small_thing_that_the_cameras_look_at_is_no_speck():
     die = ((0.1, 0.0, TOP_M), (0.138, 0.038, TOP_M + 0.038))
     found = seen_from_near([FLOOR, *table(), box(*die), box(*BOOK)], middle(*die), distance_m=0.5)
