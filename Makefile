@@ -15,14 +15,15 @@ help: ## this list
 setup: ## install what is needed: system libraries, .venv, pinned packages
 	@scripts/setup.sh
 
-demo: setup ## a whole benchmark from a real and simulated recordings: build, publish, predict, score, report (three minutes)
-	@echo "demo: writing four further small simulated recordings to demo/recordings"
+demo: setup ## a whole benchmark from a real and simulated recordings: build, publish, predict, score, report (two minutes)
+	@echo "demo: writing two further small simulated recordings to demo/recordings"
 	@$(BIN)/kinectbench simulate --demo demo/recordings
 	@cd demo && echo "demo: building the pairs, publishing them, and checking the release" && \
 	  $(KINECTBENCH) build --jobs 2 && $(KINECTBENCH) publish && $(KINECTBENCH) verify
 	@cd demo && echo "demo: completing every view by a small network that comes trained" && \
 	  $(KINECTBENCH) predict recae-small benchmark
 	@cd demo && echo "demo: scoring it, and simple methods beside it" && $(KINECTBENCH) score predictions --no-surface
+	@rm -r demo/predictions && echo "demo: removed demo/predictions, whose probabilities take 25 MB a view"
 
 test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2 -m "not slow"

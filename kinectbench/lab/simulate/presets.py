@@ -160,12 +160,10 @@ SAMPLES: dict[str, SimulationSpec] = {
     "table_01.bag": _spec("table:seed=9", 72, "bag", "first_camera"),
 }
 
-# `kinectbench simulate --demo demo/recordings` makes these four.
+# `kinectbench simulate --demo demo/recordings` makes these.
 DEMO: dict[str, SimulationSpec] = {
     "chair_02": _spec("chair:seed=9", 60, "tum", "first_camera"),
     "table_02.bag": _spec("table:seed=11", 60, "bag", "upright"),
-    "chair_03.bag": _spec("chair:seed=33", 60, "bag", "random"),
-    "table_03": _spec("table:seed=4", 60, "tum", "random"),
 }
 
 
