@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 5,
     "publish": 23,
     "synthesize": 2,
-    "score": 4,
+    "score": 5,
     "baselines": 1,
 }
 

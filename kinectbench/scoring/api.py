@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_splits
-from kinectbench.core.errors import PredictionError
+from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
@@ -24,7 +24,13 @@ from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.score import check_missing, check_words
 from kinectbench.scoring.shards import decode_sample as decode_sample
-from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
+from kinectbench.scoring.thresholds import (
+    STEPS_IN_WORDS,
+    Thresholds,
+    nearest_step,
+    searched_thresholds,
+    thresholds_for,
+)
 from kinectbench.scoring.truth import read_truth
 
 
@@ -44,6 +50,7 @@ class Scorer:
         missing: str = "error",
         upsampling: str = HALF_PIXEL,
         surface: bool = True,
+        own_threshold: float | None = None,
     ) -> None:
         """A scorer for the test split.
 
@@ -56,10 +63,13 @@ class Scorer:
             upsampling: "half-pixel" or "corner-aligned".
             surface: whether surface metrics are computed. They take most of the time: leave them out (null)
                 where a network is scored after every epoch.
+            own_threshold: the method's own, one of 0.1, 0.15, ... 0.9, for categories without validation
+                pairs: what `threshold` of a method.json says.
 
         Raises:
             ReleaseError: no release there, or its truth is held back.
-            SettingsError: an unknown protocol, an object in two splits, or an unusable threshold file.
+            SettingsError: an unknown protocol, an object in two splits, an unusable threshold file, or an
+                own threshold that is none of these.
             PredictionError: the method has no name for one.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
@@ -74,6 +84,9 @@ class Scorer:
         self._empty: dict[Target, PairResult] = {}
         self._thresholds: Thresholds | None = None
         self._searched = thresholds_file is None
+        self._own = None if own_threshold is None else nearest_step(own_threshold)
+        if own_threshold is not None and self._own is None:
+            raise SettingsError(f"own_threshold is {own_threshold!r}: it must be one of {STEPS_IN_WORDS}")
         test = pairs_to_score(release, thresholds_file)
         if thresholds_file is not None:
             self._thresholds = thresholds_for(thresholds_file, test)
@@ -144,5 +157,5 @@ class Scorer:
         if self._thresholds is None:
             self._empty = self._as_empty("validation", None)
             tallies = {target: result.tally for target, result in (self._results | self._empty).items()}
-            self._thresholds = searched_thresholds(self._release.targets, tallies)
+            self._thresholds = searched_thresholds(self._release.targets, tallies, self._own)
         return self._thresholds

@@ -25,7 +25,7 @@ from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
-from kinectbench.scoring.thresholds import VALIDATION_SOURCE, Thresholds
+from kinectbench.scoring.thresholds import SEARCHED, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 
 
@@ -95,7 +95,7 @@ def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
     """How much of the validation split was predicted, if the thresholds are from there."""
-    if thresholds.source != VALIDATION_SOURCE:
+    if thresholds.source not in SEARCHED:
         return None
     predicted = sum(target.split == "validation" and target not in empty for target in results)
     return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
@@ -171,7 +171,8 @@ def describe(counting: Counting, missing: str) -> ScoreSettings:
         missing=missing,
         threshold_range=(THRESHOLDS[0], THRESHOLDS[-1]),
         threshold_step=0.05,
-        threshold_rule="highest mean pair IoU of the category on validation, all voxels; ties: lowest",
+        threshold_rule="highest mean pair IoU of the category on validation, all voxels; ties: lowest; "
+        "without validation pairs of it: the method's own, else that of all validation pairs, else 0.5",
         occupied="y > threshold, in float64",
         ce_clip=CE_CLIP,
         iou_of_empty_union=1,

@@ -15,7 +15,16 @@ from kinectbench.core.untrusted import printable
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.counts import CE_CLIP, THRESHOLDS
 from kinectbench.scoring.table_bounds import ROUNDING, out_of_bounds
-from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, VALIDATION_SOURCE
+from kinectbench.scoring.thresholds import (
+    FIXED,
+    FIXED_SOURCE,
+    FROM_FILE,
+    METHOD_SOURCE,
+    POOLED_SOURCE,
+    SEARCHED,
+    SOURCES,
+    VALIDATION_SOURCE,
+)
 
 # What a table states from the version on that accounts for thresholds and missing predictions; from then on
 # each row has its IoU at every threshold, too.
@@ -23,6 +32,8 @@ ACCOUNTS = (
     *("complete", "benchmark_sha256", "thresholds", "threshold_source", "threshold_source_by_category"),
     *("threshold_objects", "validation", "missing_as_empty", "base_rate", "failures", "hashes"),
 )
+# The version of `score` from which on a category without validation pairs has a pooled or its own threshold.
+POOLED_FROM = 5
 MOST_CE = -math.log(CE_CLIP)  # nats a voxel, of a prediction that is wrong everywhere
 
 
@@ -144,19 +155,34 @@ def _of_sources(table: ScoreTable) -> Iterator[str]:
     if not categories == table.thresholds.keys() == sources.keys():
         yield "'thresholds', 'threshold_source_by_category' and the rows are of different categories"
         return
-    allowed = {source, FIXED_SOURCE} if source == VALIDATION_SOURCE else {source}
-    if source not in sources.values() or not allowed.issuperset(sources.values()):
+    if not _fit(source, set(sources.values()), table.score_version):
         found = _listed(sorted({printable(of, 17) for of in sources.values()}))
         yield f"its thresholds are from {printable(source, 17)}, those of its categories from {found}"
     for name, of in sources.items():
         if of == FIXED_SOURCE and table.thresholds[name] != FIXED:
             yield f"the threshold of {name} is called fixed, but is {table.thresholds[name]:g}, not {FIXED}"
-    if (use is not None) != (source == VALIDATION_SOURCE):
+    for of_many in (POOLED_SOURCE, METHOD_SOURCE):
+        if len({table.thresholds[name] for name, of in sources.items() if of == of_many}) > 1:
+            yield f"its thresholds from {of_many} differ, and there is only one"
+    if (use is not None) != (source in SEARCHED):
         yield f"its thresholds are from {printable(source, 17)}, but 'validation' says otherwise"
     if use is not None and not 0 <= use.predicted <= use.pairs:
         yield f"{use.predicted} of {use.pairs} validation pairs cannot have been predicted"
     if table.threshold_objects is None and not source.startswith(FROM_FILE):
         yield "'threshold_objects' names none, though its thresholds are from no file"
+
+
+def _fit(source: str, by_category: set[str], version: int) -> bool:
+    """Whether a table's source and those of its categories can stand together."""
+    if source.startswith(FROM_FILE):
+        return by_category == {source}
+    others = by_category - {VALIDATION_SOURCE}
+    if source != next((word for word in SOURCES if word in by_category), None) or len(others) > 1:
+        return False
+    if version < POOLED_FROM:
+        return others <= {FIXED_SOURCE}
+    # Where any category has validation pairs, one without them has at least those.
+    return others <= set(SOURCES) and (source == FIXED_SOURCE or FIXED_SOURCE not in others)
 
 
 def _of_missing(table: ScoreTable) -> Iterator[str]:
@@ -169,7 +195,7 @@ def _of_missing(table: ScoreTable) -> Iterator[str]:
         yield "'missing_as_empty' names pairs, though its settings call a missing prediction an error"
     if not test.keys() <= table.hashes.keys():
         yield "'hashes' lacks pairs of its rows"
-    elif table.threshold_source != FIXED_SOURCE:
+    elif table.threshold_source not in (FIXED_SOURCE, METHOD_SOURCE):
         validation = len(table.hashes) - len(test)
         predicted = 0 if table.validation is None else table.validation.predicted
         if validation != predicted + len(empty - test.keys()):

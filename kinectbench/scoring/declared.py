@@ -9,6 +9,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.untrusted import printable
 from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
+from kinectbench.scoring.thresholds import STEPS_IN_WORDS, nearest_step
 
 # What a method may declare today, by key; the file's format knows more words.
 SUPPORTED: Mapping[str, tuple[Any, ...]] = {
@@ -47,6 +48,8 @@ def _not_supported(method: MethodFile) -> Iterator[str]:
             words = "leave it out" if supported == (None,) else ", ".join(map(str, supported))
             shown = "" if supported == (None,) else f" {printable(repr(value), 60)}"
             yield f"'{key}'{shown} is not supported yet (supported: {words})"
+    if method.threshold is not None and nearest_step(method.threshold) is None:
+        yield f"'threshold' {method.threshold:g} is not supported yet (supported: {STEPS_IN_WORDS})"
 
 
 def form_problem(method: MethodFile | None, suffix: str) -> str | None:

@@ -7,7 +7,7 @@ from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.references import BASELINE_NAMES
-from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE
+from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
@@ -21,7 +21,9 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
         (kinds.OLDER_VERSION, _older(table)),
         (kinds.MISSING_AS_EMPTY, _missing(table)),
         (kinds.VALIDATION_PARTIAL, _validation(table)),
-        (kinds.THRESHOLDS_FIXED, _fixed(table)),
+        (kinds.THRESHOLDS_POOLED, _from(table, POOLED_SOURCE, "pooled over other categories,")),
+        (kinds.THRESHOLDS_OWN, _from(table, METHOD_SOURCE, "the method's own,")),
+        (kinds.THRESHOLDS_FIXED, _from(table, FIXED_SOURCE, "fixed at")),
         (kinds.THRESHOLDS_UNCHECKED, _unchecked(table)),
     ]
     return tuple(Mark(kind=kind, words=words) for kind, words in found if words)
@@ -53,13 +55,14 @@ def _validation(table: ScoreTable) -> str:
     return f"{use.predicted} of {use.pairs} validation pairs predicted"
 
 
-def _fixed(table: ScoreTable) -> str:
-    """Categories whose threshold was neither searched nor given."""
+def _from(table: ScoreTable, source: str, words: str) -> str:
+    """Categories whose threshold is neither from their own validation pairs nor from a file."""
     sources = table.threshold_source_by_category
-    names = [name for name, source in sorted(sources.items()) if source == FIXED_SOURCE]
-    if table.threshold_source == FIXED_SOURCE and len(names) == len(sources):
-        return f"thresholds fixed at {FIXED}"
-    return f"threshold fixed at {FIXED}: {_listed(names)}" if names else ""
+    names = [name for name, of in sorted(sources.items()) if of == source]
+    value = table.thresholds.get(names[0], FIXED) if names else FIXED
+    if table.threshold_source == source and len(names) == len(sources):
+        return f"thresholds {words} {value:g}"
+    return f"threshold {words} {value:g}: {_listed(names)}" if names else ""
 
 
 def _unchecked(table: ScoreTable) -> str:

@@ -16,7 +16,7 @@ from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
 from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line
-from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
+from kinectbench.scoring.thresholds import Thresholds, nearest_step, searched_thresholds, thresholds_for
 from kinectbench.scoring.workers import run_tasks
 
 Missing = Literal["error", "empty"]
@@ -38,16 +38,25 @@ class Plan:
     failures: dict[Target, str]
     fixed: Thresholds | None
 
+    @property
+    def own(self) -> float | None:
+        """The method's own threshold, as its method.json says; None if it says none."""
+        method = self.found.method
+        return None if method is None or method.threshold is None else nearest_step(method.threshold)
+
     def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
         """The files that a part counts: its recordings', and the validation pairs that their surfaces need.
 
         Args:
             shard: the part.
             surface: whether surface metrics are counted, at the threshold that all validation pairs of a
-                category give.
+                category give, or those of all categories where it has none.
         """
         mine = {target for target in self.files if shard.holds(target.recording)}
         needed = {target.category for target in mine if target.split == "test" and surface}
+        searched = {target.category for target in self.files if target.split == "validation"}
+        if self.own is None and not needed <= searched:
+            needed = searched
         return {
             target: file
             for target, file in self.files.items()
@@ -118,13 +127,19 @@ class Rounds:
     _counted: list[Target] = field(default_factory=list)
 
     def count(
-        self, files: Mapping[Target, Path | None], fixed: Thresholds | None
+        self, files: Mapping[Target, Path | None], fixed: Thresholds | None, own: float | None = None
     ) -> tuple[dict[Target, PairResult | str], Thresholds]:
-        """Count pairs; the result of each or why it has none, and the thresholds of the surface metrics."""
+        """Count pairs; the result of each or why it has none, and the thresholds of the surface metrics.
+
+        Args:
+            files: of every pair; None: an empty grid.
+            fixed: thresholds that were given; None: they are searched.
+            own: the method's own (see `searched_thresholds`).
+        """
         total = len(files)
         validation = self._round(_of_split(files, "validation"), None, total)
         tallies = {t: result.tally for t, result in validation.items() if isinstance(result, PairResult)}
-        thresholds = fixed or searched_thresholds(self.release.targets, tallies)
+        thresholds = fixed or searched_thresholds(self.release.targets, tallies, own)
         return validation | self._round(_of_split(files, "test"), thresholds, total), thresholds
 
     def _round(

@@ -22,7 +22,7 @@ from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
-from kinectbench.scoring.thresholds import VALIDATION_SOURCE, read_thresholds
+from kinectbench.scoring.thresholds import SEARCHED, read_thresholds
 
 # Rows of a table, one for each test pair and protocol: what `ScoreTable` has room for.
 MOST_ROWS = 30_000
@@ -72,7 +72,7 @@ def score(
     _refuse_many_rows(len(release.split("test")), protocols)
     counting, journal = Counting(tuple(protocols), upsampling, surface), Journal(resume_in)
     rounds = Rounds(release, counting, journal, jobs, progress)
-    outcomes, thresholds = rounds.count(asked.files, asked.fixed)
+    outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     reasons = {target: result for target, result in outcomes.items() if isinstance(result, str)}
     failures = asked.failures | reasons
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
@@ -234,7 +234,7 @@ def count_methods(
         counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
         journal = Journal(out if len(methods) == 1 else out / name, shard)
         rounds = Rounds(release, counting, journal, jobs, progress)
-        outcomes, _ = rounds.count(asked.part(shard, surface=surface), asked.fixed)
+        outcomes, _ = rounds.count(asked.part(shard, surface=surface), asked.fixed, asked.own)
         without = [*asked.failures, *(each for each, result in outcomes.items() if isinstance(result, str))]
         failed += sum(shard.holds(target.recording) for target in without)
     return failed
@@ -293,13 +293,17 @@ def _methods(
 
 def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
     """Write the thresholds that were found on validation to a file."""
-    if table.threshold_source != VALIDATION_SOURCE:
+    if table.threshold_source not in SEARCHED:
         raise SettingsError(
             f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
         )
     objects = {t.object for t in release.split("validation") if t.name in table.hashes}
     frozen = ThresholdsFile(
-        thresholds=table.thresholds,
+        thresholds={
+            category: threshold
+            for category, threshold in table.thresholds.items()
+            if table.threshold_source_by_category[category] in SEARCHED
+        },
         objects=tuple(sorted(objects)),
         method=table.method,
         benchmark_sha256=release.benchmark_sha256,

@@ -1,4 +1,4 @@
-"""The threshold of each category: searched on validation, read from a file, or fixed at 0.5."""
+"""The threshold of each category: searched on validation, the method's own, read from a file, or 0.5."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -16,10 +16,17 @@ from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, proto
 from kinectbench.scoring.metrics import ious
 
 FIXED = 0.5
-# Where a threshold is from; of a file its SHA-256 follows.
+# Where a threshold is from; of a file its SHA-256 follows. "pooled": searched on the validation pairs of all
+# other categories together.
 VALIDATION_SOURCE = "validation"
+POOLED_SOURCE = "pooled"
+METHOD_SOURCE = "method"
 FIXED_SOURCE = "fixed"
 FROM_FILE = "file:"
+STEPS_IN_WORDS = "0.1, 0.15, ... 0.9"
+# Those that validation pairs were counted for; and all but files, the first that occurs is the table's.
+SEARCHED = (VALIDATION_SOURCE, POOLED_SOURCE)
+SOURCES = (*SEARCHED, METHOD_SOURCE, FIXED_SOURCE)
 
 
 @dataclass(frozen=True)
@@ -28,9 +35,9 @@ class Thresholds:
 
     Attributes:
         of: threshold by category, each k / 20 with k from 2 to 18.
-        source: "validation", "file:<sha256 of the file>" or "fixed".
+        source: "file:<sha256 of the file>", or the first of `SOURCES` that a category's is.
         warnings: one line each.
-        sources: the same by category: of a validation split without a category it is "fixed" there.
+        sources: of each category.
         objects: those that the thresholds were found on; None if a file does not name them.
     """
 
@@ -53,38 +60,69 @@ def best_threshold(tallies: Sequence[Tally]) -> float:
     return THRESHOLDS[int(np.argmax(mean_iou))]
 
 
-def searched_thresholds(targets: Sequence[Target], tallies: Mapping[Target, Tally]) -> Thresholds:
+def searched_thresholds(
+    targets: Sequence[Target], tallies: Mapping[Target, Tally], own: float | None = None
+) -> Thresholds:
     """Search each category's threshold on its validation pairs.
+
+    Of a category that has none it is the method's own; without that the one of the validation pairs of all
+    other categories together; without those 0.5.
 
     Args:
         targets: of the release; the categories of its test split are scored.
         tallies: of the validation targets that were predicted.
+        own: the method's own, one of the seventeen; None if it has none.
     """
     categories = sorted({target.category for target in targets if target.split == "test"})
-    if not tallies:
-        why = (
-            "no prediction for the validation split was supplied"
-            if any(target.split == "validation" for target in targets)
-            else "the benchmark has no validation split and no threshold file was given"
-        )
-        return _fixed(categories, (f"threshold fixed at {FIXED}: {why}",))
-    of, sources, warnings, objects = {}, {}, [], set()
-    for category in categories:
-        here = [target for target in tallies if target.category == category]
-        of[category] = best_threshold([tallies[target] for target in here]) if here else FIXED
-        sources[category] = VALIDATION_SOURCE if here else FIXED_SOURCE
-        objects |= {target.object for target in here}
-        if not here:
-            warnings.append(f"threshold of {category} fixed at {FIXED}: no validation prediction of it")
-    if not objects:
-        return _fixed(categories, tuple(warnings))
-    return Thresholds(of, VALIDATION_SOURCE, tuple(warnings), sources, tuple(sorted(objects)))
+    by_category: dict[str, list[Target]] = {category: [] for category in categories}
+    for target in tallies:
+        by_category.setdefault(target.category, []).append(target)
+    searched = [category for category in categories if by_category[category]]
+    of = {category: best_threshold([tallies[t] for t in by_category[category]]) for category in searched}
+    sources = dict.fromkeys(searched, VALIDATION_SOURCE)
+    found_on = {target.object for category in searched for target in by_category[category]}
+    left = [category for category in categories if category not in of]
+    if left and own is None and tallies:
+        found_on = {target.object for target in tallies}
+    value, source = _without_validation(tallies, own)
+    of |= dict.fromkeys(left, value)
+    sources |= dict.fromkeys(left, source)
+    return Thresholds(
+        {category: of[category] for category in categories},
+        next((word for word in SOURCES if word in sources.values()), FIXED_SOURCE),
+        (_said_of(left, value, source, targets, tallies),) if left else (),
+        {category: sources[category] for category in categories},
+        tuple(sorted(found_on)),
+    )
 
 
-def _fixed(categories: Sequence[str], warnings: tuple[str, ...]) -> Thresholds:
-    """The same threshold for every category, which nothing was searched for."""
-    fixed = dict.fromkeys(categories, FIXED_SOURCE)
-    return Thresholds(dict.fromkeys(categories, FIXED), FIXED_SOURCE, warnings, fixed)
+def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> tuple[float, str]:
+    """The threshold of categories without a validation pair, and where it is from."""
+    if own is not None:
+        return own, METHOD_SOURCE
+    if tallies:
+        return best_threshold(list(tallies.values())), POOLED_SOURCE
+    return FIXED, FIXED_SOURCE
+
+
+def _said_of(
+    categories: Sequence[str],
+    value: float,
+    source: str,
+    targets: Sequence[Target],
+    tallies: Mapping[Target, Tally],
+) -> str:
+    """The line about categories whose threshold is not from their own validation pairs."""
+    how = {
+        METHOD_SOURCE: f"is the method's own, {value:g}",
+        POOLED_SOURCE: f"is {value:g}, which all validation predictions give together",
+        FIXED_SOURCE: f"fixed at {value:g}",
+    }[source]
+    if tallies:
+        return f"threshold of {', '.join(categories)} {how}: no validation prediction of it"
+    if any(target.split == "validation" for target in targets):
+        return f"threshold {how}: no prediction for the validation split was supplied"
+    return f"threshold {how}: the benchmark has no validation split and no threshold file was given"
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:
@@ -143,7 +181,12 @@ def _plain(name: str) -> str:
 
 def _step(value: float, where: str) -> float:
     """The threshold k / 20 that a number stands for."""
-    for k in THRESHOLD_STEPS:
-        if abs(value - k / STEPS) <= 1e-9:
-            return k / STEPS
-    raise SettingsError(f"{where} is {value!r}: it must be one of 0.1, 0.15, ... 0.9")
+    found = nearest_step(value)
+    if found is None:
+        raise SettingsError(f"{where} is {value!r}: it must be one of {STEPS_IN_WORDS}")
+    return found
+
+
+def nearest_step(value: float) -> float | None:
+    """The threshold k / 20 that a number stands for; None if it is none of the seventeen."""
+    return next((k / STEPS for k in THRESHOLD_STEPS if abs(value - k / STEPS) <= 1e-9), None)

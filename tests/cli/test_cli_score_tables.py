@@ -11,6 +11,7 @@ from score_rows import row, table
 from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.read_table import recomputed
 
@@ -88,6 +89,6 @@ def test_what_sets_a_method_apart_is_said() -> None:
     text = "\n".join(drawn([score_table([net, long, hull.model_copy(update={"verified": verified})])], 120))
     assert "net* " in text and "hull (baseline)*" in text
     names, marks = "net, a-method-with-a-name-of-quite-some-length-indeed, hull", "thresholds fixed at 0.5"
-    assert f"* {names}: score version 1, now 4; {marks}" in text
+    assert f"* {names}: score version 1, now {VERSIONS['score']}; {marks}" in text
     assert "reported: net, a-method-with-a-name-of-quite-some-length-indeed" in text
     assert "verified 2026-11-25, kinectbench 0.1.0 (as its scores.json says): hull" in text

@@ -1,12 +1,14 @@
 """Parts of a benchmark: each recording is in exactly one, and all parts together are the whole."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from small_benchmark import Run, copied, hashes
 
 from kinectbench.core.artefacts.counted import JOURNALS
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import SettingsError
 from kinectbench.engine.shards import Shard, parse_shard
 from kinectbench.release.release import Release
@@ -81,6 +83,23 @@ def test_a_part_counts_the_validation_pairs_that_its_surfaces_need(release: Rele
                 assert set(wanted) <= set(part)
         once = [target for part in parts for target in part if not surface or target.split == "test"]
         assert sorted(once) == sorted(t for t in asked.files if not surface or t.split == "test")
+
+
+def test_a_category_without_validation_needs_that_of_all_others(release: Release, tmp_path: Path) -> None:
+    """Their pooled threshold; the method's own needs none."""
+    for target in release.targets:
+        (tmp_path / target.recording).mkdir(exist_ok=True)
+        (tmp_path / f"{target.name}.npz").touch()
+    asked = plan(release, tmp_path, None, "error")
+    of_chairs = {t: f for t, f in asked.files.items() if (t.split, t.category) != ("validation", "table")}
+    searched = {target for target in of_chairs if target.split == "validation"}
+    assert searched
+    for method in (None, MethodFile(name="net", threshold=0.3)):
+        few = replace(asked, files=of_chairs, found=replace(asked.found, method=method))
+        for number in range(1, 6):
+            part = few.part(Shard(number, 5), surface=True)
+            if {target.category for target in part if target.split == "test"} == {"table"}:
+                assert searched.issubset(part) == (method is None)
 
 
 def test_without_surfaces_the_table_counts_nothing_again_and_failures_are_told_once(

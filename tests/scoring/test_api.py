@@ -66,7 +66,7 @@ def test_scorer_gives_what_files_give(release: Release, tmp_path: Path) -> None:
 def test_scorer_gives_what_files_give_where_a_category_has_no_validation(
     tmp_path: Path, missing: str
 ) -> None:
-    """To the byte, also where a pair is missing; the threshold of tables is fixed, of chairs searched."""
+    """To the byte, also where a pair is missing; the threshold of tables is that of chairs."""
     folder = publish_synthetic(tmp_path, tuple(one for one in RECORDINGS if one[0] != "table_02")).folder
     release, rng = open_release(folder), np.random.default_rng(0)
     assert {target.category for target in release.split("validation")} == {"chair"}
@@ -80,7 +80,7 @@ def test_scorer_gives_what_files_give_where_a_category_has_no_validation(
             np.save(path, y)
     (by_files,) = score_methods(release, tmp_path / "mine", tmp_path / "out", missing=missing, surface=False)
     in_memory = scorer.result()
-    assert by_files.threshold_source_by_category == {"chair": "validation", "table": "fixed"}
+    assert by_files.threshold_source_by_category == {"chair": "validation", "table": "pooled"}
     # An array has no file whose bytes could be hashed.
     assert in_memory.hashes.keys() == by_files.hashes.keys()
     in_memory.model_copy(update={"hashes": by_files.hashes}).write(tmp_path / "memory")

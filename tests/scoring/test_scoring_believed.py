@@ -319,7 +319,11 @@ def test_scorer_and_score_agree_to_the_byte(release: Release, tmp_path: Path, na
     by_files = score(release, write(release, tmp_path, without), surface=False, **options)
     in_memory = scored_in_memory(release, without, **options)
     assert json.dumps(without_hashes(in_memory)) == json.dumps(without_hashes(by_files))
-    found = [words for words in words_of(by_files) if not words.startswith("threshold fixed at 0.5:")]
+    found = [
+        words
+        for words in words_of(by_files)
+        if not words.startswith("threshold pooled over other categories")
+    ]
     assert found == expected
     by_files.write(tmp_path / "out")
     assert read_table(tmp_path / "out" / "scores.json").text() == by_files.text()
@@ -351,8 +355,9 @@ def test_a_category_without_validation_is_marked(release: Release, tmp_path: Pat
     part = Release(release.folder, targets, release.metadata)
     table = score(part, write(part, tmp_path), method="net", surface=False)
     assert table.threshold_source == "validation"
-    assert table.threshold_source_by_category == {"chair": "validation", "table": "fixed"}
-    assert words_of(table) == ["threshold fixed at 0.5: table"]
+    assert table.threshold_source_by_category == {"chair": "validation", "table": "pooled"}
+    value = table.thresholds["chair"]
+    assert words_of(table) == [f"threshold pooled over other categories, {value:g}: table"]
     only = Release(release.folder, tuple(t for t in targets if t.category == "table" or t.split == "test"),
                    release.metadata)  # fmt: skip
     assert score(only, tmp_path, method="net", surface=False).threshold_source == "fixed"

@@ -113,6 +113,10 @@ REFUSED: dict[str, tuple[Edit, str]] = {
         lambda of: of["threshold_source_by_category"].update(chair="magic"),
         "those of its categories from magic",
     ),
+    "own thresholds that differ": (
+        lambda of: of["threshold_source_by_category"].update(chair="method", table="fixed"),
+        "those of its categories from fixed, method",
+    ),
     "a part of validation, and no word of it": (
         lambda of: of["hashes"].update({"a/000": dict(of["hashes"]["chair_01/000"])}), "'hashes' has",
     ),

@@ -10,8 +10,9 @@ import pytest
 
 from kinectbench.core.artefacts.method import MethodFile, is_misspelt
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import PredictionError
+from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.release.release import Release
+from kinectbench.scoring.api import Scorer
 from kinectbench.scoring.declared import SUPPORTED
 from kinectbench.scoring.prediction_file import blake3_of
 from kinectbench.scoring.predictions import check, find_predictions
@@ -50,6 +51,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "capitals": ({"Frame": "camera"}, "'Frame': no such key; did you mean 'frame'?"),
     "a plural": ({"hypothesis": 5}, "'hypothesis': no such key; did you mean 'hypotheses'?"),
     "no such word": ({"frame": "world"}, "'frame': 'world' is none of grid, camera"),
+    "thresholds": ({"thresholds": {"chair": 0.3}}, "did you mean 'threshold'?"),
+    "a threshold between": (
+        {"threshold": 0.33},
+        "'threshold' 0.33 is not supported yet",
+    ),
     "a type": ({"hypotheses": "5"}, "'hypotheses': Input should be a valid integer"),
     "no name": ({"name": 7}, "'name': Input should be a valid string"),
     "many keys": ({f"key {n}": n for n in range(5000)}, "5000 keys that are not known: at most 200"),
@@ -126,6 +132,36 @@ def test_what_predict_has_not_completed_is_told(release: Release, tmp_path: Path
     (folder / "unfinished.json").write_text("{")
     line = "unfinished.json: `predict` has not completed these predictions; run it again"
     assert check(release, folder) == [line] and line in scored(release, folder).warnings
+
+
+@pytest.mark.parametrize("validation", [False, True])
+def test_a_methods_own_threshold_is_that_of_its_scores(
+    release: Release, tmp_path: Path, validation: bool
+) -> None:
+    """Of the categories without validation predictions; table, marks, recheck and `Scorer` agree."""
+    folder = folder_of(release, tmp_path / "mine", {"name": "net", "threshold": 0.35})
+    chairs = [target for target in release.split("validation") if target.category == "chair"]
+    part = Release(release.folder, (*release.split("test"), *chairs), release.metadata)
+    scorer = Scorer(release.folder, method="mine", own_threshold=0.35, surface=False)
+    for target in chairs if validation else ():
+        (folder / target.recording).mkdir(exist_ok=True)
+        np.save(folder / f"{target.name}.npy", np.full((4, 4, 4), 0.7, np.float32))
+    (table,) = score_methods(part, folder, tmp_path / "out", surface=False)
+    searched = {"chair": "validation"} if validation else {"chair": "method"}
+    assert table.threshold_source_by_category == searched | {"table": "method"}
+    assert table.threshold_source == searched["chair"] and table.thresholds["table"] == 0.35
+    words = "threshold the method's own, 0.35: table" if validation else "thresholds the method's own, 0.35"
+    assert [mark.words for mark in table.marks] == [words]
+    assert any("is the method's own, 0.35" in line for line in table.warnings)
+    assert not recheck(part, tmp_path / "out" / "scores.json", folder)
+    if not validation:
+        for target in release.split("test"):
+            scorer.update(target.name, np.load(folder / f"{target.name}.npy"))
+        assert scorer.result().marks == table.marks
+        (folder / "method.json").unlink()
+        assert recheck(part, tmp_path / "out" / "scores.json", folder)
+        with pytest.raises(SettingsError, match=r"own_threshold is 0\.33: it must be one of 0\.1,"):
+            Scorer(release.folder, own_threshold=0.33)
 
 
 def test_files_that_are_not_the_runs_are_told(release: Release, tmp_path: Path) -> None:

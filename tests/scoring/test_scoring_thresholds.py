@@ -49,9 +49,35 @@ def test_search_by_category() -> None:
     tallies = {target("a", "chair"): MIDDLE, target("b", "table"): LATE}
     tested = [target("c", category, "test") for category in ("table", "lamp", "chair")]
     found = searched_thresholds([*tested, *tallies], tallies)
-    assert found.of == {"chair": 0.45, "lamp": 0.5, "table": 0.7}
-    assert found.source == "validation"
-    assert found.warnings == ("threshold of lamp fixed at 0.5: no validation prediction of it",)
+    assert found.of == {"chair": 0.45, "lamp": 0.7, "table": 0.7}  # as of MIDDLE and LATE together
+    assert found.source == "validation" and found.sources["lamp"] == "pooled"
+    assert found.objects == ("a", "b")
+    assert found.warnings == (
+        "threshold of lamp is 0.7, which all validation predictions give together: no validation prediction "
+        "of it",
+    )
+
+
+def test_a_methods_own_threshold_wins_where_there_is_no_validation() -> None:
+    """Over the pooled one and 0.5, not over what was searched."""
+    tallies = {target("a", "chair"): MIDDLE}
+    tested = [target("c", category, "test") for category in ("table", "lamp", "chair")]
+    found = searched_thresholds([*tested, *tallies], tallies, 0.25)
+    assert found.of == {"chair": 0.45, "lamp": 0.25, "table": 0.25}
+    assert found.sources == {"chair": "validation", "lamp": "method", "table": "method"}
+    assert (found.source, found.objects) == ("validation", ("a",))
+    assert found.warnings == (
+        "threshold of lamp, table is the method's own, 0.25: no validation prediction of it",
+    )
+    alone = searched_thresholds(tested, {}, 0.25)
+    assert (set(alone.of.values()), alone.source, alone.objects) == ({0.25}, "method", ())
+    assert "threshold is the method's own, 0.25: the benchmark has no validation split" in alone.warnings[0]
+
+
+def test_validation_of_other_categories_alone_is_pooled() -> None:
+    tallies = {target("a", "sofa"): LATE}
+    found = searched_thresholds([target("c", "lamp", "test"), *tallies], tallies)
+    assert (found.of, found.source, found.objects) == ({"lamp": 0.7}, "pooled", ("a",))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """method.json beside a method's predictions, and training.json beside a network's weights."""
 
+import math
 import re
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
@@ -66,6 +67,9 @@ class MethodFile(Stored):
     )
     scale: Literal["metric", "free"] = Field("metric", description="whether its size is known")
     hypotheses: int = Field(1, ge=1, description="predictions of each pair")
+    threshold: float | None = Field(
+        None, description="its own, for categories without validation pairs: 0.1, 0.15, … or 0.9"
+    )
     inputs: tuple[str, ...] = Field((), description="what was looked at: depth, color, mask, …")
     parameter_count: int | None = Field(None, description="values that were learnt and run")
     settings: dict[str, Any] | None = Field(None, description="of the method")
@@ -179,3 +183,10 @@ class TrainingFile(Stored):
     hardware: str | None = Field(None, description="that it ran on last")
     source: str | None = Field(None, description="of converted weights: what they were made of")
     rows: tuple[TrainingRow, ...] = Field((), description="the course")
+
+    @property
+    def threshold(self) -> float | None:
+        """Of the weights: the one of the last validation up to their step; None if there was none."""
+        step = math.inf if self.weights_step is None else self.weights_step
+        found = [row.threshold for row in self.rows if row.step <= step and row.threshold is not None]
+        return found[-1] if found else None

@@ -12,6 +12,8 @@ BASELINE: Final = "baseline"
 OLDER_VERSION: Final = "older-version"
 MISSING_AS_EMPTY: Final = "missing-as-empty"
 THRESHOLDS_FIXED: Final = "thresholds-fixed"
+THRESHOLDS_POOLED: Final = "thresholds-pooled"
+THRESHOLDS_OWN: Final = "thresholds-own"
 THRESHOLDS_UNCHECKED: Final = "thresholds-unchecked"
 VALIDATION_PARTIAL: Final = "validation-partial"
 Kind = Literal[
@@ -19,6 +21,8 @@ Kind = Literal[
     "older-version",
     "missing-as-empty",
     "thresholds-fixed",
+    "thresholds-pooled",
+    "thresholds-own",
     "thresholds-unchecked",
     "validation-partial",
 ]

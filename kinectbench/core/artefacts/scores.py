@@ -200,8 +200,8 @@ class ScoreTable(Stored):
     )
     threshold_source: str = Field(
         "",
-        description="validation, fixed or file:<sha256>",
-        json_schema_extra={"pattern": "^(validation|fixed|file:[0-9a-f]{64})$"},
+        description="validation, pooled (of other categories), method (its own), fixed or file:<sha256>",
+        json_schema_extra={"pattern": "^(validation|pooled|method|fixed|file:[0-9a-f]{64})$"},
     )
     threshold_source_by_category: dict[str, str] = Field(
         {},

@@ -81,9 +81,8 @@ def predict(
 
     with locked(folder, waiting=waiting):
         kept = PredictionFolder(folder, run, targets, say)
-        if not kept.complete:
-            seconds = _write_all(kept, trained, release, threshold, device, progress)
-            kept.finish(_method(trained, release, run, seconds, device))
+        seconds = _write_all(kept, trained, release, threshold, device, progress)
+        kept.finish(_method(trained, release, run, seconds, device))
     return folder
 
 
@@ -173,6 +172,8 @@ def _method(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )
         | {"notes": notes(trained, release)},
+        # Bits are set already, whatever threshold they are held against.
+        threshold=training.threshold if run.threshold is None else None,
         hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
         peak_memory_mb=round(_peak_bytes(device) / 1e6, 1),

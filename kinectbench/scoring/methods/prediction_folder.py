@@ -62,10 +62,9 @@ class PredictionFolder:
             for name, digest in written.items()
             if name in {_name(target) for target in targets} and self._digest(name) == digest
         }
-        self.complete = bool(done and done.run_sha256 == run.sha256 and len(self._kept) == len(targets))
-        if self.complete:
-            self._clear()  # where it was killed at its very end
-        else:
+        is_whole = done is not None and done.run_sha256 == run.sha256 and len(self._kept) == len(targets)
+        self._complete = done if is_whole else None
+        if self._complete is None:
             self._begin(done, begun, targets, say)
 
     def holds(self, target: Target) -> bool:
@@ -85,10 +84,16 @@ class PredictionFolder:
         self._note([name])
 
     def finish(self, method: MethodFile) -> None:
-        """All is written: from now on method.json says what made the files, and which they are."""
-        whole = method.model_copy(
-            update={"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
-        )
+        """All is written: from now on method.json says what made the files, and which they are.
+
+        Args:
+            method: of this run; where there was nothing left to predict, its cost is that of before.
+        """
+        sealed = {"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
+        cost = {}
+        if self._complete is not None:
+            cost = {key: getattr(self._complete, key) for key in ("seconds_per_view", "peak_memory_mb")}
+        whole = method.model_copy(update=sealed | cost)
         with replaced_file(self._folder / MethodFile.FILE) as temporary:
             write_below(temporary, whole.text().encode())
         self._clear()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.method import MethodFile, TrainingFile
+from kinectbench.core.artefacts.method import MethodFile, TrainingFile, TrainingRow
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
 from kinectbench.scoring.methods import predict as predicting
@@ -118,6 +118,23 @@ def test_a_file_that_changed_since_is_predicted_again(
     assert all(path.stat().st_mtime_ns == at for path, at in kept.items())
     network.run(tmp_path, 0.9)
     assert network.asked == 0 and not network.said
+
+
+def test_the_networks_own_threshold_goes_with_its_predictions(network: Predicting, tmp_path: Path) -> None:
+    """That of the weights that are there; bits have none. It is no part of what decides the bytes."""
+    rows = [(10, 0.3), (20, 0.25), (25, None), (30, 0.4)]
+    course = tuple(TrainingRow(step=step, epoch=1.0, loss=1.0, threshold=p) for step, p in rows)
+    training = network.trained.training.model_copy(update={"rows": course, "weights_step": 25})
+    network.run(tmp_path, 0.9)
+    before = MethodFile.read(tmp_path / "tiny")
+    assert before.threshold is None and before.seconds_per_view is not None
+    network.trained = replace(network.trained, training=training)
+    network.run(tmp_path, 0.9)
+    after = MethodFile.read(tmp_path / "tiny")
+    assert network.asked == 0 and after.threshold == 0.25 == training.threshold
+    assert after.seconds_per_view == before.seconds_per_view and after.files == before.files
+    network.run(tmp_path, 0.9, threshold=0.4)
+    assert MethodFile.read(tmp_path / "tiny").threshold is None
 
 
 def test_a_journal_that_is_damaged_only_costs_time(network: Predicting, tmp_path: Path) -> None:
