@@ -20,6 +20,7 @@ from kinectbench.scoring.counts import (
     protocol_counts,
     unknown_share,
 )
+from kinectbench.scoring.doubtful import doubtful_lines
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
@@ -78,7 +79,11 @@ def make_table(
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
-        warnings=(*thresholds.warnings, *_warnings(failures, empty)),
+        warnings=(
+            *thresholds.warnings,
+            *doubtful_lines(method, results, thresholds),
+            *_warnings(failures, empty),
+        ),
         notes=derived.notes,
         extremes=derived.extremes,
         iou_by_threshold=derived.iou_by_threshold,

@@ -10,6 +10,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.scoring.mesh_files import read_obj, read_ply
+from kinectbench.scoring.mesh_outside import outside_share
 
 MESHES = (".ply", ".obj")
 READERS = {"ply": read_ply, "obj": read_obj}
@@ -22,8 +23,8 @@ MAX_CROSSINGS = 1 << 23
 MAX_IN_A_COLUMN = 4096
 
 
-def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> NDArray[np.bool_]:
-    """The cells whose centre is inside a closed mesh.
+def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArray[np.bool_], float]:
+    """The cells whose centre is inside a closed mesh, and how much of it is outside the grid.
 
     Args:
         file: of at most `MAX_MESH_BYTES`, in grid coordinates and metres: the grid's corner is the origin.
@@ -31,23 +32,31 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> NDArray[np.b
         voxel_size_m: of the pair's 256-grid.
 
     Returns:
-        (256, 256, 256) bool. What lies beyond the grid is cut off.
+        (256, 256, 256) bool: what lies beyond the grid is cut off; and its share of the mesh's volume.
 
     Raises:
         OSError: it cannot be read.
-        PredictionError: not a readable, closed, evenly oriented mesh, or one that would cost too much;
-            without the file's name.
+        PredictionError: not a readable, closed, evenly oriented mesh, one that would cost too much, or one
+            without any cell inside the grid; without the file's name.
     """
     from kinectbench.core.voxels.solid import voxelize_solid
 
     grid = Grid((FULL_CELLS,) * 3, voxel_size_m, np.eye(4))
     vertices, faces = _parsed(file, suffix[1:])
     _refuse_far(vertices, grid)
+    if ((vertices.max(axis=0) <= 0) | (vertices.min(axis=0) >= grid.size_m)).any():
+        raise _outside(vertices, grid)
     vertices, faces = _joined(vertices, faces)
     _refuse_costly(vertices[:, :2] / voxel_size_m, faces)
     if not _is_closed(faces):
         raise PredictionError("the mesh is not closed, or not oriented alike; close it, or submit a grid")
-    return unpack(voxelize_solid(vertices, faces, grid))
+    packed = voxelize_solid(vertices, faces, grid)
+    # Nearer to the grid than half a cell is no centre that could have been cut off.
+    if np.abs(vertices / voxel_size_m - FULL_CELLS / 2).max() <= (FULL_CELLS + 1) / 2:
+        return unpack(packed), 0.0
+    if not packed.any():
+        raise _outside(vertices, grid)
+    return unpack(packed), outside_share(vertices / voxel_size_m, faces, FULL_CELLS)
 
 
 def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
@@ -91,11 +100,23 @@ def _refuse_far(vertices: Float64, grid: Grid) -> None:
         )
 
 
+def _outside(vertices: Float64, grid: Grid) -> PredictionError:
+    """What is said of a mesh that has nothing inside the grid, with where it lies."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    return PredictionError(
+        f"the mesh lies outside the cube of its pair ({box} m, the cube is 0 to {grid.size_m[0]:.3g}): in "
+        "another frame? Write it in metres from the corner of the pair's grid, in the grid's axes"
+    )
+
+
 def _refuse_costly(vertices_cells: Float64, faces: Int32) -> None:
-    """Bound the columns of cells that each face can cross, by its rectangle."""
+    """Bound the columns of cells that each face can cross, by its rectangle; those outside cross none."""
     cells = np.floor(np.clip(vertices_cells, -1, FULL_CELLS)).astype(np.int32)
     corners = [cells[faces[:, corner]] for corner in range(3)]
-    low, high = np.minimum.reduce(corners) + 1, np.maximum.reduce(corners) + 2
+    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    crossing = ((high >= 0) & (low < FULL_CELLS)).all(axis=1)
+    low, high = low[crossing] + 1, high[crossing] + 2
     total = int((high - low).astype(np.int64).prod(axis=1).sum())
     steps = np.zeros((FULL_CELLS + 3, FULL_CELLS + 3), np.int64)
     for x, y, sign in ((low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)):

@@ -75,21 +75,23 @@ class Job:
 
 def count_job(job: Job) -> PairResult | str:
     """Count one pair; the reason where its prediction cannot be scored."""
+    digest, outside = None, 0.0
     try:
-        digest = None
         if job.file is None:
             prediction: Prediction = np.zeros((EMPTY_CELLS,) * 3, np.bool_)
         else:
             mesh = job.file.suffix in MESHES
             size_m = read_voxel_size(job.truth, job.target.sha256) if mesh else None
-            prediction, digest = load_hashed(job.file, job.target.name + job.file.suffix, size_m)
+            loaded = load_hashed(job.file, job.target.name + job.file.suffix, size_m)
+            prediction, digest, outside = loaded.prediction, loaded.digest, loaded.outside_share
     except PredictionError as error:
         return str(error)
     if job.earlier is not None and job.earlier.key == job.key(digest):
         return job.earlier.result
     truth = read_truth(job.truth, job.target.sha256)
     result = count(prediction, truth, job.counting, job.threshold)
-    return replace(result, digest=digest, cells=0 if job.file is None else result.cells)
+    cells = 0 if job.file is None else result.cells
+    return replace(result, digest=digest, cells=cells, outside_share=outside)
 
 
 def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None) -> PairResult:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -23,6 +24,21 @@ HALF_MINUS_ZERO = 0x8000
 ACCEPTED = "save float16 or float32 in [0, 1], or bool"
 
 
+@dataclass(frozen=True)
+class Loaded:
+    """A prediction, and what else is known of its file.
+
+    Attributes:
+        prediction: (n, n, n), as of `load_prediction`.
+        digest: `blake3:` with the hash of the file that it was read from.
+        outside_share: of a mesh's volume, what lies outside the grid and was cut off.
+    """
+
+    prediction: Prediction
+    digest: str
+    outside_share: float
+
+
 def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | None = None) -> Prediction:
     """Load and check one prediction.
 
@@ -39,25 +55,26 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
         PredictionError: the file is unacceptable; one line.
     """
     with _told(str(name or path)), open_plain(path) as file:
-        return _loaded(file, path.suffix, voxel_size_m)
+        return _loaded(file, path.suffix, voxel_size_m)[0]
 
 
-def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> tuple[Prediction, str]:
-    """The same prediction, and `blake3:` with the hash of the file that it was read from.
+def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loaded:
+    """The same prediction, and what else is known of its file.
 
-    Both are of one open file, which must not change meanwhile: a zip is not read from its begin to its end.
+    Prediction and hash are of one open file, which must not change meanwhile: a zip is not read from its
+    begin to its end.
 
     Raises:
         PredictionError: as `load_prediction`, or the file changed.
     """
     with _told(name), open_plain(path) as file:
         before = _state(file)
-        prediction = _loaded(file, path.suffix, voxel_size_m)
+        prediction, outside = _loaded(file, path.suffix, voxel_size_m)
         file.seek(0)
         digest = blake3_of(file)
         if _state(file) != before:
             raise PredictionError("changed while it was read; score it when it is written")
-        return prediction, digest
+        return Loaded(prediction, digest, outside)
 
 
 @contextlib.contextmanager
@@ -75,7 +92,7 @@ def _told(name: str) -> Iterator[None]:
         raise PredictionError(f"{name}: a damaged npz ({error}); write it again") from error
 
 
-def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> Prediction:
+def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[Prediction, float]:
     if suffix in MESHES:
         _checked_size(file, MAX_MESH_BYTES)
         if voxel_size_m is None:
@@ -83,7 +100,7 @@ def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> Predict
         return voxelised(file, suffix, voxel_size_m)
     with _npy(file, suffix) as (stream, size):
         array = read_npy(stream, size, _check_claims)
-    return _checked(array)
+    return _checked(array), 0.0
 
 
 def _state(file: IO[bytes]) -> tuple[int, int, int]:

@@ -14,6 +14,7 @@ from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import lies_below, listed, printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
+from kinectbench.scoring.doubtful import MOST_OUTSIDE
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.truth import read_voxel_size
@@ -240,9 +241,11 @@ def _file_problem(release: Release, target: Target, path: Path, method: MethodFi
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix
     try:
-        _, digest = load_hashed(path, name, size_m)
+        loaded = load_hashed(path, name, size_m)
     except PredictionError as error:
         return str(error)
-    if changed_files(method, {name: digest}):
+    if loaded.outside_share > MOST_OUTSIDE:
+        return f"{name}: {loaded.outside_share:.0%} of its volume lies outside the cube: in another frame?"
+    if changed_files(method, {name: loaded.digest}):
         return f"{name}: not what its run of `predict` wrote: changed since, or of another run; predict again"
     return None

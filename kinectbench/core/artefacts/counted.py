@@ -41,6 +41,7 @@ class PairResult:
         ceilings: {protocol: the IoU that this side can reach}.
         surface: {protocol: surface metrics}; empty if they were not asked for.
         digest: BLAKE3 of the prediction's file, as "blake3:<hex>"; None if there is no file.
+        outside_share: of a mesh's volume, what lies outside the grid and was cut off.
     """
 
     tally: Tally
@@ -48,6 +49,7 @@ class PairResult:
     ceilings: Mapping[str, float]
     surface: Mapping[str, SurfaceMetrics]
     digest: str | None
+    outside_share: float = 0.0
 
 
 class CountedPair(Part):

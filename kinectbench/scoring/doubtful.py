@@ -1,0 +1,47 @@
+"""Predictions that can be counted, but are probably not what was meant."""
+
+from collections.abc import Iterator, Mapping
+
+from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.scoring.counts import THRESHOLDS
+from kinectbench.scoring.references import BASELINE_NAMES
+from kinectbench.scoring.thresholds import Thresholds
+
+# Of a mesh's volume: as much of its shape a cube made from the view alone may cut off (pairs, framing: view).
+MOST_OUTSIDE = 0.05
+# Less than this share of a mesh is not worth a line (own choice).
+LEAST_OUTSIDE = 0.001
+
+
+def doubtful_lines(
+    method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
+) -> Iterator[str]:
+    """A line for each kind of prediction that is probably not what was meant, with how many there are.
+
+    Args:
+        method: a baseline may predict nothing, or the same everywhere.
+        results: of every pair that was counted; of one without a prediction `cells` is 0.
+        thresholds: of every category of the test split.
+    """
+    outside = {t.name: of.outside_share for t, of in results.items() if of.outside_share >= LEAST_OUTSIDE}
+    if outside:
+        worst = max(outside, key=lambda name: outside[name])
+        frame = ": in another frame?" if outside[worst] > MOST_OUTSIDE else ""
+        files = "1 mesh lies" if len(outside) == 1 else f"{len(outside)} meshes lie"
+        yield (
+            f"{files} partly outside the cube and {'is' if len(outside) == 1 else 'are'} cut off there, "
+            f"{worst} by {outside[worst]:.1%} of its volume{frame}"
+        )
+    if method.lower() in BASELINE_NAMES:
+        return
+    test = {t: of for t, of in results.items() if t.split == "test" and of.cells}
+    empty: list[str] = []
+    full: list[str] = []
+    for target, of in sorted(test.items(), key=lambda item: item[0]):
+        above = int(of.tally.above[THRESHOLDS.index(thresholds.of[target.category])].sum())
+        if above in (0, int(of.tally.voxels.sum())):
+            (full if above else empty).append(target.name)
+    for names, what in ((empty, "predict nothing"), (full, "fill the whole cube")):
+        if names:
+            yield f"{len(names)} of {len(test)} predictions {what} at their threshold, such as {names[0]}"
