@@ -36,12 +36,14 @@ from kinectbench.lab.simulate.truth import (
     write_truth,
 )
 from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, cut, stamp_as_read
-from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
+from kinectbench.lab.simulate.writers.frame import ColorImage, RecordedFrame, Rig, png_bytes
 
 # A foreign frame shows another object in another scene: seeds this much farther on.
 FOREIGN_SEED = 500_000
 SUNLIGHT = {"indoor": 0.0, "outdoor": 0.6}
 SURFACE_SAMPLES = 20_000
+# Random numbers of a colour stream of its own come after those of all frames.
+OWN_COLORS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,8 @@ def record(simulation: Simulation, index: int) -> Recorded:
     depth_m = exact.depth_m
     if simulation.device is not None:
         depth_m = _measured(exact, simulation.device, spec, rng)
-    color_rgb = _color(simulation, renderer, exact, index, rng)
+    middle_s = plan.time_s + spec.sensor.color_delay_s
+    color_rgb = _color(simulation, renderer, exact, index, middle_s, rng)
     mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
     frame = RecordedFrame(
         stamp_ns=plan.stamp_ns,
@@ -180,6 +183,7 @@ def record(simulation: Simulation, index: int) -> Recorded:
         T_world_camera=plan.T_world_given,
         pose_stamp_ns=spec.stamp_ns(plan.source),
         mask=mask if spec.given.masks else None,
+        own_colors=_own_colors(simulation, renderer, exact, index),
     )
     return Recorded(frame, exact.depth_m, mask)
 
@@ -206,20 +210,43 @@ def _color(
     renderer: Renderer | StillRenderer,
     exact: Rendering,
     index: int,
+    middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """The colour image of one frame; it is cast anew only if another camera takes it, or at another time."""
+    """The colour image of a time; it is cast anew only if another camera takes it, or at another time."""
     sensor = simulation.spec.sensor
-    middle_s = simulation.frames[index].time_s + sensor.color_delay_s
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
     start, middle, end = simulation.path.poses(times_s) @ T_depth_color
-    if not sensor.color_registered or sensor.color_delay_s:
+    if not sensor.color_registered or middle_s != simulation.frames[index].time_s:
         T_room_rows = _poses_of_rows(simulation, simulation.rig.color.height, float(times_s[1]))
         exact = renderer.render(simulation.rig.color, T_room_rows, T_depth_color)
     if simulation.device is None:
         return exact.color_rgb
     return expose(exact, simulation.rig.color, (start, middle, end), float(simulation.gains[index]), rng)
+
+
+def _own_colors(
+    simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
+) -> tuple[ColorImage, ...] | None:
+    """What a colour stream with a rate of its own took since the depth before; None if it has none."""
+    spec, plans = simulation.spec, simulation.frames
+    rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
+    if rate_hz is None:
+        return None
+
+    def taken_until(time_s: float) -> int:
+        return max(int(np.floor((time_s - delay_s) * rate_hz)) + 1, 0)
+
+    images = []
+    for number in range(
+        taken_until(plans[index - 1].time_s) if index else 0, taken_until(plans[index].time_s)
+    ):
+        time_s = number / rate_hz + delay_s
+        rng = spec.rng(SENSOR, OWN_COLORS + number)
+        stamp_ns = spec.stamp_ns(0) + round(time_s * 10**6) * 1000
+        images.append(ColorImage(stamp_ns, _color(simulation, renderer, exact, index, time_s, rng)))
+    return tuple(images)
 
 
 def _device(spec: SimulationSpec) -> Device | TimeOfFlightDevice | None:

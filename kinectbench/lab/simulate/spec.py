@@ -39,6 +39,7 @@ LATER = {
     "readout_s": 0.0,
     "masks": False,
     "stands_on": "floor",
+    "color_rate_hz": None,
 }
 
 
@@ -125,6 +126,9 @@ class SensorSettings(GrownSettings):
     color_registered: bool = Field(True, description="colour is delivered in depth pixels")
     color_baseline_m: float = Field(0.025, ge=0, le=0.5, description="colour camera beside the depth camera")
     color_delay_s: float = Field(0.0, ge=-0.5, le=0.5, description="colour is taken this much after depth")
+    color_rate_hz: float | None = Field(
+        None, ge=0.1, le=1000, description="colour frames per second, if apart from depth's"
+    )
 
     @model_validator(mode="before")
     @classmethod

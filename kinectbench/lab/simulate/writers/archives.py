@@ -11,6 +11,7 @@ from kinectbench.core.geometry import quaternion_xyzw_from_rotation
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig
+from kinectbench.lab.simulate.writers.image_folders import redwood_stem
 from kinectbench.lab.simulate.writers.phones import HIGH, OPENGL_FROM_OPTICAL
 
 
@@ -22,14 +23,16 @@ def add_member(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
 def write_redwood_zip(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a scan of Redwood's as a zip archive: depth/ and rgb/NUMBER-MICROSECONDS.
 
-    Depth is in mm. Frames are numbered from 1, depth and colour each with stamps of their own. The layout
+    Depth is in mm. Depth and colour are each numbered from 1, with stamps of their own. The layout
     holds neither intrinsics nor poses; colour of the size of depth counts as registered.
     """
     with zipfile.ZipFile(path, "x") as archive:
+        colors = 0
         for index, frame in enumerate(frames):
-            depth_us, color_us = (ns // 1000 % 10**12 for ns in (frame.stamp_ns, frame.color_stamp_ns))
-            add_member(archive, f"depth/{index + 1:07d}-{depth_us:012d}.png", frame.depth_png())
-            add_member(archive, f"rgb/{index + 1:07d}-{color_us:012d}.jpg", frame.color_jpeg())
+            add_member(archive, f"depth/{redwood_stem(index, frame.stamp_ns)}.png", frame.depth_png())
+            for color in frame.colors:
+                add_member(archive, f"rgb/{redwood_stem(colors, color.stamp_ns)}.jpg", color.jpeg())
+                colors += 1
 
 
 def write_record3d(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:

@@ -45,16 +45,19 @@ class MessageMaker:
     def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Any]]:
         """Topic, type and message of everything that belongs to a frame."""
         depth_header = self.header(index, frame.stamp_ns, self._depth_frame_id)
-        color_header = self.header(index, frame.color_stamp_ns, COLOR_FRAME_ID)
-        color = self._types[COMPRESSED_IMAGE](
-            header=color_header, format="jpeg", data=np.frombuffer(frame.color_jpeg(), np.uint8)
-        )
         found = [
             (f"{self._depth_folder}/camera_info", INFO, self.camera_info(depth_header, self._rig.depth)),
             self._depth(depth_header, frame.depth_native()),
-            ("/camera/rgb/camera_info", INFO, self.camera_info(color_header, self._rig.color)),
-            ("/camera/rgb/image_color/compressed", COMPRESSED_IMAGE, color),
         ]
+        for color in frame.colors:
+            header = self.header(index, color.stamp_ns, COLOR_FRAME_ID)
+            image = self._types[COMPRESSED_IMAGE](
+                header=header, format="jpeg", data=np.frombuffer(color.jpeg(), np.uint8)
+            )
+            found += [
+                ("/camera/rgb/camera_info", INFO, self.camera_info(header, self._rig.color)),
+                ("/camera/rgb/image_color/compressed", COMPRESSED_IMAGE, image),
+            ]
         if frame.T_world_camera is not None:
             pose = self._pose(self.header(index, frame.given_ns, "world"), frame.T_world_camera)
             found.append(("/camera/pose", POSE, pose))
@@ -192,7 +195,9 @@ def write_rosbag2(
         for index, frame in enumerate(frames):
             static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
             for topic, kind, message in maker.messages(frame, index) + static:
-                yield topic, kind, frame.color_stamp_ns if "/rgb/" in topic else frame.stamp_ns, message
+                logged = message.header.stamp if "/rgb/" in topic else None
+                logged_ns = logged.sec * 10**9 + logged.nanosec if logged else frame.stamp_ns
+                yield topic, kind, logged_ns, message
 
     with Writer(folder / NAME, version=8, storage_plugin=plugin) as writer:
         log_messages(writer, store, messages(), ros2=True)

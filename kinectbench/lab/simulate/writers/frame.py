@@ -33,6 +33,28 @@ class Rig:
 
 
 @dataclass(frozen=True)
+class ColorImage:
+    """One image of a colour stream.
+
+    Attributes:
+        stamp_ns: as recorded, nanoseconds.
+        rgb: (height, width, 3) uint8, the rig's colour camera.
+    """
+
+    stamp_ns: int
+    rgb: NDArray[np.uint8]
+
+    def jpeg(self) -> bytes:
+        """The image as a JPEG file."""
+        import cv2
+
+        bgr = np.ascontiguousarray(self.rgb[..., ::-1])
+        ok, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        assert ok
+        return bytes(encoded)
+
+
+@dataclass(frozen=True)
 class RecordedFrame:
     """What the sensor delivers at one time.
 
@@ -44,6 +66,8 @@ class RecordedFrame:
         T_world_camera: (4, 4) float64 as given with the recording, depth camera, optical axes; or None.
         pose_stamp_ns: time of that pose as recorded, nanoseconds; None: that of depth.
         mask: (height, width) bool, the object, in depth pixels, as given with the recording; or None.
+        own_colors: of a colour stream with a rate of its own, the images since the depth before, any number;
+            None: one comes with each depth image. Formats that hold a pair in one place have no use for it.
     """
 
     stamp_ns: int
@@ -53,6 +77,14 @@ class RecordedFrame:
     T_world_camera: NDArray[np.float64] | None
     pose_stamp_ns: int | None = None
     mask: NDArray[np.bool_] | None = None
+    own_colors: tuple[ColorImage, ...] | None = None
+
+    @property
+    def colors(self) -> tuple[ColorImage, ...]:
+        """What the colour stream delivers since the depth before, this one's own partner or not."""
+        if self.own_colors is None:
+            return (ColorImage(self.color_stamp_ns, self.color_rgb),)
+        return self.own_colors
 
     @property
     def given_ns(self) -> int:
@@ -81,11 +113,7 @@ class RecordedFrame:
 
     def color_jpeg(self) -> bytes:
         """Colour as a JPEG file."""
-        import cv2
-
-        ok, encoded = cv2.imencode(".jpg", self.color_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        assert ok
-        return bytes(encoded)
+        return ColorImage(self.color_stamp_ns, self.color_rgb).jpeg()
 
 
 def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

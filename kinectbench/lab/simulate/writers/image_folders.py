@@ -47,7 +47,8 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
         depth = frame.depth_png(TUM_DEPTH_SCALE)
         rows["depth"].append(_add_stamped(folder, "depth", frame.stamp_ns, ".png", depth))
         frame.add_mask(folder / "masks" / rows["depth"][-1].rpartition("/")[2])
-        rows["rgb"].append(_add_stamped(folder, "rgb", frame.color_stamp_ns, ".jpg", frame.color_jpeg()))
+        for color in frame.colors:
+            rows["rgb"].append(_add_stamped(folder, "rgb", color.stamp_ns, ".jpg", color.jpeg()))
         if frame.T_world_camera is not None:
             rows["groundtruth"].append(tum_line(frame.given_ns, frame.T_world_camera))
     if len(rows["groundtruth"]) == 1:
@@ -106,15 +107,17 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
 def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a recording into an empty folder: depth/ and rgb/NUMBER-MICROSECONDS, NAME.log, camera.json.
 
-    Depth is in mm. Frames are numbered from 1, depth and colour each with stamps of their own. The layout
+    Depth is in mm. Depth and colour are each numbered from 1, with stamps of their own. The layout
     does not say its intrinsics; `camera.json` does, unlike in the data set.
     """
     make_folders(folder, "depth", "rgb")
     log: list[str] = []
+    colors = 0
     for index, frame in enumerate(frames):
-        depth_us, color_us = (ns // 1000 % 10**12 for ns in (frame.stamp_ns, frame.color_stamp_ns))
-        (folder / "depth" / f"{index + 1:07d}-{depth_us:012d}.png").write_bytes(frame.depth_png())
-        (folder / "rgb" / f"{index + 1:07d}-{color_us:012d}.jpg").write_bytes(frame.color_jpeg())
+        (folder / "depth" / f"{redwood_stem(index, frame.stamp_ns)}.png").write_bytes(frame.depth_png())
+        for color in frame.colors:
+            (folder / "rgb" / f"{redwood_stem(colors, color.stamp_ns)}.jpg").write_bytes(color.jpeg())
+            colors += 1
         log += _log_rows(index, frame)
     if log:
         write_lines(folder / "scan.log", log)
@@ -167,6 +170,11 @@ def write_wildrgbd(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> N
     write_lines(folder / "cam_poses.txt", rows)
     K = {"w": rig.depth.width, "h": rig.depth.height, "K": rig.depth.K.T.ravel().tolist()}
     (folder / "metadata").write_text(pretty_json(K), encoding="utf-8")
+
+
+def redwood_stem(index: int, stamp_ns: int) -> str:
+    """The name of Redwood's image at a place of its stream, from 0: NUMBER-MICROSECONDS, from 1."""
+    return f"{index + 1:07d}-{stamp_ns // 1000 % 10**12:012d}"
 
 
 def seconds(stamp_ns: int) -> str:

@@ -48,8 +48,9 @@ def write_realsense(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, ol
         for index, frame in enumerate(frames):
             header = maker.header(index, frame.stamp_ns, FRAME_ID)
             yield depth_topic, IMAGE, frame.stamp_ns, maker.image(header, frame.depth_native(), "mono16")
-            header = maker.header(index, frame.color_stamp_ns, FRAME_ID)
-            yield color_topic, IMAGE, frame.color_stamp_ns, maker.image(header, frame.color_rgb, "rgb8")
+            for color in frame.colors:
+                header = maker.header(index, color.stamp_ns, FRAME_ID)
+                yield color_topic, IMAGE, color.stamp_ns, maker.image(header, color.rgb, "rgb8")
 
     with Writer(path) as writer:
         log_messages(writer, store, messages())
