@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.coverage import covered_arc_rad
 from kinectbench.core.trajectory.stamps import usual_period_ns
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
@@ -193,12 +192,11 @@ def _late_facts(
         "color_shift_px": edges.shift_px.tolist() if edges and edges.clear else None,
     }
     if poses is not None:
-        arc_rad = covered_arc_rad(poses.T_world_camera)
         facts |= {
             "poses_read_as": poses.reading.text(),
             "pose_residual_mm": _rounded(1000 * poses.residual_m, 2),
             "pose_disagreement": _rounded(poses.best, 3),
-            "arc_deg": None if arc_rad is None else round(math.degrees(arc_rad)),
+            "arc_deg": None if poses.arc_rad is None else round(math.degrees(poses.arc_rad)),
         }
     return facts
 

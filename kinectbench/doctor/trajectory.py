@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
-from kinectbench.core.trajectory.coverage import covered_arc_rad
+from kinectbench.core.trajectory.coverage import covered_arc_rad, middle_depth_m
 from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding, camera_line
@@ -59,6 +59,7 @@ class PoseFit:
         proven: the poses fit as they are, and with depth of no other scale: they settle scale and intrinsics.
         pairs: of frames, compared.
         T_world_camera: (m, 4, 4) of the frames looked at that have a pose, by that reading.
+        arc_rad: from which they see what they look at; None if that is not one thing.
     """
 
     reading: Reading
@@ -70,6 +71,7 @@ class PoseFit:
     proven: bool
     pairs: tuple[Pair, ...]
     T_world_camera: NDArray[np.float64]
+    arc_rad: float | None
 
 
 def fit_trajectory(look: Look) -> PoseFit | None:
@@ -113,6 +115,7 @@ def fit_trajectory(look: Look) -> PoseFit | None:
         proven=fit and chosen == 0 and bool(costs[0] < min(OTHER_SCALE * scaled, NO_BETTER * still)),
         pairs=usable,
         T_world_camera=read[known],
+        arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in look.frames)),
     )
 
 
@@ -223,7 +226,7 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
 
 
 def _arc(look: Look, fit: PoseFit) -> Iterator[Finding]:
-    arc_rad = covered_arc_rad(fit.T_world_camera)
+    arc_rad = fit.arc_rad
     if arc_rad is None:
         what = "the cameras do not look at one thing: there is no arc around an object"
         yield Finding("arc", "note", what, look.where, "go round one object for a full shape")

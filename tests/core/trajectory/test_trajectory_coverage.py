@@ -6,7 +6,14 @@ from analytic_scenes import CAMERA, depth_of, plane, ring, sequence_of, sphere
 from health_scenes import DISTANCE_M
 
 from kinectbench.core.geometry import rigid
-from kinectbench.core.trajectory.coverage import convergence_point, covered_arc_rad, covisibility, from_above
+from kinectbench.core.trajectory.coverage import (
+    convergence_point,
+    covered_arc_rad,
+    covisibility,
+    from_above,
+    looked_at,
+    middle_depth_m,
+)
 
 
 def test_axes_meet_where_the_cameras_look() -> None:
@@ -21,19 +28,50 @@ def test_axes_meet_where_the_cameras_look() -> None:
 @pytest.mark.parametrize("degrees", [60.0, 120.0, 200.0, 300.0])
 def test_arc_of_a_part_of_a_circle(degrees: float) -> None:
     poses = ring(361, DISTANCE_M)[: round(degrees) + 1]
-    assert np.degrees(covered_arc_rad(poses)) == pytest.approx(degrees * 360 / 361, rel=0.015)
+    assert np.degrees(covered_arc_rad(poses, None)) == pytest.approx(degrees * 360 / 361, rel=0.015)
 
 
 def test_arc_of_a_full_circle_and_of_few_cameras() -> None:
-    assert np.degrees(covered_arc_rad(ring(360, DISTANCE_M))) == pytest.approx(359, abs=0.01)
-    assert covered_arc_rad(ring(5, 1.0)[:1]) == 0
-    assert covered_arc_rad(np.zeros((0, 4, 4))) is None
+    assert np.degrees(covered_arc_rad(ring(360, DISTANCE_M), DISTANCE_M)) == pytest.approx(359, abs=0.01)
+    assert covered_arc_rad(ring(5, 1.0)[:1], None) == 0
+    assert covered_arc_rad(np.zeros((0, 4, 4)), None) is None
 
 
 def test_someone_who_turns_about_walks_around_nothing() -> None:
     outward = ring(36, 0.3)
     outward[:, :3, :3] = outward[:, :3, :3] @ np.diag([-1.0, 1, -1])  # away from the middle
-    assert covered_arc_rad(outward) is None
+    assert covered_arc_rad(outward, None) is None
+
+
+def test_axes_that_cross_by_chance_are_no_arc() -> None:
+    """A camera that is shifted by 0.25 m and turned by 12 degrees, while it sees a desk 1.1 m away.
+
+    Its axes cross 0.3 m before it, where nothing is.
+    """
+    turns = np.radians(np.linspace(-6, 6, 30))
+    poses = np.tile(np.eye(4), (30, 1, 1))
+    poses[:, 0, 0] = poses[:, 2, 2] = np.cos(turns)
+    poses[:, 0, 2], poses[:, 2, 0] = np.sin(turns), -np.sin(turns)
+    rng = np.random.default_rng(0)
+    poses[:, :3, 3] = rng.uniform(-0.5, 0.5, (30, 3)) * [0.15, 0.15, 0.25]
+    assert np.linalg.norm(convergence_point(poses)) < 0.4
+    by_chance, seen = (np.degrees(covered_arc_rad(poses, depth_m)) for depth_m in (None, 1.1))
+    assert seen < 20 < by_chance
+    assert looked_at(poses, 1.1)[2] == pytest.approx(1.1, abs=0.05)
+
+
+@pytest.mark.parametrize("seen_m", [0.7, 1.0, 1.9])
+def test_a_thing_that_is_looked_at_is_where_the_axes_meet(seen_m: float) -> None:
+    """Its front is nearer, and what is seen beside it or through it farther."""
+    poses = ring(24, 1.2, target=(0.4, -0.2, 0.7))
+    np.testing.assert_array_equal(looked_at(poses, seen_m), convergence_point(poses))
+
+
+def test_the_depth_in_the_middle() -> None:
+    one = np.zeros((9, 9), np.float32)
+    one[4, 4], one[0, 0] = 1.5, 9.0
+    assert middle_depth_m([one, np.zeros_like(one)]) == pytest.approx(1.5)
+    assert middle_depth_m([np.zeros_like(one)]) is None
 
 
 def test_from_above_the_first_camera_looks_up_the_page() -> None:
