@@ -79,11 +79,7 @@ def make_table(
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
-        warnings=(
-            *thresholds.warnings,
-            *doubtful_lines(method, results, thresholds),
-            *_warnings(failures, empty),
-        ),
+        warnings=_warnings(method, results, thresholds, failures, empty),
         notes=derived.notes,
         extremes=derived.extremes,
         iou_by_threshold=derived.iou_by_threshold,
@@ -106,14 +102,20 @@ def _validation(
     return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
 
 
-def _warnings(failures: Mapping[Target, str], empty: Collection[Target]) -> list[str]:
-    """What is to be said of predictions that are not there."""
-    found = []
+def _warnings(
+    method: str,
+    results: Mapping[Target, PairResult],
+    thresholds: Thresholds,
+    failures: Mapping[Target, str],
+    empty: Collection[Target],
+) -> tuple[str, ...]:
+    """What is to be said of thresholds, and of predictions that are doubtful or not there."""
+    found = [*thresholds.warnings, *doubtful_lines(method, results, thresholds)]
     if empty:
         found.append(f"{len(empty)} predictions are missing and were counted as empty grids")
     if failures:
         found.append(f"incomplete: {len(failures)} predictions could not be scored, so there are no averages")
-    return found
+    return tuple(found)
 
 
 def rows_of(
