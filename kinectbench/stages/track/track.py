@@ -5,6 +5,8 @@ the frames that disagree (`check_given`); without one, or to refine it, `tracker
 every pose. Then the whole is judged (`health`).
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from kinectbench.core.artefacts.trajectory import Source
@@ -23,7 +25,7 @@ from kinectbench.stages.track.check_given import (
 )
 from kinectbench.stages.track.health import health
 from kinectbench.stages.track.tracked import Tracked
-from kinectbench.stages.track.tracker import track_frames
+from kinectbench.stages.track.tracker import STANDS_OUT, track_frames
 
 MIN_GOOD_FRAMES = 3
 
@@ -85,7 +87,7 @@ def _finished(
             f"only {posed} of {len(sequence)} frames can be used, and {MIN_GOOD_FRAMES} are needed"
             f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}"
         )
-    figures = health(sequence, source, tracked, warnings, check)
+    figures = health(sequence, source, tracked, [*warnings, *odd_frames(tracked.reasons)], check)
     return Trajectory(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,
@@ -95,6 +97,19 @@ def _finished(
         health=figures,
         depth_calibration=tracked.calibration,
     )
+
+
+def odd_frames(reasons: Mapping[int, str]) -> list[str]:
+    """A line for people about the frames that were left out because they stand out, if there are any.
+
+    Args:
+        reasons: why each lost frame has no pose, by frame.
+    """
+    frames = sorted(frame for frame, reason in reasons.items() if reason == STANDS_OUT)
+    if not frames:
+        return []
+    which = f"{len(frames)} frames ({frames[0]} to {frames[-1]})" if len(frames) > 1 else f"frame {frames[0]}"
+    return [f"left out: {which}: {STANDS_OUT}; turn and walk more slowly there"]
 
 
 def _too_few_poses(sequence: Sequence, posed: int) -> str:

@@ -18,6 +18,8 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.trajectory import read_trajectory, write_trajectory
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
+from kinectbench.stages.track.track import odd_frames
+from kinectbench.stages.track.tracker import STANDS_OUT, stand_out
 
 pytestmark = pytest.mark.xdist_group("tracking")
 SETTINGS = TrackingSettings()
@@ -181,3 +183,22 @@ def test_damaged_folder(chair, tmp_path: Path, damage: str):
     error = KinectBenchError if damage in ("words", "missing") else StorageError
     with pytest.raises(error, match=str(tmp_path)):
         read_trajectory(tmp_path, stamps_ns)
+
+
+def test_frames_that_agree_far_worse_than_nearly_all_are_left_out_and_told() -> None:
+    """14 frames of a fast turn are 3.6 to 4.5 times as far from the others as the usual one."""
+    rng = np.random.default_rng(0)
+    residual = rng.normal(1.0, 0.05, 150)
+    residual[60:74] = np.linspace(3.6, 4.5, 14)
+    judged = np.ones(150, bool)
+    judged[70] = False
+    odd = stand_out(residual, judged)
+    np.testing.assert_array_equal(np.flatnonzero(odd), [*range(60, 70), *range(71, 74)])
+    # Noise that differs stands out nowhere, nor does a little where all else agrees to a hair.
+    assert not stand_out(rng.normal(1.0, 0.2, 150), np.ones(150, bool)).any()
+    assert not stand_out(np.append(np.full(20, 1.0), 1.5), np.ones(21, bool)).any()
+    assert not stand_out(np.full(3, np.nan), np.ones(3, bool)).any()
+    reasons = dict.fromkeys(np.flatnonzero(odd).tolist(), STANDS_OUT) | {80: "another reason"}
+    (line,) = odd_frames(reasons)
+    assert line.startswith("left out: 13 frames (60 to 73): its depth lies farther")
+    assert odd_frames({80: "another reason"}) == []
