@@ -6,8 +6,10 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.object import BoxPart, FrontierPart, LabelCounts, QualityFile
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
+from kinectbench.core.types import Int32, Int64
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.doubts import LOOK
 from kinectbench.stages.segment.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
     IouEstimate,
@@ -18,7 +20,7 @@ from kinectbench.stages.segment.estimate import (
 from kinectbench.stages.segment.floor import Floor
 from kinectbench.stages.segment.frontiers import Frontier
 from kinectbench.stages.segment.method import METHOD
-from kinectbench.stages.segment.select import fit_box
+from kinectbench.stages.segment.select import fit_box, nearest_within
 from kinectbench.stages.segment.solid import SolidShape
 from kinectbench.stages.segment.witness import Witness
 
@@ -28,6 +30,9 @@ MAX_DOUBTFUL_SHARE = 0.1
 GOOD_ESTIMATED_IOU = 0.82
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
+# A smaller piece is loose if so many voxels lie between it and the rest: less may be a joint too thin to be
+# measured. No piece is looked for farther away than this (own choices).
+LOOSE_VOXELS, FARTHEST_LOOSE_M = 3, 0.5
 # So that a handle or a speck that one half of the frames shows does not move a side of the box.
 BOX_LEFT_OUT = 0.005
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
@@ -202,11 +207,51 @@ def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
             "mirror-like), or the box or the `floor` in benchmark.yaml is wrong; all is well if it stands on "
             "something else"
         )
-    sizes = np.bincount(ndimage.label(shape.solid, np.ones((3, 3, 3)))[0].reshape(-1))[1:]
+    labels, _ = ndimage.label(shape.solid, np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.reshape(-1))[1:]
     pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())
     if pieces > 1:
         warnings.append(
             f"the solid is in {pieces} large pieces that do not touch: what joins them gave no depth, or "
             "they are several things: look at object/mesh.ply"
         )
-    return warnings
+    loose = np.flatnonzero(sizes < LARGE_PIECE_SHARE * sizes.sum()) + 1
+    return warnings + loose_pieces(labels, loose, sizes, shape.grid.voxel_size_m)
+
+
+def loose_pieces(labels: Int32, loose: Int64, sizes: Int64, voxel_size_m: float) -> list[str]:
+    """A warning of the largest small piece that lies apart from all large ones, and of how many there are.
+
+    Args:
+        labels: piece of each voxel, 0: none.
+        loose: (k,) labels of the small pieces.
+        sizes: voxels of each piece, from label 1 on.
+        voxel_size_m: edge of a voxel.
+    """
+    from scipy import ndimage
+    from scipy.spatial import cKDTree
+
+    large = (labels > 0) & ~np.isin(labels, loose)
+    if not len(loose) or not large.any():
+        return []
+    outside = np.argwhere(large & ~ndimage.binary_erosion(large)) * voxel_size_m
+    tree = cKDTree(outside)
+    windows = ndimage.find_objects(labels)
+    apart: list[tuple[int, float]] = []
+    for piece in loose.tolist():
+        window = windows[piece - 1]
+        first = np.array([part.start for part in window])
+        points = (np.argwhere(labels[window] == piece) + first) * voxel_size_m
+        gap_m, _ = nearest_within(tree, points, FARTHEST_LOOSE_M)
+        if gap_m > (LOOSE_VOXELS + 0.5) * voxel_size_m:
+            apart.append((int(sizes[piece - 1]), gap_m))
+    if not apart:
+        return []
+    size, gap_m = max(apart)
+    far = f"{1000 * gap_m:.0f} mm" if np.isfinite(gap_m) else f"more than {FARTHEST_LOOSE_M:g} m"
+    what = f"a loose piece of {1e6 * size * voxel_size_m**3:.0f} cm³ lies {far} from the rest of the object"
+    others = f", one of {len(apart)}" if len(apart) > 1 else ""
+    return [
+        f"{what}{others}: perhaps a scrap of a neighbour; look at object/mesh.ply, or give a box without it; "
+        f"{LOOK}"
+    ]

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from evidence_by_hand import shape_of
+from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.stages.segment.estimate import IouEstimate
 from kinectbench.stages.segment.frontiers import Frontier
-from kinectbench.stages.segment.quality import _unsupported, _warnings
+from kinectbench.stages.segment.quality import _unsupported, _warnings, loose_pieces
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
@@ -46,3 +47,18 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
     assert ("an opening that nobody" in lines[0]) == told
     remedies = [line for line in lines for words in ("closer", "all sides", "low down") if words in line]
     assert len(remedies) == (0 if told else 3)
+
+
+def test_a_loose_piece_is_told_with_its_size_and_distance() -> None:
+    """Of voxels of 5 mm: a body, a knob two voxels beside it, and a scrap of 184 (23 cm³) nine away."""
+    solid = np.zeros((60, 40, 40), bool)
+    solid[2:32, 5:35, 5:35] = True
+    solid[34:37, 10:13, 10:13] = True  # a joint too thin to be measured
+    solid[40:48, 10:33, 20] = True
+    labels, _ = ndimage.label(solid, np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.reshape(-1))[1:]
+    loose = np.array([int(labels[34, 10, 10]), int(labels[40, 10, 20])])
+    (line,) = loose_pieces(labels, loose, sizes, 0.005)
+    assert line.startswith("a loose piece of 23 cm³ lies 45 mm from the rest of the object:")
+    assert loose_pieces(labels, loose[:1], sizes, 0.005) == []
+    assert loose_pieces(labels, loose[:0], sizes, 0.005) == []
