@@ -12,7 +12,7 @@ from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.doubts import FINE_CELL_M
 from kinectbench.stages.segment.find_object import Scene, find_object, find_scene
 from kinectbench.stages.segment.floor import floor_cut_m
-from kinectbench.stages.segment.select import CELL_M, fit_box, label_pieces, spacing_m, standing
+from kinectbench.stages.segment.select import CELL_M, cell_numbers, fit_box, label_pieces, spacing_m, standing
 from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 
 # Cells and whether they must share a face: what touches in the first may come apart in the next ones.
@@ -112,7 +112,8 @@ def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[F
         return []
     label = label_pieces(points_floor, cell_m, through_faces)
     # One point a cell, so that area counts.
-    _, first = np.unique(np.floor(points_floor / CELL_M).astype(np.int64), axis=0, return_index=True)
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    _, first = np.unique(cell_numbers(cells), return_index=True)
     sizes = np.bincount(label[first], minlength=int(label.max()) + 1)
     large = standing(label, points_floor) & (sizes * CELL_M**2 >= MIN_AREA_M2)
     return [points_floor[label == piece] for piece in np.flatnonzero(large)]

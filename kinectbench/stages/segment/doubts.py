@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
-from kinectbench.stages.segment.select import label_pieces, nearest_within, standing
+from kinectbench.stages.segment.select import cell_numbers, label_pieces, nearest_within, standing
 
 MAX_EXTENT_M = 2.5
 # Parts of at least this share of the largest one's surface are things of their own.
@@ -133,7 +133,7 @@ def stands_on_a_board(selection: Selection) -> bool:
     points = points[np.abs(points[:, 2] - bottom_m) < CUT_CELLS * cell_m]
     at_middle = np.column_stack([points[:, :2], np.full(len(points), box.center_m[2])])
     ring = points[around.contains(at_middle) & ~box.contains(at_middle)]
-    covered_m2 = len(np.unique(np.floor(ring[:, :2] / cell_m), axis=0)) * cell_m**2
+    covered_m2 = len(np.unique(cell_numbers(np.floor(ring[:, :2] / cell_m).astype(np.int64)))) * cell_m**2
     whole_m2 = around.size_m[0] * around.size_m[1] - box.size_m[0] * box.size_m[1]
     return covered_m2 >= BOARD_SHARE * whole_m2
 
@@ -164,5 +164,6 @@ def _distance_m(points: Float64, point: Float64) -> float:
 
 def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
     """How many cells of 20 mm the points of each label occupy."""
-    cells, first = np.unique(np.floor(points_floor / FINE_CELL_M).astype(np.int64), axis=0, return_index=True)
-    return np.asarray(np.bincount(np.zeros(len(cells), int) if label is None else label[first]))
+    cells = np.floor(points_floor / FINE_CELL_M).astype(np.int64)
+    _, first = np.unique(cell_numbers(cells), return_index=True)
+    return np.asarray(np.bincount(np.zeros(len(first), int) if label is None else label[first]))

@@ -156,16 +156,34 @@ def thinned(points_world: Float64, normals_world: Float64, cell_m: float = CELL_
         normals_world: (n, 3), each as long as it counts.
         cell_m: edge of the cells.
     """
-    cells, owner, counts = np.unique(
-        np.floor(points_world / cell_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    of_points = np.floor(points_world / cell_m).astype(np.int64)
+    _, first, owner, counts = np.unique(
+        cell_numbers(of_points), return_index=True, return_inverse=True, return_counts=True
     )
-    owner = owner.reshape(-1)
+    cells, owner = of_points[first], owner.reshape(-1)
     points, mean_normals = np.zeros((len(cells), 3)), np.zeros((len(cells), 3))
     for axis in range(3):
         points[:, axis] = np.bincount(owner, weights=points_world[:, axis], minlength=len(cells)) / counts
         mean_normals[:, axis] = np.bincount(owner, weights=normals_world[:, axis], minlength=len(cells))
     mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
     return SurfacePoints(points, mean_normals, cells, owner)
+
+
+def cell_numbers(cells: Int64) -> Int64:
+    """A number for each cell, in the order of the cells: numbers are sorted 17 times as fast as rows.
+
+    Nor does Python answer a signal while it sorts rows: two seconds of a million of them.
+
+    Args:
+        cells: (n, k) int64, of an extent below 2^63 cells in all.
+    """
+    if not len(cells):
+        return np.zeros(0, np.int64)
+    shifted = cells - cells.min(axis=0)
+    numbers = shifted[:, 0]
+    for axis in range(1, shifted.shape[1]):
+        numbers = numbers * (shifted[:, axis].max() + 1) + shifted[:, axis]
+    return np.asarray(numbers)
 
 
 def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float64) -> Bools:

@@ -33,7 +33,7 @@ from kinectbench.stages.segment.doubts import (
     things_beside,
 )
 from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.select import nearest_within
+from kinectbench.stages.segment.select import cell_numbers, nearest_within
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.
@@ -252,3 +252,15 @@ def test_a_room_around_the_object_takes_no_time():
     began = time.process_time()
     assert doubts(selection) == ()
     assert time.process_time() - began < 5
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_cells_have_numbers_in_their_order(columns):
+    cells = np.random.default_rng(0).integers(-7, 9, (500, columns))
+    for by_row, by_number in zip(
+        np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:],
+        np.unique(cell_numbers(cells), return_index=True, return_inverse=True, return_counts=True)[1:],
+        strict=True,
+    ):
+        np.testing.assert_array_equal(by_row.reshape(-1), by_number.reshape(-1))
+    assert len(cell_numbers(cells[:0])) == 0
