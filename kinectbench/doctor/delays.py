@@ -11,7 +11,7 @@ from kinectbench.core.trajectory.association import pairing_tolerance_ns
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.doctor.color import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.doctor.look import END_RUN, Look, SmallFrame
 
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
@@ -128,6 +128,43 @@ def check_color_delay(look: Look) -> Iterator[Finding]:
     )
     advice = line if own_clock else "pair the images anew: they have no stamps of their own"
     yield Finding("color_delay", "warning", what, look.where, advice)
+
+
+def check_color_drift(look: Look) -> Iterator[Finding]:
+    """Whether the delay of colour grows over the recording: its clock runs at another speed than depth's.
+
+    By the motion in runs of frames at the beginning, in the middle and at the end; that in the middle must
+    lie between the two others, so that none of the three is chance (own rule).
+    """
+    runs = [run for run in look.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
+    if len(runs) < 3:
+        return
+    told: list[tuple[float, int]] = []
+    for run in (runs[0], max(runs[1:-1], key=len), runs[-1]):
+        stamps_ns = clock_ns(look, run)
+        depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
+        color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
+        delay_ns = estimate_delay_ns(depth, color)
+        if delay_ns is None:
+            return
+        told.append((float(stamps_ns.mean()), delay_ns))
+    (first_at, first_ns), (middle_at, middle_ns), (last_at, last_ns) = told
+    grown_ns = last_ns - first_ns
+    expected_ns = first_ns + grown_ns * (middle_at - first_at) / (last_at - first_at)
+    if abs(grown_ns) < LEAST_NS or abs(middle_ns - expected_ns) > max(LEAST_NS / 2, abs(grown_ns) / 4):
+        return
+    a_minute_ms = grown_ns / (last_at - first_at) * 60_000
+    first, last = (offset_in_words(delay_ns / 1e9) for delay_ns in (first_ns, last_ns))
+    what = (
+        f"colour is {first} at the beginning and {last} at the end, by what both show: the clocks drift "
+        f"apart by {abs(a_minute_ms):.0f} ms a minute"
+    )
+    advice = (
+        "record both with one clock, or write colour's stamps anew: take off what it is late, which grows so"
+        if len(look.recording.recorded_stamps_ns[1]) and not look.counts_frames
+        else "each stream counts its own frames: name the images by their time stamps, which then pair them"
+    )
+    yield Finding("color_drift", "warning", what, look.where, advice)
 
 
 def clock_ns(look: Look, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor.clocks import check_partners
-from kinectbench.doctor.delays import check_color_delay
+from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import check_depth, check_intrinsics
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.look import Gathering, frames_to_read, take_look
@@ -62,15 +62,16 @@ class OffsetWatch:
         self._gathering.take(index, frame)
 
     def warnings(self) -> list[str]:
-        """A line for each offset, with what to write into benchmark.yaml."""
+        """A line for each offset, with what to write into benchmark.yaml or to do."""
         told = (found for found in self._findings() if found.severity == "warning")
-        return [f"{found.where}: {found.what}; {found.advice}" for found in told if "delay_s" in found.advice]
+        of_clocks = (found for found in told if found.name == "color_drift" or "delay_s" in found.advice)
+        return [f"{found.where}: {found.what}; {found.advice}" for found in of_clocks]
 
     def _findings(self) -> Iterator[Finding]:
         look = self._gathering.look()
         given = self._recording.given_trajectory
         yield from check_partners(look)
-        yield from check_color_delay(look)
+        yield from list(check_color_drift(look)) or check_color_delay(look)
         fit = fit_trajectory(look)
         # Poses that are meant otherwise fit at no time; `track` says so, on all frames.
         if fit is not None and given is not None and not fit.reading.changes:

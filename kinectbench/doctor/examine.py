@@ -12,7 +12,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import usual_period_ns
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
-from kinectbench.doctor.delays import check_color_delay
+from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import (
     SETTLED_BY_POSES,
     check_depth,
@@ -148,7 +148,8 @@ def _late(look: Look, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[
     yield from of_color
     # Edges that lie elsewhere say nothing of when they were seen.
     if not any(finding.severity == "warning" for finding in of_color):
-        yield from check_color_delay(look)
+        drift = list(check_color_drift(look))
+        yield from drift or check_color_delay(look)
     yield from check_trajectory(look, poses)
     yield from check_light(look)
 

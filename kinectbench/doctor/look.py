@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,10 @@ from kinectbench.core.sequence import counts_frames, depth_in_metres
 from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# A recording with more frames is looked at in runs: a long one in its middle, short ones elsewhere.
+# A recording with more frames is looked at in runs: a long one in its middle, two at its ends, by which
+# clocks that drift apart are seen, and short ones elsewhere.
 ALL_FRAMES = 250
+END_RUN = 60
 LONG_RUN, SHORT_RUN, SHORT_RUNS = 150, 12, 8
 WHOLE_FRAMES, FEW_FRAMES = 16, 8
 DEPTH_COLUMNS = 160
@@ -97,12 +100,15 @@ class Look:
             if second.index == first.index + 1:
                 yield first, second
 
+    def runs(self) -> list[tuple[SmallFrame, ...]]:
+        """The frames, cut where one does not follow the one before in the recording."""
+        indices = np.array([frame.index for frame in self.frames])
+        cuts = [0, *(np.flatnonzero(np.diff(indices) != 1) + 1).tolist(), len(indices)]
+        return [self.frames[start:end] for start, end in pairwise(cuts) if end > start]
+
     def longest_run(self) -> tuple[SmallFrame, ...]:
         """The most frames that follow each other."""
-        indices = np.array([frame.index for frame in self.frames])
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(indices) != 1) + 1, [len(indices)]])
-        longest = int(np.argmax(np.diff(starts))) if len(indices) else 0
-        return self.frames[starts[longest] : starts[longest + 1]] if len(indices) else ()
+        return max(self.runs(), key=len, default=())
 
 
 class Gathering:
@@ -169,7 +175,8 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
     middle = (count - LONG_RUN) // 2
     starts = np.linspace(0, count - SHORT_RUN, SHORT_RUNS).astype(np.int64)
     runs = [np.arange(start, start + SHORT_RUN) for start in starts]
-    return np.unique(np.concatenate([*runs, np.arange(middle, middle + LONG_RUN)]))
+    ends = [np.arange(END_RUN), np.arange(count - END_RUN, count)]
+    return np.unique(np.concatenate([*runs, *ends, np.arange(middle, middle + LONG_RUN)]))
 
 
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:

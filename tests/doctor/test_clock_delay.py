@@ -1,6 +1,8 @@
 """Faults of clocks put in by hand, and delays of motions that are known."""
 
+import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -8,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from kinectbench.core.trajectory.stamps import StampFaults, find_doubled, find_stamp_faults, usual_period_ns
-from kinectbench.doctor.delays import Motion, estimate_delay_ns, image_motion
+from kinectbench.doctor.delays import Motion, check_color_drift, estimate_delay_ns, image_motion
+from kinectbench.doctor.look import Look, SmallFrame, frames_to_read
 
 STEP_NS = 33_333_333
 START_NS = 1_400_000_000_000_000_000
@@ -90,3 +93,39 @@ def test_without_motion_in_common_nothing_is_offered() -> None:
     assert estimate_delay_ns(*noise) is None
     few = Motion(times[:5], np.ones((5, 2)))
     assert estimate_delay_ns(few, noise[0]) is None
+
+
+@dataclass
+class Recorded:
+    """What the checks of colour's clock ask of a recording."""
+
+    stamps_ns: NDArray[np.int64]
+    color_delay_s: float = 0.0
+    path: str = "r"
+
+    @property
+    def recorded_stamps_ns(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        return self.stamps_ns, self.stamps_ns
+
+
+@pytest.mark.parametrize(("first_ms", "last_ms"), [(0, 0), (80, 80), (0, 298), (-150, 150), (0, -200)])
+def test_clocks_that_drift_apart(first_ms: int, last_ms: int) -> None:
+    """Redwood's colour, paired by number, is 298 ms late at the end of 2,024 frames."""
+    count = 2024
+    stamps_ns = START_NS + np.arange(count) * STEP_NS
+    late_ns = (np.linspace(first_ms, last_ms, count) * 1e6).astype(np.int64)
+    indices = frames_to_read(count)
+    depth = images(stamps_ns[indices], 1)
+    gray = images((stamps_ns - late_ns)[indices], 2)
+    frames = tuple(
+        SmallFrame(int(i), int(stamps_ns[i]), d, (g / 4).astype(np.uint8), b"")
+        for i, d, g in zip(indices, depth, gray, strict=True)
+    )
+    look = Look(Recorded(stamps_ns), frames, (), (), (), 1)  # type: ignore[arg-type]
+    found = list(check_color_drift(look))
+    assert bool(found) == (first_ms != last_ms)
+    if found:
+        (said,) = re.findall(r"drift apart by (\d+) ms a minute", found[0].what)
+        a_minute = abs(last_ms - first_ms) / (count * STEP_NS / 60e9)
+        assert float(said) == pytest.approx(a_minute, rel=0.15)
+        assert ("late at the end" if last_ms > 0 else "early at the end") in found[0].what
