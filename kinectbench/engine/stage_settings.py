@@ -48,10 +48,10 @@ class StageSettings(Settings):
         values = self.model_dump(mode="json")
         for dotted in self.ADDED:
             *above, key = dotted.split(".")
-            section, of = values, type(self).model_fields
+            section, model = values, type(self)
             for name in above:
-                section, of = section[name], type(getattr(self, name)).model_fields
-            if section[key] == of[key].default:
+                section, model = section[name], type(getattr(self, name))
+            if section[key] == model.model_fields[key].default:
                 del section[key]
         return values
 

@@ -3,12 +3,22 @@
 import math
 import re
 from datetime import date
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted import MOST_SIDE_PX
@@ -18,6 +28,10 @@ TrajectoryMode = Literal["trust", "refine", "ignore"]
 SegmentBy = Literal["masks", "turntable"]
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
 Vector4 = Annotated[tuple[float, float, float, float], Field(strict=False)]
+BOX_KEYS = ("center_m", "size_m", "yaw_rad")
+Vector7 = Annotated[Pose, Field(strict=False)]
+# As of a trajectory's rows: no camera is farther off, and a quaternion has a length.
+FARTHEST_M, LEAST_TURN = 1e6, 1e-6
 # Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
 # (the rules for solids were chosen with it).
 LEAST_RANGE_M = 3.0
@@ -75,6 +89,10 @@ class BoxSettings(Settings):
     center_m: Vector3 = Field(description="centre, metres")
     size_m: Vector3 = Field(description="edge lengths, metres")
     yaw_rad: float = Field(0.0, description="turn about the vertical, radians")
+    anchor_frame: int | None = Field(
+        None, ge=0, description="with --pick: a frame that ties the box to its floor frame"
+    )
+    anchor_pose: Vector7 | None = Field(None, description="of that frame's camera in it: x y z, qx qy qz qw")
 
     @field_validator("size_m")
     @classmethod
@@ -92,9 +110,26 @@ class BoxSettings(Settings):
             )
         return yaw_rad
 
+    @model_validator(mode="after")
+    def _whole_anchor(self) -> "BoxSettings":
+        frame, pose = self.anchor_frame, self.anchor_pose
+        if (frame is None) is not (pose is None):
+            raise ValueError("anchor_frame and anchor_pose go together; give both, or remove both")
+        if pose is not None and (max(map(abs, pose)) > FARTHEST_M or math.hypot(*pose[3:]) < LEAST_TURN):
+            raise ValueError("anchor_pose is no pose; pick the box again, or remove the anchor")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As a release and a fingerprint have it: a box without an anchor as before there were any."""
+        values: dict[str, Any] = to_dict(self)
+        return values if self.anchor_frame is not None else {key: values[key] for key in BOX_KEYS}
+
     def box(self) -> OrientedBox:
         """The box as a value."""
-        return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
+        frame, pose = self.anchor_frame, self.anchor_pose
+        anchor = None if frame is None or pose is None else BoxAnchor(frame, pose)
+        return OrientedBox(self.center_m, self.size_m, self.yaw_rad, anchor)
 
 
 class FloorSettings(Settings):
@@ -132,8 +167,8 @@ class RecordingSettings(Settings):
     )
     masks: str | None = Field(
         None,
-        description="folder of PNG masks, relative to benchmark.yaml: of views; with `segment_by: masks` of "
-        "frames",
+        description="folder of PNG masks of frames, relative to benchmark.yaml; of all with "
+        "`segment_by: masks`",
     )
     license: Line | None = Field(None, description="of this recording's data; default: the benchmark's")
     source: Line | None = Field(

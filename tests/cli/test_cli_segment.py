@@ -53,6 +53,7 @@ def test_wrong_picks(command: Command, one: Path) -> None:
         (("chair", "--pick", "1"), "run `kinectbench segment chair --suggest`"),
         (("--pick", "1"), "name the one recording"),
         (("chair", "--suggest", "--pick", "1"), "give one of them"),
+        (("chair", "--suggest", "--carry-masks"), "give one of them"),
         (("chiar", "--pick", "1"), "did you mean 'chair'"),
     ):
         run = command(one, "segment", *arguments)

@@ -30,7 +30,8 @@ def job(**recording: Any) -> Job:
 
 def full() -> Job:
     """A recording whose sections are all given, so that their fields can be walked."""
-    return job(camera={"fx": 500.0}, box={"center_m": [0, 0, 0.5], "size_m": [1, 1, 1]})
+    box = {"center_m": [0, 0, 0.5], "size_m": [1, 1, 1], "anchor_frame": 3}
+    return job(camera={"fx": 500.0}, box={**box, "anchor_pose": [0, 0, 1, 0, 0, 0, 1]})
 
 
 def leaves(value: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

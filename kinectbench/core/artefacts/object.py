@@ -10,6 +10,7 @@ from pydantic import Field
 from kinectbench.core.artefacts.solid_method import SolidMethod
 from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored, Vector4
 from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.types import Split
 
 Triple = tuple[float, float, float]
@@ -60,6 +61,26 @@ class FloorCandidate(Part):
     )
     evidence: float = Field(description="what speaks for it: docs/ground-truth.md has the rule")
     refused: str | None = Field(description="why it is not the floor; null: it is")
+
+
+class AnchoredBoxPart(BoxPart):
+    """A box that can be chosen, tied to the floor frame that it is in."""
+
+    anchor_frame: int = Field(description="a frame of the sequence, by which the floor frame is known again")
+    anchor_pose: Pose = Field(
+        description="of its camera in that floor frame: x, y, z in metres, quaternion x, y, z, w"
+    )
+
+    @classmethod
+    def of_anchored(cls, box: OrientedBox, anchor: BoxAnchor) -> Self:
+        """A box and its anchor, rounded to millimetres, milliradians and a quaternion's fifth decimal."""
+        x, y, z, *q = anchor.camera_floor
+        qx, qy, qz, qw = (round(value, 5) for value in q)
+        return cls(
+            **dict(BoxPart.of(box, 3, 3)),
+            anchor_frame=anchor.frame,
+            anchor_pose=(round(x, 3), round(y, 3), round(z, 3), qx, qy, qz, qw),
+        )
 
 
 class FloorFile(Stored):
@@ -228,7 +249,7 @@ class CandidateRow(Part):
 
     number: int = Field(description="from 1 on, as in the pictures")
     automatic: bool = Field(description="it is what is chosen without a box")
-    box: BoxPart = Field(description="around it, floor frame")
+    box: AnchoredBoxPart = Field(description="around it, floor frame")
     distance_m: float = Field(description="from where the cameras look to its nearest point, metres")
     picture: str = Field(description="file beside this one")
 

@@ -1,6 +1,7 @@
 """An upright box in the floor frame, turned about the vertical; a regular voxel grid in the world."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,22 @@ def yaw_rotation(yaw_rad: float) -> Float64:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+# A pose as in a row of a trajectory: x, y, z in metres, then a quaternion x, y, z, w.
+Pose = tuple[float, float, float, float, float, float, float]
+
+
+class BoxAnchor(NamedTuple):
+    """What ties a box to the floor frame that it was chosen in.
+
+    Attributes:
+        frame: index of a frame in the sequence.
+        camera_floor: pose of its camera in that floor frame.
+    """
+
+    frame: int
+    camera_floor: Pose
+
+
 @dataclass(frozen=True)
 class OrientedBox:
     """A box in frame `floor` (z up, floor at z = 0).
@@ -23,11 +40,13 @@ class OrientedBox:
         center_m: (3,) centre, metres.
         size_m: (3,) edge lengths, metres.
         yaw_rad: turn about z, radians, counter-clockwise seen from above.
+        anchor: of a box that a person chose; None: it is not known which floor frame it was chosen in.
     """
 
     center_m: tuple[float, float, float]
     size_m: tuple[float, float, float]
     yaw_rad: float = 0.0
+    anchor: BoxAnchor | None = None
 
     @property
     def T_floor_box(self) -> Float64:

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.artefacts.object import BoxPart, CandidateRow, CandidatesFile
+from kinectbench.core.artefacts.object import AnchoredBoxPart, CandidateRow, CandidatesFile
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.core.pictures import INK, SOFT, figure_png, new_figure
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64, Rgb
+from kinectbench.stages.segment.box_anchor import anchor_of
 from kinectbench.stages.segment.candidates import Candidate, Candidates
 from kinectbench.stages.segment.floor import Floor
 
@@ -36,7 +37,7 @@ EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4),
 
 def write_candidates(found: Candidates, sequence: Sequence, trajectory: Trajectory, folder: Path) -> None:
     """Write candidates.json (numbers from 1, boxes as benchmark.yaml writes them) and the pictures."""
-    rows = []
+    rows, anchor = [], anchor_of(found.scene.floor, trajectory)
     for number, candidate in enumerate(found.candidates, start=1):
         name = f"{number}.png"
         picture = candidate_picture(number, candidate, found.scene.floor, sequence, trajectory)
@@ -45,7 +46,7 @@ def write_candidates(found: Candidates, sequence: Sequence, trajectory: Trajecto
             CandidateRow(
                 number=number,
                 automatic=candidate.automatic,
-                box=BoxPart.of(candidate.box, 3, 3),
+                box=AnchoredBoxPart.of_anchored(candidate.box, anchor),
                 distance_m=round(candidate.distance_m, 3),
                 picture=name,
             )

@@ -9,6 +9,7 @@ from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, transform
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import FloorCuts
+from kinectbench.stages.segment.box_anchor import check_anchor
 from kinectbench.stages.segment.doubts import FINE_CELL_M, Selection, doubts
 from kinectbench.stages.segment.find_object import find_object, find_scene
 from kinectbench.stages.segment.floor import Floor, floor_cut_m
@@ -106,9 +107,12 @@ def segment(
         hint: what is known of the floor.
 
     Raises:
-        SegmentationError: no floor (without a box), no object where the cameras look, or nothing in the box.
+        SegmentationError: no floor (without a box), no object where the cameras look, nothing in the box, or
+            it was chosen in another floor frame.
     """
     scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
+    if given_box is not None:
+        check_anchor(given_box, scene.floor, trajectory, scene.scale)
     cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale
     points_floor, above = scene.points_floor, scene.points_floor[:, 2] > cut_m
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)

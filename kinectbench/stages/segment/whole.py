@@ -7,6 +7,7 @@ from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_point
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
+from kinectbench.stages.segment.box_anchor import check_anchor
 from kinectbench.stages.segment.choose import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.floor import Floor, level_floor
@@ -62,6 +63,7 @@ def segment_whole(
     floor = _level(points_world[kept], mesh, T_world_camera, hint, near)
     points_floor = transform_points(floor.T_floor_world, points_world)
     if given_box is not None:
+        check_anchor(given_box, floor, trajectory, near)
         kept &= given_box.contains(points_floor)
         if kept.sum() < MIN_BOX_POINTS:
             raise SegmentationError(

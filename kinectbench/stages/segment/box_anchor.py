@@ -1,0 +1,84 @@
+"""A box is tied to the floor frame that it was chosen in: by where a frame's camera was in it then."""
+
+from math import atan2
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import AnchoredBoxPart
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import (
+    OrientedBox,
+    invert_rigid,
+    quaternion_xyzw_from_rotation,
+    rigid,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
+from kinectbench.core.geometry.boxes import BoxAnchor, Pose
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.settings.edit import box_line
+from kinectbench.stages.segment.candidates import SAME_M
+from kinectbench.stages.segment.floor import Floor
+
+ANEW = "choose one anew by `kinectbench segment --suggest`"
+
+
+def anchor_of(floor: Floor, trajectory: Trajectory) -> BoxAnchor:
+    """What ties boxes to a floor frame: the middle one of the frames with poses, and its camera there."""
+    frames = trajectory.good_frames
+    frame = int(frames[len(frames) // 2])
+    return BoxAnchor(frame, _pose(floor.T_floor_world @ trajectory.T_world_camera[frame]))
+
+
+def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: float = 1.0) -> None:
+    """Refuse a box that was chosen in another floor frame: with another trajectory, or on another plane.
+
+    A box without an anchor, written by hand, is taken as it is. A floor is never found twice quite alike: the
+    frame is the same if no corner moves by more than 6 cm, within which two boxes of `--suggest` are one.
+
+    Args:
+        box: a person's, floor frame.
+        floor: of the scene, as it is now.
+        trajectory: poses of the frames, now.
+        scale: of the scene: of smaller things less counts as the same place.
+
+    Raises:
+        SegmentationError: it was; the line has the box of the same place now, unless it would not be upright.
+    """
+    if box.anchor is None:
+        return
+    frame, was = box.anchor
+    known = frame < len(trajectory.T_world_camera) and np.isfinite(trajectory.T_world_camera[frame]).all()
+    if not known:
+        raise SegmentationError(
+            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {ANEW}"
+        )
+    T_floor_camera = floor.T_floor_world @ trajectory.T_world_camera[frame]
+    T_now_then = T_floor_camera @ invert_rigid(_matrix(was))
+    there = transform_points(T_now_then, box.corners_floor())
+    moved_m = float(np.linalg.norm(there - box.corners_floor(), axis=1).max())
+    if moved_m <= SAME_M * scale:
+        return
+    x, y, z = transform_points(T_now_then, np.array(box.center_m))
+    turn_rad = atan2(T_now_then[1, 0], T_now_then[0, 0])
+    yaw_rad = atan2(np.sin(box.yaw_rad + turn_rad), np.cos(box.yaw_rad + turn_rad))
+    same, now = OrientedBox((x, y, z), box.size_m, yaw_rad), BoxAnchor(frame, _pose(T_floor_camera))
+    upright = np.linalg.norm(there - same.corners_floor(), axis=1).max() <= SAME_M * scale
+    line = box_line(AnchoredBoxPart.of_anchored(same, now))
+    place = f"for the same place now write `{line}`, or " if upright else ""
+    raise SegmentationError(
+        "the box in benchmark.yaml was chosen in another floor frame, of another trajectory or plane: by "
+        f"frame {frame} it would be {moved_m:.2f} m off; {place}{ANEW}"
+    )
+
+
+def _pose(T: Float64) -> Pose:
+    """A pose (4, 4) as the seven numbers of a row of a trajectory."""
+    x, y, z = (float(value) for value in T[:3, 3])
+    qx, qy, qz, qw = (float(value) for value in quaternion_xyzw_from_rotation(T[:3, :3]))
+    return x, y, z, qx, qy, qz, qw
+
+
+def _matrix(pose: Pose) -> Float64:
+    return rigid(rotation_from_quaternion_xyzw(np.array(pose[3:])), pose[:3])
