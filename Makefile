@@ -5,6 +5,9 @@ SHELL := /bin/bash
 .NOTPARALLEL:
 .PHONY: help setup demo test test-all fuzz lint types docs docs-format docs-pictures docs-architecture samples clean
 
+# Compiled modules are kept: a process that has to compile hundreds of files starts a second later.
+unexport PYTHONDONTWRITEBYTECODE
+
 BIN := .venv/bin
 # The demo's commands run inside demo/.
 KINECTBENCH := ../$(BIN)/kinectbench
