@@ -30,8 +30,8 @@ def write_redwood_zip(path: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> 
         colors = 0
         for index, frame in enumerate(frames):
             add_member(archive, f"depth/{redwood_stem(index, frame.stamp_ns)}.png", frame.depth_png())
-            for color in frame.colors:
-                add_member(archive, f"rgb/{redwood_stem(colors, color.stamp_ns)}.jpg", color.jpeg())
+            for stamp_ns, jpeg in frame.color_jpegs():
+                add_member(archive, f"rgb/{redwood_stem(colors, stamp_ns)}.jpg", jpeg)
                 colors += 1
 
 

@@ -49,10 +49,10 @@ class MessageMaker:
             (f"{self._depth_folder}/camera_info", INFO, self.camera_info(depth_header, self._rig.depth)),
             self._depth(depth_header, frame.depth_native()),
         ]
-        for color in frame.colors:
-            header = self.header(index, color.stamp_ns, COLOR_FRAME_ID)
+        for stamp_ns, jpeg in frame.color_jpegs():
+            header = self.header(index, stamp_ns, COLOR_FRAME_ID)
             image = self._types[COMPRESSED_IMAGE](
-                header=header, format="jpeg", data=np.frombuffer(color.jpeg(), np.uint8)
+                header=header, format="jpeg", data=np.frombuffer(jpeg, np.uint8)
             )
             found += [
                 ("/camera/rgb/camera_info", INFO, self.camera_info(header, self._rig.color)),

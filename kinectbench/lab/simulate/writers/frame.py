@@ -91,6 +91,12 @@ class RecordedFrame:
         """Time of the given pose as recorded, nanoseconds."""
         return self.stamp_ns if self.pose_stamp_ns is None else self.pose_stamp_ns
 
+    def color_jpegs(self) -> list[tuple[int, bytes]]:
+        """The images of `colors` as (stamp in nanoseconds, JPEG file)."""
+        if self.own_colors is None:
+            return [(self.color_stamp_ns, self.color_jpeg())]
+        return [(color.stamp_ns, color.jpeg()) for color in self.own_colors]
+
     def depth_native(self, depth_scale: float = DEPTH_SCALE) -> NDArray[np.uint16]:
         """Depth in native units, `round(metres * depth_scale)`; what does not fit is no measurement."""
         native = np.round(self.depth_m.astype(np.float64) * depth_scale)

@@ -47,8 +47,8 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
         depth = frame.depth_png(TUM_DEPTH_SCALE)
         rows["depth"].append(_add_stamped(folder, "depth", frame.stamp_ns, ".png", depth))
         frame.add_mask(folder / "masks" / rows["depth"][-1].rpartition("/")[2])
-        for color in frame.colors:
-            rows["rgb"].append(_add_stamped(folder, "rgb", color.stamp_ns, ".jpg", color.jpeg()))
+        for stamp_ns, jpeg in frame.color_jpegs():
+            rows["rgb"].append(_add_stamped(folder, "rgb", stamp_ns, ".jpg", jpeg))
         if frame.T_world_camera is not None:
             rows["groundtruth"].append(tum_line(frame.given_ns, frame.T_world_camera))
     if len(rows["groundtruth"]) == 1:
@@ -115,8 +115,8 @@ def write_redwood(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> No
     colors = 0
     for index, frame in enumerate(frames):
         (folder / "depth" / f"{redwood_stem(index, frame.stamp_ns)}.png").write_bytes(frame.depth_png())
-        for color in frame.colors:
-            (folder / "rgb" / f"{redwood_stem(colors, color.stamp_ns)}.jpg").write_bytes(color.jpeg())
+        for stamp_ns, jpeg in frame.color_jpegs():
+            (folder / "rgb" / f"{redwood_stem(colors, stamp_ns)}.jpg").write_bytes(jpeg)
             colors += 1
         log += _log_rows(index, frame)
     if log:
