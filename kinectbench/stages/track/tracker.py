@@ -118,7 +118,8 @@ def _place(
 def stand_out(residual: Float64, judged: Bools) -> Bools:
     """Which frames agree far worse with the others than nearly all do (own rule): (n,).
 
-    A frame of a fast turn may be registered well enough to be believed, and centimetres off.
+    A frame of a fast turn may be registered well enough to be believed, and centimetres off. What noise
+    explains is no sign of it.
 
     Args:
         residual: (n,) of each frame to keyframes around it, over what noise alone makes of it; NaN: unknown.
@@ -130,7 +131,7 @@ def stand_out(residual: Float64, judged: Bools) -> Bools:
     usual = np.median(residual[known])
     spread = np.median(np.abs(residual[known] - usual))
     far = Z_OF_MEDIAN * (residual - usual) > MODIFIED_Z * spread
-    odd: Bools = known & far & (residual > STANDING_OUT * usual)
+    odd: Bools = known & far & (residual > np.maximum(STANDING_OUT * usual, 1.0))
     return odd
 
 

@@ -197,6 +197,8 @@ def test_frames_that_agree_far_worse_than_nearly_all_are_left_out_and_told() -> 
     # Noise that differs stands out nowhere, nor does a little where all else agrees to a hair.
     assert not stand_out(rng.normal(1.0, 0.2, 150), np.ones(150, bool)).any()
     assert not stand_out(np.append(np.full(20, 1.0), 1.5), np.ones(21, bool)).any()
+    # Three times the usual one, and a half of what noise makes.
+    assert not stand_out(np.append(np.full(20, 0.15), 0.5), np.ones(21, bool)).any()
     assert not stand_out(np.full(3, np.nan), np.ones(3, bool)).any()
     reasons = dict.fromkeys(np.flatnonzero(odd).tolist(), STANDS_OUT) | {80: "another reason"}
     (line,) = odd_frames(reasons)
