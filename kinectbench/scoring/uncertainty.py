@@ -132,11 +132,16 @@ def sign_flip_ps(differences: Float64) -> list[float]:
 
 
 def _exact(differences: Float64, observed: float) -> float:
+    """The share of all assignments of signs whose sum is not strictly between -observed and observed.
+
+    Those between are counted and taken from all, so that none counts in both tails, however small
+    `observed` is.
+    """
     half = len(differences) // 2
     first, second = _sums(differences[:half]), _sums(differences[half:])
-    above = len(second) - np.searchsorted(second, observed - first, side="left")
-    below = np.searchsorted(second, -observed - first, side="right")
-    return float(above.sum() + below.sum()) / 2.0 ** len(differences)
+    up_to = np.searchsorted(second, observed - first, side="left")
+    between = up_to - np.searchsorted(second, -observed - first, side="right")
+    return 1.0 - float(np.maximum(between, 0).sum()) / 2.0 ** len(differences)
 
 
 def _sums(differences: Float64) -> Float64:

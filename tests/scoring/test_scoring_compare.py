@@ -85,6 +85,19 @@ def test_sign_flips_against_all_of_them(count: int) -> None:
     assert sign_flip_p(differences) == pytest.approx(expected, abs=1e-15)
 
 
+@pytest.mark.parametrize("count", [2, 3, 24, 31])  # the last is drawn
+def test_no_assignment_of_signs_counts_in_both_tails(count: int) -> None:
+    """Where the sum is 0, or only rounding away from it, every assignment is as far from it: p = 1."""
+    balanced = np.resize([0.1, -0.1], count // 2 * 2)
+    assert sign_flip_p(balanced) == 1
+    assert sign_flip_p(np.append(balanced, 1e-16)) == 1
+    assert sign_flip_p(np.array([0.1, 0.2, -0.3])) == 1  # sums to 3e-17
+    # many ties, many sums of 0
+    found = sign_flip_ps(np.random.default_rng(5).integers(-2, 3, (9, count)) * 0.1)
+    assert min(found) > 0
+    assert max(found) <= 1
+
+
 def test_sign_flips_of_many_objects() -> None:
     assert sign_flip_p(np.ones(5)) == smallest_p(5) == 0.0625
     assert sign_flip_p(np.zeros(4)) == 1
