@@ -24,7 +24,8 @@ SIDES = [[0, 1, 3], [4, 1, 0], [0, 3, 2], [2, 4, 0], [1, 7, 3], [5, 1, 4], [5, 7
 SIDES += [[2, 7, 6], [6, 5, 4], [7, 5, 6]]
 POLYGONS = [face for face in SIDES if face not in ([0, 1, 3], [0, 3, 2])] + [[0, 1, 3, 2]]
 CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
-GROUPS = CORNERS + b"".join(b"usemtl m%d\nf 1 2 4\n" % n for n in range(100_000))
+INSIDE = b"v .1 .1 .1\nv .9 .1 .1\nv .1 .9 .1\nv .1 .1 .9\n"
+GROUPS = INSIDE + b"".join(b"usemtl m%d\nf 1 2 4\n" % n for n in range(100_000))
 LONG = bytes(48) + (10**7).to_bytes(4, "little") + bytes(4 * 10**7)
 
 

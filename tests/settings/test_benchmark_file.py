@@ -166,7 +166,10 @@ def test_each_wrong_setting_gets_its_line(tmp_path: Path, old: str, new: str, ex
             "{center_m: [0, 0, 0], size_m: [1, 1, 1], yaw_rad: 45}",
             "yaw_rad: found 45; more than a whole turn: in radians 45 degrees are 0.785",
         ),
-        ("[1, 2]", "found [1, 2]; wanted a mapping with center_m, size_m, yaw_rad"),
+        (
+            "[1, 2]",
+            "found [1, 2]; wanted a mapping with center_m, size_m, yaw_rad, anchor_frame, anchor_pose",
+        ),
     ],
 )
 def test_wrong_boxes(tmp_path: Path, box: str, expected: str) -> None:
