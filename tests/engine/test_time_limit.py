@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path, PosixPath
+from typing import Any
 
 import pytest
 from slow import slow
@@ -20,6 +21,7 @@ from kinectbench.engine.cluster import cluster
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
 from kinectbench.engine.time_limit import TimeLimitError, time_limit, watched
+from kinectbench.engine.work import Work
 from kinectbench.settings.file import load_benchmark
 
 Command = Callable[..., Run]
@@ -105,8 +107,8 @@ def hanging(root: str) -> Path:
     return Path(root)
 
 
-def hang(job: object, folder: Path, progress: Callable[[int, int], None]) -> None:
-    progress(3, 7)
+def hang(work: Work[Any]) -> None:
+    work.progress(3, 7)
     time.sleep(600)
 
 
@@ -145,7 +147,7 @@ def test_a_recording_that_takes_too_long_fails_and_is_tried_again(
     assert command(root, "pairs", "chair", "--jobs", "1").status == 0
 
 
-def slowly(job: object, folder: Path, progress: Callable[[int, int], None]) -> None:
+def slowly(work: Work[Any]) -> None:
     for done in range(600):
-        progress(done, 600)
+        work.progress(done, 600)
         time.sleep(0.1)

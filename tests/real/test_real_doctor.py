@@ -25,7 +25,7 @@ NOT_HERE = {"a frame of another scene", "intrinsics of twice the size", "millime
         ("tum_fr3_cabinet", None, set()),
         ("7scenes_redkitchen_000-149", None, {"color_display_only", "arc"}),
         # Its depth lags the motion capture, by some 28 ms.
-        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "no_floor", "trajectory_delay"}),
+        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "trajectory_delay"}),
     ],
 )
 def test_no_alarm_on_right_recordings(name: str, settings: CameraSettings | None, expected: set[str]) -> None:

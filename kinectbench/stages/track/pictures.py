@@ -66,7 +66,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
     if the health knows an arc around it, the point where the optical axes meet. Metres from the first camera
     with a pose.
     """
-    figure = new_figure(6.6, 5.6, margins=(0.11, 0.14, 0.02, 0.02))
+    figure = new_figure(6.6, 5.6, margins=(0.11, 0.14, 0.1, 0.02))
     axes = figure.add_subplot(xlabel="right, m", ylabel="ahead, m")
     # More is shown beside a narrow path, instead of an empty margin.
     axes.set_aspect("equal", adjustable="datalim")
@@ -84,7 +84,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
         _draw_loops(axes, places, health)
     x, y = places[good, :2].T
     points = axes.scatter(x, y, c=moments[good], s=7, cmap=TIME_COLORS, linewidths=0, zorder=3)
-    figure.colorbar(points, label=when, shrink=0.8)
+    figure.colorbar(points, label=when, shrink=0.8, fraction=0.05, pad=0.03)
     keyframes = np.intersect1d([] if health is None else health.keyframes, good).astype(np.int64)
     if len(keyframes):
         # More circles than these would hide the path.
