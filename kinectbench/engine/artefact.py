@@ -34,7 +34,7 @@ VERSIONS: dict[str, int] = {
     "track": 8,
     "fuse": 5,
     "segment": 26,
-    "sample-views": 2,
+    "sample-views": 3,
     "pairs": 2,
     "suggest": 5,
     "publish": 23,

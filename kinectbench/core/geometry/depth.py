@@ -60,8 +60,33 @@ NO_CALIBRATION = DepthCalibration(np.zeros(len(TERMS)))
 
 
 def corrected_depth_m(depth_m: Float32, correction_per_m: Float32) -> Float32:
-    """Depth (height, width) float32 in metres, with a correction (height, width) in 1/m; 0 stays 0."""
-    return depth_m / (1 + depth_m * correction_per_m)
+    """Depth (height, width) float32 in metres, with a correction (height, width) in 1/m; 0 stays 0.
+
+    Depth that the correction would place at infinity or behind the camera becomes 0, too.
+    """
+    scale = 1 + depth_m * correction_per_m
+    placed: Float32 = np.divide(depth_m, scale, out=np.zeros_like(depth_m), where=scale > 0)
+    return placed
+
+
+# Depth is published in millimetres of 16 bits.
+MOST_MM = int(np.iinfo(np.uint16).max)
+
+
+def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
+    """Depth of any shape in metres as whole millimetres, 0 = no measurement.
+
+    What lies beyond 65.535 m does not fit and becomes 0: a reader that fuses or renders the image then
+    takes nothing from that pixel. The largest value would be a surface that was never measured there.
+    """
+    depth_mm = np.rint(depth_m * 1000)
+    return np.where((depth_mm > 0) & (depth_mm <= MOST_MM), depth_mm, 0).astype(np.uint16)
+
+
+def too_far_for_mm(depth_m: Float32) -> float:
+    """Of the pixels with depth (metres), the share that `depth_in_mm` cannot hold; 0 without any."""
+    measured, too_far = (int(np.count_nonzero(of)) for of in (depth_m > 0, np.rint(depth_m * 1000) > MOST_MM))
+    return too_far / max(measured, 1)
 
 
 def legendre_terms(u: NDArray[np.floating], v: NDArray[np.floating], width: int, height: int) -> Float64:

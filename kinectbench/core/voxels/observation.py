@@ -37,8 +37,8 @@ class Observation:
         tsdf: float32, metres, positive in front of the surface; 0 where weight is 0.
         weight: float32, 1/mm^2, as if frames that see a voxel hidden counted in full (`evident_weight`);
             0 = never observed.
-        free: uint16, frames that saw through.
-        surface: uint16, frames that measured a surface there, or less than the truncation before it.
+        free: uint16, frames that saw through; 65,535 stands for as many or more.
+        surface: uint16, frames that measured a surface there, or less than the truncation before it; alike.
     """
 
     grid: Grid
@@ -49,14 +49,23 @@ class Observation:
 
 
 def merge(first: Observation, second: Observation) -> Observation:
-    """What two disjoint sets of frames say together: weighted mean of the TSDFs, sums of the votes."""
+    """What two disjoint sets of frames say together: weighted mean of the TSDFs, sums of the votes.
+
+    A sum of votes is at most 65,535.
+    """
     voxel_m = first.grid.voxel_size_m
     parts = [seen.weight * _heard_share(seen.tsdf, voxel_m) for seen in (first, second)]
     weight = parts[0] + parts[1]
     total = first.tsdf * parts[0] + second.tsdf * parts[1]
     tsdf = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
-    votes = first.free + second.free, first.surface + second.surface
+    votes = _sum(first.free, second.free), _sum(first.surface, second.surface)
     return Observation(first.grid, tsdf, evident_weight(tsdf, weight, voxel_m), *votes)
+
+
+def _sum(first: NDArray[np.uint16], second: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The sum of two arrays of one shape, or 65,535 where it is more."""
+    room = np.iinfo(np.uint16).max - first
+    return first + np.minimum(second, room)
 
 
 def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float32:

@@ -353,7 +353,7 @@ class _Recorder:
             if not plan.foreign:
                 T_room_camera = simulation.path.poses(np.array([plan.time_s]))[0]
                 seen = simulation.renderer.visible(*self._samples, simulation.spec.camera, T_room_camera)
-                self._frames_seen += seen.astype(np.uint16)
+                self._frames_seen += seen & (self._frames_seen < np.iinfo(np.uint16).max)
             yield recorded.frame
             self._progress(index + 1, len(simulation.frames))
 

@@ -28,7 +28,8 @@ class BlockVolume:
         tsdf: (n, 8, 8, 8) float32, signed distance in metres along the viewing ray's z, weighted
             mean, positive in front of the surface, clipped to the truncation; 0 where weight is 0.
         weight: (n, 8, 8, 8) float32, sum of 1 / sigma(z)^2 in 1/mm^2; 0 = never observed.
-        votes: (n, 8, 8, 8) uint32, `free` in the lower 16 bits and `surface` in the upper ones.
+        votes: (n, 8, 8, 8) uint32, `free` in the lower 16 bits and `surface` in the upper ones;
+            65,535 stands for as many or more.
     """
 
     blocks: Int32

@@ -22,6 +22,7 @@ BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HIDDEN = np.float32(HIDDEN_SHARE)
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
+VOTE_BITS, MOST_VOTES = np.uint32(16), np.uint32(0xFFFF)
 SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
 # A pixel's depth and weight are fetched at once: the two halves of 64 bits.
 LOWER_HALF, HALF_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
@@ -120,8 +121,7 @@ def _integrate_batch(
     middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
     noise_m = np.stack([_noise_m(volume.voxel_size_m, frame) for frame in batch])
     tsdf, weight, votes = (
-        values.reshape(-1, BLOCK_CELLS)
-        for values in (volume.tsdf, volume.weight, volume.votes.view(np.int32))
+        values.reshape(-1, BLOCK_CELLS) for values in (volume.tsdf, volume.weight, volume.votes)
     )
 
     def part(start: int, stop: int) -> None:
@@ -174,7 +174,8 @@ def _integrate(  # type: ignore[no-untyped-def]
                     fetched[n] = of_pixel[f, index[n]]
                 any_new |= _add(new_total, new_weight, new_votes, fetched, z, truncation, noise[f])
         if any_new:
-            _merge(tsdf[b], weight[b], votes[b], new_total, new_weight, new_votes)
+            _merge(tsdf[b], weight[b], new_total, new_weight)
+            _count(votes[b], new_votes)
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
@@ -234,14 +235,25 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
-def _merge(tsdf, weight, votes, new_total, new_weight, new_votes):  # type: ignore[no-untyped-def]
+def _merge(tsdf, weight, new_total, new_weight):  # type: ignore[no-untyped-def]
     """Average what was added up into a block; leaves zeros for the next one."""
     for n in range(BLOCK_CELLS):
         total = weight[n] + new_weight[n]
         tsdf[n] = (tsdf[n] * weight[n] + new_total[n]) / max(total, np.float32(1e-20))
         weight[n] = total
-        votes[n] += new_votes[n]
-        new_total[n], new_weight[n], new_votes[n] = np.float32(0), np.float32(0), np.int32(0)
+        new_total[n], new_weight[n] = np.float32(0), np.float32(0)
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def _count(votes, new_votes):  # type: ignore[no-untyped-def]
+    """Add the votes of a batch to a block's; each of the two counts stops at 65,535. Leaves zeros."""
+    u32 = np.uint32
+    for n in range(BLOCK_CELLS):
+        old, new = votes[n], u32(new_votes[n])
+        free = min((old & MOST_VOTES) + (new & MOST_VOTES), MOST_VOTES)
+        surface = min((old >> VOTE_BITS) + (new >> VOTE_BITS), MOST_VOTES)
+        votes[n] = free | (surface << VOTE_BITS)
+        new_votes[n] = np.int32(0)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"}, nogil=True)

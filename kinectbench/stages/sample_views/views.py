@@ -17,6 +17,7 @@ from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.depth import MOST_MM, depth_in_mm, too_far_for_mm
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -55,6 +56,7 @@ class View:
         fit: figures of the mask before a person's PNGs.
         blur: of the colour against the recording's sharpest frames, as health.json has it; None if unknown.
         pose_residual_m: distance to other frames under the trajectory's pose, metres; None if unknown.
+        too_far_share: of its pixels with depth, those too far for the depth image.
     """
 
     name: str
@@ -66,6 +68,7 @@ class View:
     fit: ViewFit
     blur: float | None = None
     pose_residual_m: float | None = None
+    too_far_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ def sample_views(
     views: list[View] = []
     refused: list[tuple[int, str]] = []
     look = partial(_look, sequence, trajectory, model, renderer, settings, segmentation)
-    for frame, why, alignment, mask, fit in ahead(look, order):
+    for frame, why, alignment, mask, fit, too_far_share in ahead(look, order):
         reason = refusal(fit, settings, pairs)
         if reason:
             refused.append((frame, reason))
@@ -123,7 +126,7 @@ def sample_views(
         stamp_ns = int(sequence.stamps_ns[frame])
         row = health.get(frame)
         figures = (row.blur, row.residual_m) if row else (None, None)
-        views.append(View(name, frame, stamp_ns, why, alignment, mask, fit, *figures))
+        views.append(View(name, frame, stamp_ns, why, alignment, mask, fit, *figures, too_far_share))
         if progress:
             progress(len(views), settings.count)
         if len(views) == settings.count:
@@ -145,11 +148,12 @@ def _look(
     settings: ViewSettings,
     segmentation: SegmentationSettings,
     chosen: tuple[int, str],
-) -> tuple[int, str, Alignment, Bools, ViewFit]:
-    """A chosen frame, why, its corrected pose, the object's mask in it, and how its depth fits the object."""
+) -> tuple[int, str, Alignment, Bools, ViewFit, float]:
+    """A chosen frame, why, its corrected pose, the object's mask, how its depth fits, how much is too far."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
+    too_far_share = too_far_for_mm(depth_m)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
     if recorded is not None:
         # What stands before the object or touches it says nothing of how well it fits.
@@ -166,7 +170,7 @@ def _look(
         points_floor = transform_points(floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
         mask = recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
     fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
-    return frame, why, alignment, mask, fit
+    return frame, why, alignment, mask, fit, too_far_share
 
 
 def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> list[str]:
@@ -178,6 +182,13 @@ def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> li
     cut = sum(view.fit.truncated_share > 0.02 or view.fit.border_share > 0.01 for view in views)
     if cut > len(views) / 2:
         warnings.append(f"the image border cuts the object in {cut} of {len(views)} views: step back")
+    far = [view.too_far_share for view in views if view.too_far_share > 0]
+    if far:
+        warnings.append(
+            f"{len(far)} of {len(views)} views have depth beyond {MOST_MM / 1000:g} m ({max(far):.1%} of the "
+            "pixels with depth at most), which their 16-bit depth images hold as 0, no measurement: is "
+            "`depth_scale` right?"
+        )
     return warnings
 
 
@@ -185,7 +196,7 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
     """Write views.json and, for each view, depth (uint16 mm), mask (255 = object) and colour (JPEG)."""
 
     def images(view: View) -> dict[str, bytes]:
-        depth_mm = np.rint(sequence.depth_m(view.frame) * 1000).astype(np.uint16)
+        depth_mm = depth_in_mm(sequence.depth_m(view.frame))
         encoded = sequence.frames.color_encoded(view.frame)
         color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
         mask = view.mask.astype(np.uint8) * 255

@@ -258,7 +258,7 @@ def _overhang(state):  # type: ignore[no-untyped-def]
                 j = ny - b if dy > 0 else b + 1
                 own, into, source = state[i, j, 1 : nz + 1], reach[i, j], reach[i + dx, j + dy]
                 for k in range(nz):
-                    into[k] = np.int16(0) if own[k] == OUTSIDE else source[k] + np.int16(1)
+                    into[k] = np.int16(0) if own[k] == OUTSIDE else min(source[k] + 1, NOT_UNDER)
         for i in range(nx):
             for j in range(ny):
                 farthest = np.int16(0)

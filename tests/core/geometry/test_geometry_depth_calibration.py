@@ -11,7 +11,14 @@ from ingest_writers import write_tum
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.depth import NO_CALIBRATION, TERMS, DepthCalibration
+from kinectbench.core.geometry.depth import (
+    NO_CALIBRATION,
+    TERMS,
+    DepthCalibration,
+    corrected_depth_m,
+    depth_in_mm,
+    too_far_for_mm,
+)
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.engine.steps import read_tracked
@@ -93,3 +100,19 @@ def test_a_sequence_is_calibrated_anew():
     once = two_metres().calibrated(tilted())
     np.testing.assert_array_equal(once.calibrated(tilted()).depth_m(0), once.depth_m(0))
     assert once.calibrated(NO_CALIBRATION).depth_correction_per_m is None
+
+
+def test_depth_that_does_not_fit_into_millimetres_of_16_bits_is_no_measurement():
+    """70 m would wrap to 4464 mm, minus one to 64536."""
+    rows = [[0, 0.0004, 1.2347, 65.535], [65.5356, 70, 1e9, np.inf], [-1, np.nan, -70, 4.4]]
+    depth_m = np.array(rows, np.float32)
+    assert depth_in_mm(depth_m).tolist() == [[0, 0, 1235, 65535], [0, 0, 0, 0], [0, 0, 0, 4400]]
+    assert depth_in_mm(depth_m).dtype == np.uint16
+    assert too_far_for_mm(depth_m) == pytest.approx(4 / 8)
+    assert too_far_for_mm(np.zeros((2, 2), np.float32)) == 0
+
+
+def test_a_correction_places_nothing_behind_the_camera():
+    """1 / 4 - 0.3 < 0: such depth is no measurement, and neither is what comes to lie at infinity."""
+    corrected = corrected_depth_m(np.array([0, 1, 2, 4], "f4"), np.array([-0.3, -0.5, -0.5, -0.3], "f4"))
+    assert corrected.tolist() == [0, 2, 0, 0]

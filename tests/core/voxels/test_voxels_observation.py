@@ -66,3 +66,16 @@ def test_a_frame_that_looks_from_elsewhere_outweighs_those_that_see_it_hidden() 
     both = merge(seen(-0.015, 50.0), seen(0.002, 1.0))
     assert both.tsdf.item() == pytest.approx((-0.015 * 0.05 + 0.002) / 1.05, abs=1e-7)
     assert both.weight.item() == pytest.approx(1.05, rel=1e-5)
+
+
+def test_votes_of_two_halves_stop_at_what_they_can_hold() -> None:
+    """As 16-bit sums they would wrap: 40000 + 30000 to 4464."""
+    grid, ones = Grid((1, 1, 3), 0.005, np.eye(4)), np.ones((1, 1, 3), np.float32)
+    halves = [
+        Observation(grid, ones, ones, votes, votes[..., ::-1])
+        for votes in np.array([[[[40_000, 5, 65_535]]], [[[30_000, 6, 65_535]]]], np.uint16)
+    ]
+    both = merge(*halves)
+    assert both.free.tolist() == [[[65_535, 11, 65_535]]]
+    assert both.surface.tolist() == [[[65_535, 11, 65_535]]]
+    assert both.free.dtype == both.surface.dtype == np.uint16

@@ -268,3 +268,16 @@ def test_blocks_behind_the_surface_are_left_out_and_no_others():
     assert set(told_about) <= set(seen)
     assert len(told_about) > 20
     assert len(seen) < 1.5 * len(told_about) < len(volume.blocks)
+
+
+def test_votes_stop_at_what_they_can_hold():
+    """65,535 each: one more of `free` would be one of `surface`, and one more of that would be none."""
+    volume = empty_volume(np.zeros((1, 3), np.int32), VOXEL_M, rigid(np.eye(3), [-0.08, -0.08, 0.9]))
+    frames = [DepthFrame(np.ones((36, 48), np.float32), np.eye(4), 0.0, 0.0)] * (2 * BATCH_FRAMES)
+    integrate(volume, frames, SMALL, TRUNCATION_M)
+    free, surface = volume.free.copy(), volume.surface.copy()
+    assert set(np.unique(free)) == set(np.unique(surface)) == {0, len(frames)}
+    volume.votes[:] = 65_530 | (65_530 << 16)
+    integrate(volume, frames, SMALL, TRUNCATION_M)
+    assert volume.free.tolist() == np.where(free > 0, 65_535, 65_530).tolist()
+    assert volume.surface.tolist() == np.where(surface > 0, 65_535, 65_530).tolist()

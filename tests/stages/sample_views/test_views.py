@@ -14,7 +14,14 @@ from same_fields import assert_same_fields
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.sample_views.view_fit import ViewFit
-from kinectbench.stages.sample_views.views import Views, read_masks, read_views, sample_views, write_views
+from kinectbench.stages.sample_views.views import (
+    Views,
+    _warnings,
+    read_masks,
+    read_views,
+    sample_views,
+    write_views,
+)
 
 pytestmark = pytest.mark.xdist_group("chair_model")
 
@@ -177,3 +184,20 @@ def test_folder_round_trip(chair, views, tmp_path: Path):
     (tmp_path / "views.json").write_text("{}")
     with pytest.raises(StorageError, match="--force"):
         read_views(tmp_path)
+
+
+def test_depth_too_far_for_an_image_is_none_and_said(chair, views, tmp_path: Path):
+    sequence = chair.recorded.sequence
+    far = replace(sequence, depth_scale=sequence.depth_scale / 30)  # 2.2 m becomes 66 m
+    write_views(Views(views.views[:1], [], []), far, tmp_path)
+    depth_mm = cv2.imread(str(tmp_path / "000.depth.png"), cv2.IMREAD_UNCHANGED).astype(float)
+    depth_m = far.depth_m(views.views[0].frame)
+    fits = depth_m * 1000 < 65_535.5
+    assert (depth_m > 0)[~fits].any() and (depth_m > 0)[fits].any()
+    assert not depth_mm[~fits].any()
+    assert np.abs(depth_mm / 1000 - depth_m)[fits].max() <= 0.00051
+    said = _warnings([views.views[0], replace(views.views[1], too_far_share=0.031)], ViewSettings(count=2), 9)
+    assert said == [
+        "1 of 2 views have depth beyond 65.535 m (3.1% of the pixels with depth at most), which their 16-bit "
+        "depth images hold as 0, no measurement: is `depth_scale` right?"
+    ]
