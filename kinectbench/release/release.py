@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.targets import (
     SPLITS_JSON,
     TARGETS_CSV,
     benchmark_sha256,
-    check_splits,
+    check_names,
     parse_sums,
     parse_targets,
 )
@@ -167,7 +167,7 @@ def open_release(path: Path) -> Release:
     if published[BENCHMARK_JSON] != stated.encode():
         raise ReleaseError(f"{shown(path / BENCHMARK_JSON)}: changed while it was read; try again")
     targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), shown(path / TARGETS_CSV))
-    check_splits(targets, shown(path / TARGETS_CSV))
+    check_names(targets, shown(path / TARGETS_CSV))
     for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):
         raise ReleaseError(f"{shown(path)}: {problem}; download the release again, `verify` says more")
     return Release(path, targets, metadata)

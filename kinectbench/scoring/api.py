@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Target, open_release
@@ -76,7 +76,7 @@ class Scorer:
         check_words(protocols, upsampling)
         check_method(method)
         self._missing = check_missing(missing)
-        check_splits(release.targets, str(release.folder))
+        check_names(release.targets, str(release.folder))
         self._release, self._method = release, method
         self._targets = {target.name: target for target in release.targets if target.split != "train"}
         self._counting = Counting(tuple(protocols), upsampling, surface)

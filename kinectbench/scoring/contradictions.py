@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from kinectbench.core.artefacts.score_figures import VOXEL_METRICS, ScoreRow
 from kinectbench.core.artefacts.score_marks import ACCOUNTED
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.names import Named, first_clash, reserved_problem
 from kinectbench.core.storage import name_problem
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.artefact import VERSIONS
@@ -41,6 +42,7 @@ def contradictions(table: ScoreTable) -> Iterator[str]:
     """What is wrong with what a table states as facts, a sentence each, the gravest first."""
     yield from out_of_bounds(table)
     yield from _of_version(table)
+    yield from _of_names(table)
     yield from _of_rows(table)
     yield from _of_thresholds(table)
     if table.score_version >= ACCOUNTED:
@@ -70,6 +72,14 @@ def _of_version(table: ScoreTable) -> Iterator[str]:
         yield f"'{printable(table.method)}': no name for a method: {problem}"
     if table.complete is False and not table.failures:
         yield "it is called incomplete, but no prediction failed"
+
+
+def _of_names(table: ScoreTable) -> Iterator[str]:
+    """Names of its rows that cannot stand together, and categories that are called as a mean is."""
+    rows = [Named(*row) for row in dict.fromkeys((r.recording, r.object, r.category) for r in table.rows)]
+    if clash := first_clash(rows):
+        yield clash.problem
+    yield from filter(None, map(reserved_problem, sorted({*table.thresholds, *(r.category for r in rows)})))
 
 
 def _of_rows(table: ScoreTable) -> Iterator[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from kinectbench.core.artefacts.counted import PairResult
-from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import Progress
@@ -73,7 +73,7 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
     Raises:
         PredictionError, ReleaseError, SettingsError: see `score`.
     """
-    check_splits(release.targets, str(release.folder))
+    check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, thresholds_file)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
     found = find_predictions(predictions, release.targets)

@@ -19,7 +19,7 @@ from pydantic_core import PydanticCustomError
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import BoxAnchor, Pose
-from kinectbench.core.storage import name_problem
+from kinectbench.core.names import Category, Name, Named, first_clash
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.settings.texts import Line, Text
@@ -42,13 +42,6 @@ CITED = {
     "url": (r"https?://\S+", "an address that begins with https://"),
     "date_released": (r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date as year-month-day"),
 }
-
-
-def check_name(value: str) -> str:
-    """Accept what `name_problem` finds no fault with."""
-    if problem := name_problem(value):
-        raise ValueError(problem)
-    return value
 
 
 class Settings(BaseModel):
@@ -151,11 +144,11 @@ class FloorSettings(Settings):
 class RecordingSettings(Settings):
     """One recording of the benchmark."""
 
-    id: str = Field(description="name of the recording, unique in the file")
+    id: Name = Field(description="name of the recording, unique in the file")
     path: str = Field(description="folder or bag, relative to benchmark.yaml")
     follow_links: bool = Field(False, description="links inside it are followed, wherever they lead")
-    category: str = Field(description="such as chair or table")
-    object: str | None = Field(None, description="the thing itself, where it is recorded more than once")
+    category: Category = Field(description="such as chair or table")
+    object: Name | None = Field(None, description="the thing itself, where it is recorded more than once")
     split: Split = Field("test", description="train, validation or test")
     trajectory: TrajectoryMode | None = Field(None, description="default: trust if the recording has one")
     camera: CameraSettings | None = Field(None, description="only what the recording does not say")
@@ -173,10 +166,6 @@ class RecordingSettings(Settings):
     license: Line | None = Field(None, description="of this recording's data; default: the benchmark's")
     source: Line | None = Field(
         None, description="who recorded it, or where it is from; default: the benchmark's"
-    )
-
-    _names = field_validator("id", "category", "object")(
-        lambda value: value if value is None else check_name(value)
     )
 
     @property
@@ -346,7 +335,7 @@ def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
 class BenchmarkSettings(Settings):
     """All of benchmark.yaml."""
 
-    name: str = Field(description="name of the benchmark")
+    name: Name = Field(description="name of the benchmark")
     license: Line = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     source: Line = Field("unspecified", description="who recorded the data, or where it is from")
     recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
@@ -360,8 +349,6 @@ class BenchmarkSettings(Settings):
     views: ViewSettings = ViewSettings()
     pairs: PairSettings = PairSettings()
     publish: PublishSettings = PublishSettings()
-
-    _name = field_validator("name")(check_name)
 
     @model_validator(mode="after")
     def _unique(self) -> "BenchmarkSettings":
@@ -380,6 +367,9 @@ class BenchmarkSettings(Settings):
                     f"'{recording.split}' ({recording.id}); an object belongs to one"
                 )
                 raise _clash(index, earlier, problem)
+        clash = first_clash(Named(each.id, each.object_name, each.category) for each in self.recordings)
+        if clash is not None:
+            raise _clash(clash.row, clash.earlier, clash.problem)
         return self
 
     def by_id(self) -> dict[str, RecordingSettings]:

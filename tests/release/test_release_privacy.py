@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
-from kinectbench.core.artefacts.provenance import Removed
+from kinectbench.core.artefacts.provenance import Removed, ThresholdsFile
 from kinectbench.core.errors import ReleaseError
-from kinectbench.release.publish.privacy import scrubbed, without_metadata
+from kinectbench.release.publish.privacy import scrubbed, scrubbed_file, without_metadata
 from kinectbench.release.publish.publish import publish
 
 NAMES = [recording[0] for recording in RECORDINGS]
@@ -68,6 +68,17 @@ def test_json(value: object, clean: object, removed: list[str]) -> None:
     found: list[Removed] = []
     assert scrubbed(value, "f.json", found) == clean
     assert found == [Removed(file="f.json", what=what) for what in removed]
+
+
+def test_keys_that_are_data_are_kept() -> None:
+    """Categories are keys of thresholds.json: a phone is no phone number. Keys that no model has may be."""
+    found: list[Removed] = []
+    of = {"phone": 0.5, "desk_phone": 0.4, "user_chair": 0.3, "location_x": 0.2}
+    beside = {"gps": {"lat": 1.0}, "notes": {"user": "jo", "n": 1}}
+    clean = scrubbed_file(ThresholdsFile(thresholds=of, **beside), "thresholds.json", found)
+    assert clean.thresholds == of
+    assert clean.model_extra == {"notes": {"n": 1}}
+    assert [row.what for row in found] == ["the key 'gps'", "the key 'user'"]
 
 
 def test_a_release_with_color(tmp_path: Path) -> None:

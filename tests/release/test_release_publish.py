@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW
 from kinectbench.core.artefacts.targets import (
     COLUMNS,
     EARLIER_COLUMNS,
-    check_splits,
+    check_names,
     parse_sums,
     parse_targets,
     targets_text,
@@ -313,7 +313,7 @@ def test_object_in_two_splits() -> None:
     lines = [",".join(GOOD), ",".join([*GOOD[:2], "001", "chair", "train", "pairs/r1/001.npz", "a" * 64, ""])]
     targets = parse_targets("\n".join([",".join(COLUMNS), *lines]), "targets.csv")
     with pytest.raises(ReleaseError, match="object 'thing' is in two splits, test and train"):
-        check_splits(targets, "targets.csv")
+        check_names(targets, "targets.csv")
 
 
 @pytest.mark.parametrize("line", ["abc  x", "a" * 64 + "  ../x", "a" * 64 + "  /x", "a" * 64 + "  a/.b"])

@@ -139,6 +139,16 @@ REFUSED: dict[str, tuple[Edit, str]] = {
         underived(lambda of: [row.update(object=f"{row['object']}{row['view']}") for row in of["rows"]]),
         "is of another object or category",
     ),
+    "a category that is called as the mean": (
+        lambda of: of["thresholds"].update(overall=0.5), "'overall' is what the mean over all categories",
+    ),
+    "an object in two categories": (
+        underived(lambda of: [
+            row.update(object="red_chair", category="table")
+            for row in of["rows"] if row["recording"] == "chair_02"
+        ]),
+        "object 'red_chair' is in two categories",
+    ),
     "a protocol less": (
         underived(lambda of: of.update(rows=[r for r in of["rows"] if r["protocol"] != "known"])),
         "its rows are under occluded, paper, its settings name",

@@ -3,8 +3,9 @@ import sys
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
+from kinectbench.core.names import Name
 from kinectbench.settings.models import (
     BenchmarkSettings,
     BoxSettings,
@@ -12,7 +13,6 @@ from kinectbench.settings.models import (
     FusionSettings,
     RecordingSettings,
     Settings,
-    check_name,
 )
 from kinectbench.settings.words import field_at, model_of, range_in_words, suggestion, wanted
 
@@ -64,13 +64,13 @@ def test_settings_cannot_be_changed() -> None:
 
 @pytest.mark.parametrize("name", ["chair_01", "a", "7", "Chair.v2-b", "x" * 80])
 def test_safe_names_pass(name: str) -> None:
-    assert check_name(name) == name
+    assert TypeAdapter(Name).validate_python(name) == name
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", ".git", "a/b", "a b", "ü", "x" * 81, "a\n", "-x", "a\0"])
 def test_names_that_are_unsafe_as_files_do_not(name: str) -> None:
     with pytest.raises(ValueError, match="letters, digits"):
-        check_name(name)
+        TypeAdapter(Name).validate_python(name)
 
 
 def test_recordings_of_one_object_share_a_split() -> None:

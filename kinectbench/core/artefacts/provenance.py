@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from kinectbench.core.artefacts.benchmark import ReleaseFile
 from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.names import StoredCategory, unlike
 from kinectbench.core.storage import canonical_json, sha256_text
 
 LINEAGE_JSON = "lineage.json"
@@ -93,7 +94,18 @@ class ThresholdsFile(ReleaseFile):
     FILE: ClassVar[str] = THRESHOLDS_JSON
     ADVICE: ClassVar[str] = "`kinectbench score --save-thresholds` writes one"
 
-    thresholds: dict[str, float] = Field(description="category → threshold, one of 0.1, 0.15, … 0.9")
+    thresholds: dict[StoredCategory, float] = Field(
+        description="category → threshold, one of 0.1, 0.15, … 0.9"
+    )
     objects: tuple[str, ...] = Field((), description="they were found on")
     method: str | None = Field(None, description="they were found for")
     benchmark_sha256: str | None = Field(None, description="of the release they were found on")
+
+    @field_validator("thresholds")
+    @classmethod
+    def _one_spelling(cls, thresholds: dict[str, float]) -> dict[str, float]:
+        spelled: dict[str, str] = {}
+        for category in thresholds:
+            if (other := spelled.setdefault(category.lower(), category)) != category:
+                raise ValueError(unlike("categories", category, other))
+        return thresholds

@@ -18,6 +18,7 @@ from pydantic import Field
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, SHA256, ReleaseFile
 from kinectbench.core.artefacts.views import UNKNOWN_SHARE
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.names import Named, first_clash, reserved_problem
 from kinectbench.core.storage import NAME, sha256_text
 from kinectbench.core.types import Split
 from kinectbench.core.untrusted import printable
@@ -137,12 +138,18 @@ def by_recording(targets: Iterable[Target]) -> dict[str, list[Target]]:
     return found
 
 
-def check_splits(targets: Sequence[Target], where: str) -> None:
-    """Refuse an object that is in two splits.
+def check_names(targets: Sequence[Target], where: str) -> None:
+    """Refuse names that cannot stand together, a category called as a mean is, and an object in two splits.
 
     Raises:
-        ReleaseError: it names the object.
+        ReleaseError: one line that says which.
     """
+    rows = [Named(*row) for row in dict.fromkeys((t.recording, t.object, t.category) for t in targets)]
+    clash = first_clash(rows)
+    reserved = filter(None, map(reserved_problem, sorted({row.category for row in rows})))
+    problem = next(reserved, None) if clash is None else clash.problem
+    if problem is not None:
+        raise ReleaseError(f"{where}: {problem}")
     split_of: dict[str, str] = {}
     for target in targets:
         if split_of.setdefault(target.object, target.split) != target.split:

@@ -6,22 +6,23 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import Category, Name, category_problem
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Framing, Split
 from kinectbench.release.exchange.layouts import SYNSETS
-from kinectbench.settings.models import Settings, check_name
+from kinectbench.settings.models import Settings
 
 Layout = Literal["release", "recgan"]
-Categories = Annotated[tuple[str, ...], Field(strict=False)]
+Categories = Annotated[tuple[Category, ...], Field(strict=False)]
 
 
 class SynthesisSettings(Settings):
     """What to synthesise. Same settings and meshes, same bytes."""
 
-    name: str = Field("synthetic", description="name of the benchmark")
+    name: Name = Field("synthetic", description="name of the benchmark")
     license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     models: str | None = Field(None, description="folder of CAD meshes; default: parametric furniture")
     categories: Categories = Field((), description="only these; default: all there are")
@@ -43,13 +44,6 @@ class SynthesisSettings(Settings):
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
     framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
     layout: Layout = Field("release", description="release, or recgan: the paper authors' files")
-
-    _name = field_validator("name")(check_name)
-
-    @field_validator("categories")
-    @classmethod
-    def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(check_name(name) for name in names)
 
     @property
     def up_axis(self) -> Literal["y", "z"]:
@@ -129,21 +123,23 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
         raise SettingsError(f"{folder}: no {', '.join(missing) or 'models'} there; it holds {there}")
     models: dict[str, Model] = {}
     left_out = []
+    spelled: dict[str, str] = {}
     for category in sorted(categories or found):
+        if (other_case := spelled.setdefault(category.lower(), category)) != category:
+            left_out.append(LeftOut(category, f"but for case the same category as {other_case}"))
+            continue
         for entry in _entries(category, found[category]):
             if isinstance(entry, LeftOut):
                 left_out.append(entry)
-            elif entry.name in models:
-                other = models[entry.name].category
-                left_out.append(LeftOut(entry.label, f"the same name as a model of {other}"))
-            else:
-                models[entry.name] = entry
+            elif (other := models.setdefault(entry.name.lower(), entry)) is not entry:
+                same = "the same name as" if other.name == entry.name else "but for case the same name as"
+                left_out.append(LeftOut(entry.label, f"{same} a model of {other.category}"))
     return tuple(sorted(models.values())), tuple(left_out)
 
 
 def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
     """The models of one category's folder."""
-    if problem := name_problem(category):
+    if problem := category_problem(category):
         yield LeftOut(folder.name, f"a category's name: {problem}")
         return
     for path in sorted(folder.iterdir()):

@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.targets import (
     Splits,
     Target,
     benchmark_sha256,
-    check_splits,
+    check_names,
     parse_sums,
     parse_targets,
 )
@@ -208,7 +208,7 @@ def _small_file_problems(
     targets: tuple[Target, ...] = ()
     try:
         targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
-        check_splits(targets, TARGETS_CSV)
+        check_names(targets, TARGETS_CSV)
     except ReleaseError as error:
         known = TARGETS_CSV in damaged and TARGETS_CSV not in contents.entries
         lines += [] if known else [str(error)]

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
-from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.artefacts.targets import Target, check_names
 from kinectbench.core.artefacts.views import ViewName
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.storage import NAME, sha256_file, write_below
@@ -172,6 +172,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
         SettingsError: no such files there, test pairs of several numbers of views and none chosen, or `out`
             holds something else.
         PairError: a file is damaged, lacks its counterpart, or is a link out of the folder.
+        ReleaseError: names of its models and categories cannot stand together.
         StorageError: the disk is full or read-only.
     """
     exported, root = folder / EXPORT_JSON, followed(folder)
@@ -182,6 +183,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
     found = _exported(folder, content) if content.pairs else _one_view_set(_theirs(folder), folder, views)
     if not found:
         raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
+    check_names([one.target for one in found], str(folder))
     with new_folder(out, BENCHMARK_JSON) as temporary:
         targets = []
         for done, one in enumerate(found, start=1):

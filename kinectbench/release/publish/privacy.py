@@ -3,7 +3,11 @@
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import repeat
 from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel
 
 from kinectbench.core.artefacts.provenance import ColorPublished, Privacy, Removed
 from kinectbench.core.artefacts.stored import Stored
@@ -48,10 +52,18 @@ APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
 ALONE = (0x01, *range(0xD0, 0xD9))
 
 
-def scrubbed(value: Any, file: str, found: list[Removed]) -> Any:
-    """A JSON value without what tells of people and devices; what is removed is noted."""
+def scrubbed(value: Any, file: str, found: list[Removed], model: Any = None) -> Any:
+    """A JSON value without what tells of people and devices; what is removed is noted.
+
+    Args:
+        value: as JSON has it.
+        file: of the release, that it is for.
+        found: gets what is removed.
+        model: the typed value that it is of, or None: keys that its types declare are ours, and keys of a
+            mapping that they declare are data, such as categories; neither is removed for its name.
+    """
     removed: list[str] = []
-    result = _scrubbed(value, "", removed)
+    result = _scrubbed(value, "", removed, model)
     found += _rows(file, removed)
     return result
 
@@ -63,7 +75,7 @@ def scrubbed_file(stored: StoredFile, file: str, found: list[Removed]) -> Stored
         ReleaseError: without it the file is no such file any more.
     """
     removed: list[str] = []
-    value = _scrubbed(stored.json_value(), "", removed)
+    value = _scrubbed(stored.json_value(), "", removed, stored)
     found += _rows(file, removed)
     return stored.parse(pretty_json(value), file) if removed else stored
 
@@ -110,18 +122,19 @@ def _rows(file: str, removed: list[str]) -> list[Removed]:
     return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
 
 
-def _scrubbed(value: Any, key: str, removed: list[str]) -> Any:
+def _scrubbed(value: Any, key: str, removed: list[str], model: Any) -> Any:
     """The value of a key without what tells of people; what goes is added to `removed`."""
     if isinstance(value, Mapping):
-        result = {}
+        result, declared = {}, _declared(model)
         for name, child in value.items():
-            if KEYS.search(str(name)):
+            if name not in declared and KEYS.search(str(name)):
                 removed.append(f"the key '{name}'")
             else:
-                result[name] = _scrubbed(child, str(name), removed)
+                result[name] = _scrubbed(child, str(name), removed, declared.get(name))
         return result
     if isinstance(value, list):
-        return [_scrubbed(child, key, removed) for child in value]
+        parts = model if isinstance(model, list | tuple) and len(model) == len(value) else repeat(None)
+        return [_scrubbed(child, key, removed, part) for child, part in zip(value, parts, strict=False)]
     if not isinstance(value, str):
         return value
     text = PATHS.sub(lambda match: re.split(r"[/\\]", match[0].rstrip("/\\"))[-1], value)
@@ -131,6 +144,26 @@ def _scrubbed(value: Any, key: str, removed: list[str]) -> Any:
     if clean != text:
         removed.append(f"an e-mail address in '{key}'")
     return clean
+
+
+def _declared(model: Any) -> Mapping[str, Any]:
+    """The keys of JSON that a typed value declares, and the typed values below them."""
+    if isinstance(model, BaseModel):
+        fields = type(model).model_fields.items()
+        return {field.serialization_alias or name: _below(getattr(model, name)) for name, field in fields}
+    return model.entries if isinstance(model, _Entries) else {}
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """A mapping that a model declares: its keys are data."""
+
+    entries: Mapping[str, Any]
+
+
+def _below(value: Any) -> Any:
+    """The value of a declared key: of a mapping, the keys are declared, too, but not those below them."""
+    return _Entries(value) if isinstance(value, Mapping) else value
 
 
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:

@@ -289,6 +289,6 @@ def _public_settings(
         recording.pop("masks")
         if recording["split"] in hold_back:
             recording.pop("box")
-    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found)
+    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found, settings)
     # What people say of themselves here is meant to be read.
     return clean | {"publish": settings.publish.model_dump(mode="json")}

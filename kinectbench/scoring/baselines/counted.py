@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.artefacts.targets import check_splits
+from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
@@ -58,7 +58,7 @@ def score_baselines(
         StorageError: the disk is full or read-only.
     """
     check_words(protocols or tuple(PROTOCOLS), upsampling)
-    check_splits(release.targets, str(release.folder))
+    check_names(release.targets, str(release.folder))
     pairs_to_score(release, thresholds_file)
     counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
     names = possible_baselines(release)
