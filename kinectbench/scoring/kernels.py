@@ -26,7 +26,7 @@ _ROW = 1024
 _CELLS = np.uint32(21 * CODES)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Packed) -> Int64:
     """Histogram a float16 prediction.
 
@@ -55,7 +55,7 @@ def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Pa
     return counts.reshape(HALF_PATTERNS, CODES)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _ones(word: np.uint64) -> np.uint64:
     """Number of set bits (the usual sideways addition; LLVM makes it vector code)."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -64,7 +64,7 @@ def _ones(word: np.uint64) -> np.uint64:
     return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
     """Histogram a packed boolean prediction: (2, 8), how many voxels have each value and code.
 
@@ -88,7 +88,7 @@ def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64
     return counts
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def count_reals(
     values: NDArray[np.floating],
     full: Packed,
@@ -154,7 +154,7 @@ def count_reals(
     ce_sum -= np.log(product)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _bins_of(values: NDArray[np.floating], steps: int, rows: NDArray[np.uint8]) -> None:
     """For each value the row of `bins` that counts it, times 8."""
     for i in range(len(values)):

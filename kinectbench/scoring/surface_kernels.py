@@ -121,7 +121,7 @@ def nearest(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
     return found[0], found[1]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _sorted_cells(packed):  # type: ignore[no-untyped-def]
     """`index`, `start` and `box` of the set cells."""
     counts = np.zeros(_SIDE**3 + 1, np.int64)
@@ -159,7 +159,7 @@ def _sorted_cells(packed):  # type: ignore[no-untyped-def]
     return index, start, box
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _nearest(query, query_start, query_box, target, target_start, target_box):  # type: ignore[no-untyped-def]
     """(2, n): squared distance and position of the nearest target of every query; `target_box` is (6, b)."""
     nearest = np.empty((2, len(query)), np.int32)
@@ -194,7 +194,7 @@ def _nearest(query, query_start, query_box, target, target_start, target_box):  
     return nearest
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
     """Bounds of the squared distance between the cells of a box and those of each of `boxes` (6, b).
 
@@ -211,7 +211,7 @@ def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
             most[n] += span * span
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _to_box(x, y, z, boxes, n):  # type: ignore[no-untyped-def]
     """Squared distance from a cell to box n."""
     zero = np.int32(0)
@@ -221,7 +221,7 @@ def _to_box(x, y, z, boxes, n):  # type: ignore[no-untyped-def]
     return np.int32(a * a + b * b + c * c)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _squared(x, y, z, cell):  # type: ignore[no-untyped-def]
     """Squared distance between two cells."""
     a, b, c = x - (cell >> 16), y - (cell >> 8 & 255), z - (cell & 255)
@@ -251,7 +251,7 @@ def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
     return _moments(np.ascontiguousarray(solid), cells)  # type: ignore[no-any-return]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def agreement(first, second, found):  # type: ignore[no-untyped-def]
     """(n,) float64: |n . n'| of moments (n, 3) and of the rows `found` of others; of zeros see `Matched`."""
     cosines = np.empty(len(first))
@@ -267,7 +267,7 @@ def agreement(first, second, found):  # type: ignore[no-untyped-def]
     return cosines
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _moments(solid, cells):  # type: ignore[no-untyped-def]
     """(n, 3) int16: the sum of the offsets of the occupied cells around each cell, at most 49 * 6."""
     moments = np.zeros((len(cells), 3), np.int16)

@@ -124,7 +124,7 @@ def _ascending(stamps_s: Float64) -> Float64:
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
     """A point (x, y, 1) / over_z of the middle as seen `since_s` later, times over_z."""
     half_s = 0.5 * since_s

@@ -183,7 +183,7 @@ def _voxel(level, start, n):  # type: ignore[no-untyped-def]
     return np.int64(known[np.uint32(x), np.uint32(y), np.uint32(z)])
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _centre(M, i, j, k):  # type: ignore[no-untyped-def]
     """A cell's centre (x, y, z) in voxels of a label grid."""
     u, v, w = i + 0.5, j + 0.5, k + 0.5

@@ -78,7 +78,7 @@ def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
     return first.reshape(nu, nv), last.reshape(nu, nv)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _mark_enclosed(x_first, x_last, y_first, y_last, z_first, z_last, packed):  # type: ignore[no-untyped-def]
     """Set the cells that lie between in all three rows they are in."""
     nx, ny = z_first.shape

@@ -6,7 +6,7 @@ from numba import njit
 from kinectbench.core.types import Float64, Int64
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def expand_rows(plane: Float64, lower: Int64, upper: Int64, weight: Float64) -> Float64:
     """Interpolate a plane along its last axis.
 
@@ -28,7 +28,7 @@ def expand_rows(plane: Float64, lower: Int64, upper: Int64, weight: Float64) -> 
     return rows
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def plane_between(
     first: Float64, second: Float64, share: float, lower: Int64, upper: Int64, weight: Float64, out: Float64
 ) -> None:
@@ -50,7 +50,7 @@ def plane_between(
         _blend(rows[lower[i]], rows[upper[i]], weight[i], out[i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _blend(first: Float64, second: Float64, weight: float, out: Float64) -> None:
     """`out = first * (1 - weight) + second * weight`, cell by cell."""
     rest = 1.0 - weight

@@ -146,7 +146,7 @@ def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
     return ALL if least == first + BLOCK else NONE
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _set_cells(block, reach, columns, rows, first):  # type: ignore[no-untyped-def]
     """The bytes (8, 8) of a block, cell by cell along z."""
     for a in range(BLOCK):

@@ -74,7 +74,7 @@ def crossings(fixed, faces, axes, start, shape, touching):  # type: ignore[no-un
     return lines[:count], heights[:count], signs[:count]
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True, nogil=True, inline="always")
 def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
     """The first and the last of `count` lines that may cross a triangle, along one axis."""
     low = min(fixed[a, u], fixed[b, u], fixed[c, u]) - start
@@ -83,7 +83,7 @@ def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
     return max(0, -((-low) >> SUBCELL_BITS)), min(count - 1, high >> SUBCELL_BITS)
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True, nogil=True, inline="always")
 def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
     """A triangle's corners as (x, y, z) along u, v, w, turned to look up w; its area x 2; its sign."""
     u, v, w = axes
@@ -97,7 +97,7 @@ def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
 
 
 # Inlined, because a call counts references to its arrays, which takes longer than the work.
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _cross(corners, i0, i1, j0, j1, nv, touching, count, lines, heights, signs):  # type: ignore[no-untyped-def]
     """Add one triangle's crossings with the lines [i0, i1] x [j0, j1]; returns the new count."""
     ax, ay, az, bx, by, bz, cx, cy, cz, area, sign = corners
@@ -183,7 +183,7 @@ def _fill(fixed, faces, nx, ny, nz):  # type: ignore[no-untyped-def]
     return packed
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True, nogil=True, inline="always")
 def _set(row, begin, end):  # type: ignore[no-untyped-def]
     """Set the bits [begin, end) of a packed row."""
     while begin < end and begin & 7:

@@ -70,7 +70,7 @@ def _pixels_to(camera: Camera, T_then_now: Float64) -> Float64:
     return np.column_stack([turned, K @ T_then_now[:3, 3]])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _smear(color_rgb, depth_m, homographies, grain, gain):  # type: ignore[no-untyped-def]
     """Average along streaks, times the gain, plus grain; see `expose`."""
     height, width = depth_m.shape
@@ -100,12 +100,12 @@ def _smear(color_rgb, depth_m, homographies, grain, gain):  # type: ignore[no-un
     return smeared
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _level(value):  # type: ignore[no-untyped-def]
     return np.uint8(min(max(value, np.float32(0)), np.float32(255)) + np.float32(0.5))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _streaks(before, after, v, depth_m, streaks):  # type: ignore[no-untyped-def]
     """From where each pixel's point of row v was before to where it is after, (width, 2) pixels (du, dv)."""
     one, y = np.float32(1), np.float32(v)

@@ -28,7 +28,7 @@ DISTORTION_WAVES = 4
 DISTORTION_AT_M, DISTORTION_SHARE = 4.0, 0.004
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
     """Which pixels the projector reaches, by a depth buffer along its own columns (exact but for rounding).
 
@@ -66,7 +66,7 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
     return lit
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-untyped-def]
     """Which pixel's surface is measured in each pixel: its own, or across an edge one drawn nearby.
 
@@ -97,7 +97,7 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
     return source
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-untyped-def]
     """Depth as reported, (height, width) float32 metres, 0 = no measurement; see `kinect.measure`.
 
@@ -138,14 +138,14 @@ def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-
     return reported
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _lateral_sigma_px(cosine):  # type: ignore[no-untyped-def]
     """Standard deviation of an edge's place in the image, pixels (Nguyen et al. 2012, eq. 1)."""
     angle = np.arccos(max(cosine, STEEPEST_COS))
     return 0.8 + 0.035 * angle / (np.pi / 2 - angle)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
     """Standard deviation of depth, metres (Nguyen et al. 2012, eq. 3 and 4), before disparity is rounded.
 
@@ -158,7 +158,7 @@ def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
     return np.sqrt(max(sigma**2 - (z * z / scale) ** 2 / np.float32(12), np.float32(0)))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _margin(z, cosine, albedo, noise, sunlight):  # type: ignore[no-untyped-def]
     """How strong the pattern is, in standard deviations of what is needed.
 

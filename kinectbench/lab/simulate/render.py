@@ -89,7 +89,7 @@ def pixel_rays(camera: Camera, T_room_camera: Float64) -> Float32:
     return np.asarray(_rays(size, lens, np.ascontiguousarray(T_rows, dtype=np.float64)))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _rays(size, lens, T_rows):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = lens
     rays = np.empty((size[0], size[1], 6), np.float32)
@@ -105,7 +105,7 @@ def _rays(size, lens, T_rows):  # type: ignore[no-untyped-def]
     return rays
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
     """Look of every hit: Lambert's law with one far light, times the texture at the point in the room.
 
@@ -148,7 +148,7 @@ def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-unt
     return Rendering(depth_m, color, mask, cosine, albedo)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[no-untyped-def]
     """Light, incidence, and coordinates along the two room axes that span the surface."""
     for u in range(len(depth_m)):
@@ -166,7 +166,7 @@ def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[
         light[u] = AMBIENT + (np.float32(1) - AMBIENT) * lit
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
     """The texture between its pixels, bilinear and periodic."""
     wrap, one = TEXTURE_PX - 1, np.float32(1)
@@ -182,7 +182,7 @@ def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
         noise[u] = (one - t) * upper + t * lower
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _tile_row(plane_m, row, looks, image, noise):  # type: ignore[no-untyped-def]
     """Noise to a factor around 1, with the tiles' dark joints and different shades."""
     for u in range(len(noise)):

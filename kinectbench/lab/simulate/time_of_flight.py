@@ -213,7 +213,7 @@ def measure_time_of_flight(
     return np.asarray(_report(exact_m, around_m, returned, (sensor, device.sunlight), (drawn, weak)))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-untyped-def]
     """Depth as reported, (height, width) float32 metres, 0 = no measurement; see `measure_time_of_flight`."""
     light, weighted, albedo, offset_m = returned
@@ -271,7 +271,7 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
     return np.asarray(_patch_rows(depth_m, albedo, lens, step, (rows, columns))), (rows, columns)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-def]
     """See `_patches`. A normal is of the plane through the pixel and its neighbours of like depth."""
     fx, fy, cx, cy = lens
@@ -312,7 +312,7 @@ def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-d
     return patches
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
     """How much farther along z each receiver seems, (n,) float32 metres; see `multipath_m`."""
     late_m = np.zeros(len(receivers), np.float32)
@@ -341,7 +341,7 @@ def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
     return late_m
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
     """Values of patches to all pixels, between those of the four patches around that lie at a like depth."""
     rows, columns = late_m.shape

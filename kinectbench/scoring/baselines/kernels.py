@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from kinectbench.core.types import Bools, Float64, Int64
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def sweep_plane(
     hit: Bools,
     plane: Bools,
@@ -48,7 +48,7 @@ def sweep_plane(
                 cells[y] |= rays[column_ray[y]] & column_within[y]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def mirror_gain(
     points: Float64, along: Float64, normal: Float64, offset: float, block: int, gain: NDArray[np.int8]
 ) -> int:

@@ -21,7 +21,7 @@ def _table() -> NDArray[np.uint32]:
     return values
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _remainder(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> np.uint32:
     """The plain CRC of some bytes (n,)."""
     crc = np.uint32(0xFFFFFFFF)

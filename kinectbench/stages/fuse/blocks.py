@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Float32, Float64, Int32, Int64
+from kinectbench.core.voxels.morphology import cell_numbers
 
 BLOCK_VOXELS = 8
 # Blocks are stored in cubes of 2 x 2 x 2.
@@ -82,7 +83,9 @@ def in_cubes(blocks: Int32, values: NDArray[Scalar]) -> tuple[Int32, NDArray[Sca
     Returns:
         Coordinates (m, 3) of the cubes, sorted, and their values (m, 16, 16, 16); 0 in blocks there are not.
     """
-    cubes, row = np.unique(blocks // CUBE_BLOCKS, axis=0, return_inverse=True)
+    of_blocks = blocks // CUBE_BLOCKS
+    _, first, row = np.unique(cell_numbers(of_blocks), return_index=True, return_inverse=True)
+    cubes = of_blocks[first]
     x, y, z = (blocks % CUBE_BLOCKS).T
     grouped = np.zeros((len(cubes), *(CUBE_BLOCKS, BLOCK_VOXELS) * 3), values.dtype)
     grouped[row.reshape(-1), x, :, y, :, z, :] = values

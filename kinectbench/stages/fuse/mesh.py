@@ -8,6 +8,7 @@ from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
+from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.core.voxels.observation import evident_weight, without_fringe
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 
@@ -27,7 +28,8 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
         min_weight: voxels of less weight (`evident_weight`, 1/mm^2) count as not observed.
         trust: what part of the votes is believed, `trust_in_votes`.
     """
-    bricks = np.unique(volume.blocks // BRICK_BLOCKS, axis=0)
+    of_blocks = volume.blocks // BRICK_BLOCKS
+    bricks = of_blocks[np.unique(cell_numbers(of_blocks), return_index=True)[1]]
     parts, offset = [], 0
     vertices, faces = [], []
     free_votes, surface_votes = volume.free, volume.surface

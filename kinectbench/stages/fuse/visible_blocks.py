@@ -141,7 +141,7 @@ def _visible(  # type: ignore[no-untyped-def]
     return seen
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-untyped-def]
     """First and last tile that coordinates from low to high project to, by one over nearest and farthest."""
     first = focal * min(low * by_near, low * by_far) + middle - 0.5
@@ -149,7 +149,7 @@ def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-
     return int(max(first, 0.0)) // TILE_PX, int(np.floor(min(last, count - 1.0) / TILE_PX))
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
     """Whether something was measured at this depth or beyond in these tiles."""
     for row in range(top, bottom + 1):

@@ -8,11 +8,12 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
+from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.doubts import FINE_CELL_M
 from kinectbench.stages.segment.find_object import Scene, find_object, find_scene
 from kinectbench.stages.segment.floor import floor_cut_m
-from kinectbench.stages.segment.select import CELL_M, cell_numbers, fit_box, label_pieces, spacing_m, standing
+from kinectbench.stages.segment.select import CELL_M, fit_box, label_pieces, spacing_m, standing
 from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
 
 # Cells and whether they must share a face: what touches in the first may come apart in the next ones.

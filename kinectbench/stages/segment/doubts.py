@@ -6,7 +6,8 @@ import numpy as np
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
-from kinectbench.stages.segment.select import cell_numbers, label_pieces, nearest_within, standing
+from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.stages.segment.select import label_pieces, nearest_within, standing
 
 MAX_EXTENT_M = 2.5
 # Parts of at least this share of the largest one's surface are things of their own.

@@ -13,6 +13,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, watch_some
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.floor import Floor, find_floor
 from kinectbench.stages.segment.floor_planes import MIN_PLANE_POINTS
 from kinectbench.stages.segment.planes import floor_frame
@@ -206,7 +207,7 @@ def _largest(points: Float64) -> Float64:
     if not len(points):
         return points
     cells = np.floor(points / CELL_M).astype(np.int64)
-    _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    _, cell, counts = np.unique(cell_numbers(cells), return_inverse=True, return_counts=True)
     points = points[counts[cell.reshape(-1)] >= MIN_POINTS]
     if not len(points):
         return points

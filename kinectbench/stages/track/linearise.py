@@ -132,7 +132,7 @@ def _correlation(products: Float64, exposure: Float64) -> float:
     return float((n * st - s * t) / np.sqrt(spread)) if spread > 1e-9 else 0.0
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _within(error, variance, slack):  # type: ignore[no-untyped-def]
     """Whether an error is no larger than three standard deviations and some slack."""
     beyond = abs(error) - slack

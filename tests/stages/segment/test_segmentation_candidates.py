@@ -16,6 +16,7 @@ from kinectbench.core.artefacts.object import CandidatesFile
 from kinectbench.core.artefacts.trajectory import FrameHealth
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
+from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.edit import box_line
 from kinectbench.settings.models import BoxSettings
@@ -33,7 +34,7 @@ from kinectbench.stages.segment.doubts import (
     things_beside,
 )
 from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.select import cell_numbers, nearest_within
+from kinectbench.stages.segment.select import nearest_within
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.

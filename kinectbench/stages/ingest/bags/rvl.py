@@ -56,7 +56,7 @@ def encode_rvl(depth: NDArray[np.uint16]) -> bytes:
     return HEADER.pack(depth.shape[1], depth.shape[0]) + words.astype("<u4").tobytes()
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _number(words: NDArray[np.uint32], nibble: int) -> tuple[int, int]:
     """The number that begins at a nibble, and the nibble after it; -1 if the words end before it does."""
     value, shift = 0, 0
@@ -70,7 +70,7 @@ def _number(words: NDArray[np.uint32], nibble: int) -> tuple[int, int]:
     return -1, nibble
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _decode(words: NDArray[np.uint32], depth: NDArray[np.uint16]) -> bool:
     position, nibble, previous = 0, 0, 0
     while position < len(depth):
@@ -92,7 +92,7 @@ def _decode(words: NDArray[np.uint32], depth: NDArray[np.uint16]) -> bool:
     return True
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _put(nibbles: NDArray[np.uint8], count: int, value: int) -> int:
     while True:
         bits = value & 7
@@ -103,7 +103,7 @@ def _put(nibbles: NDArray[np.uint8], count: int, value: int) -> int:
             return count
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _encode(depth: NDArray[np.uint16], nibbles: NDArray[np.uint8]) -> int:
     position, count, previous = 0, 0, 0
     while position < len(depth):
