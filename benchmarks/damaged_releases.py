@@ -222,9 +222,10 @@ def _of_metadata(row: dict[str, str]) -> Iterator[Damage]:
     recording = row["recording"]
     split = "train" if row["split"] != "train" else "test"
     quality, views = f"objects/{recording}/quality.json", f"views/{recording}/views.json"
+    shared = {"object": "other", "category": row["category"]}
     yield Damage(
         "an object in two splits",
-        lambda f: edit_targets(f, 0, object="other", more={-1: {"object": "other", "split": split}}),
+        lambda f: edit_targets(f, 0, object="other", more={-1: {**shared, "split": split}}),
         (
             "targets.csv: object 'other' is in two splits",
             "targets.csv, line",

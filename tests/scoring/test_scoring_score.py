@@ -162,7 +162,7 @@ def test_refusals(release: Release, method: Path, tmp_path: Path) -> None:
     with pytest.raises(ReleaseError, match="no pair in the test split"):
         score(Release(release.folder, train, release.metadata), method, method="x")
     shared = tuple(
-        Target(t.recording, "same", t.view, t.category, t.split, t.file, t.sha256) for t in release.targets
+        Target(t.recording, "same", t.view, "chair", t.split, t.file, t.sha256) for t in release.targets
     )
     with pytest.raises(ReleaseError, match="object 'same' is in two splits"):
         score(Release(release.folder, shared, release.metadata), method, method="x")

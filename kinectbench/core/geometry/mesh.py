@@ -156,6 +156,9 @@ def _open3d() -> Any:
     name = "open3d.visualization.draw_plotly"
 
     def later(function: str) -> Callable[..., Any]:
+        if function.startswith("__"):  # such as __file__, which `inspect` asks every module for
+            raise AttributeError(function)
+
         def call(*args: Any, **named: Any) -> Any:
             sys.modules.pop(name, None)
             return getattr(importlib.import_module(name), function)(*args, **named)

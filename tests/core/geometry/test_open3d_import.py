@@ -9,6 +9,8 @@ import numpy as np
 from kinectbench.core.geometry.mesh import isosurface
 isosurface(np.linalg.norm(np.indices((5, 5, 5)) - 2.0, axis=0).astype(np.float32), level=1.0)
 assert "open3d" in sys.modules and not {"dash", "plotly"} & set(sys.modules)
+import inspect
+assert inspect.getsource(isosurface).startswith("def isosurface")  # which asks every module for its file
 import open3d
 print(type(open3d.visualization.get_plotly_fig([open3d.geometry.TriangleMesh.create_box()])).__name__)
 """
