@@ -64,7 +64,7 @@ def test_a_held_interrupt_outlasts_what_fails_by_it(
 
 # A mutex that is locked twice: a library that computes for ever, and gives Python's lock back meanwhile.
 COMPUTES = """
-import ctypes, sys
+import ctypes, threading, sys
 from pathlib import Path
 from kinectbench.cli.main import _end_unanswered
 from kinectbench.core.storage import replaced_folder
@@ -74,7 +74,8 @@ interrupts.ANSWER_S = 0.2
 with interrupts.interrupts_remembered(_end_unanswered), replaced_folder(Path(sys.argv[1])):
     mutex = ctypes.create_string_buffer(64)
     lock = ctypes.CDLL(None).pthread_mutex_lock
-    print("computes", flush=True)
+    # By another thread, once this one is where no signal is seen.
+    threading.Timer(0.5, lambda: print("computes", flush=True)).start()
     lock(mutex)
     lock(mutex)
 """
