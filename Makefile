@@ -28,10 +28,10 @@ demo: setup ## a whole benchmark from a real and simulated recordings: build, pu
 	@cd demo && echo "demo: scoring it, and simple methods beside it" && $(KINECTBENCH) score predictions --no-surface
 	@rm -r demo/predictions && echo "demo: removed demo/predictions, whose probabilities take 25 MB a view"
 
-test: setup lint types docs ## all checks: ruff, mypy, the documentation's links, pytest
+test: setup lint types docs ## the checks of each change: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2 -m "not slow"
 
-test-all: setup lint types docs ## all checks with further cases of the same promises; twice as long
+test-all: setup lint types docs ## the same with further cases of the same promises
 	@$(BIN)/pytest -n 2
 
 MINUTES ?= 20

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.trajectory.association import pairing_tolerance_ns
+from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.doctor.color import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
@@ -73,14 +74,7 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
     best = int(np.argmax(scores))
     if not scores[best] > LEAST_CORRELATION or best in (0, len(lags_ns) - 1):
         return None
-    return round(float(lags_ns[best]) + beside(scores, best) * STEP_NS)
-
-
-def beside(values: NDArray[np.float64], best: int) -> float:
-    """By how many steps the parabola through the best value and its neighbours is best beside it."""
-    before, here, after = values[best - 1 : best + 2]
-    bend = before - 2 * here + after
-    return float(np.clip(0.5 * (before - after) / bend, -1, 1)) if bend else 0.0
+    return round(float(lags_ns[best]) + steps_to_vertex(scores, best) * STEP_NS)
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
@@ -160,7 +154,7 @@ def check_color_drift(look: Look) -> Iterator[Finding]:
         f"apart by {abs(a_minute_ms):.0f} ms a minute"
     )
     advice = (
-        "record both with one clock, or write colour's stamps anew: take off what it is late, which grows so"
+        "record both with one clock, or correct colour's stamps by the delay, which grows as said"
         if len(look.recording.recorded_stamps_ns[1]) and not look.counts_frames
         else "each stream counts its own frames: name the images by their time stamps, which then pair them"
     )

@@ -7,13 +7,16 @@ from numpy.typing import NDArray
 
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
-from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, beside, clock_ns, offset_in_words
+from kinectbench.core.trajectory.clock_offset import steps_to_vertex
+from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import Pair, Reading, frames_of, pair_disagreement
 from kinectbench.doctor.look import Look
 
+# Half a second either way: clocks that were set to each other by the network (own choice).
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
-# Around the best of these, and how many steps from the least a parabola is laid through.
+# Around the best of these in finer steps, more than two coarse ones either way; the parabola is fitted to the
+# least and four steps either way, as a single step is within the noise of the costs (own choices).
 FINE_STEP_NS = 10_000_000
 FINE_NS = np.arange(-12, 13) * FINE_STEP_NS
 ARM = 4
@@ -23,6 +26,7 @@ BETTER = 0.93
 # poses of five recordings by 20 and by 30 ms moves what is found by as much, to 2 ms; unmoved they fit at
 # most 1.2 % better elsewhere, but those of freiburg1_xyz, whose depth lags the motion capture, by 21 %.
 LEAST_FINE_NS, AGREED_NS = 15_000_000, 10_000_000
+# Of fewer pairs nothing is said, and poses farther apart than this are not bridged (own choices).
 LEAST_PAIRS = 4
 MAX_GAP_S = 0.2
 
@@ -41,7 +45,7 @@ def check_trajectory_delay(
     if look.counts_frames:
         which = "late" if delay_ns > 0 else "early"
         what = f"the given poses are {abs(delay_ns) * ASSUMED_HZ / 1e9:.0f} frames {which}"
-        advice = "number them anew"
+        advice = "number them again"
     yield Finding("trajectory_delay", "warning", what, look.where, advice)
 
 
@@ -82,7 +86,7 @@ def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
     best, still = int(np.argmin(means)), len(LAGS_NS) // 2
     if best in (0, len(LAGS_NS) - 1) or means[best] > BETTER * means[still]:
         return 0 if best == still else None
-    return round(float(LAGS_NS[best]) + beside(means, best) * float(LAGS_NS[1] - LAGS_NS[0]))
+    return round(float(LAGS_NS[best]) + steps_to_vertex(means, best) * float(LAGS_NS[1] - LAGS_NS[0]))
 
 
 def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:

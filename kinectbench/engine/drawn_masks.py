@@ -24,6 +24,8 @@ from kinectbench.stages.ingest.sequence_folder import read_sequence
 from kinectbench.stages.sample_views.masks import MaskName, first_of, mask_name
 
 UNKNOWN = "nobody knows which image it was drawn on"
+# While masks change names each has one of its own: its old name between these.
+CARRIED = (".", ".carried")
 
 
 class Carried(NamedTuple):
@@ -60,10 +62,17 @@ class DrawnMasks:
 
         Raises:
             StorageError: masks.json is damaged.
+            SettingsError: a run that renamed masks was killed, and some have no name of a mask.
         """
         folder = job.masks or job.unused_masks
         if folder is None or not folder.is_dir():
             return None
+        if lost := sorted(path.name for path in folder.glob("*".join(CARRIED))):
+            called = lost[0].removeprefix(CARRIED[0]).removesuffix(CARRIED[1])
+            raise SettingsError(
+                f"{folder}: --carry-masks was stopped while it renamed {len(lost)} masks; give them their "
+                f"names again, such as {called} to {lost[0]}"
+            )
         by_frames = job.recording.segment_by == "masks"
         found = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed(folder))
         names = {file: name for file, name in sorted(found) if name is not None}
@@ -184,9 +193,9 @@ class DrawnMasks:
     def _rename(self, moves: Mapping[str, str]) -> None:
         """Give files their new names; one may take the name that another still has."""
         for file in moves:
-            (self.folder / file).rename(self.folder / f".{file}.carried")
+            (self.folder / file).rename(self.folder / file.join(CARRIED))
         for file, new in moves.items():
-            (self.folder / f".{file}.carried").rename(self.folder / new)
+            (self.folder / file.join(CARRIED)).rename(self.folder / new)
         self._write({moves.get(file, file): digest for file, digest in self.entries.items()}, moves)
 
     def _is(self, file: str, sequence: Sequence, frame: int) -> bool:
@@ -202,7 +211,7 @@ class DrawnMasks:
     def _refusal(self, what: str) -> SettingsError:
         return SettingsError(
             f"{self.folder}: {what}; `kinectbench segment {self.recording} --carry-masks` names masks by the "
-            f"frames that they were drawn on (drawn anew since? remove their lines from {MasksFile.FILE})"
+            f"frames that they were drawn on (drawn again since? remove their lines from {MasksFile.FILE})"
         )
 
 

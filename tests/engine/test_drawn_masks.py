@@ -11,11 +11,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from small_benchmark import Run, copied
+from small_benchmark import YAML, Run, copied
 
 from kinectbench.core.artefacts.views import MasksFile, ViewsFile
 from kinectbench.core.errors import SettingsError
 from kinectbench.engine.drawn_masks import DrawnMasks, image_digest
+from kinectbench.engine.stages import Job
+from kinectbench.settings.file import load_benchmark
 from kinectbench.stages.sample_views.masks import mask_name
 
 Command = Callable[..., Run]
@@ -66,6 +68,16 @@ def test_a_mask_of_a_frame_without_a_build_is_that_frames_from_then_on(tmp_path:
 def test_a_mask_of_a_view_without_a_build_is_nobodys(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"003.exclude.png: nobody knows .* frame_<index>.exclude.png"):
         drawn(tmp_path / "masks", {"003.exclude.png": None}).check_known()
+
+
+def test_masks_whose_renaming_was_killed_are_not_dropped(tmp_path: Path) -> None:
+    (tmp_path / "benchmark.yaml").write_text(YAML)
+    settings = load_benchmark(tmp_path / "benchmark.yaml", ["recordings.chair.masks=masks"])
+    job = Job(settings, settings.recordings[0], tmp_path)
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / ".frame_000001.png.carried").touch()
+    with pytest.raises(SettingsError, match=r"renamed 1 masks; .* frame_000001.png to .frame_000001.png.car"):
+        DrawnMasks.of(job)
 
 
 X1 = "frame_000001.exclude.png"

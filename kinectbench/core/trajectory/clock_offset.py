@@ -16,6 +16,7 @@ from kinectbench.core.types import Float64, Int64
 # Lags that are tried (own choice): clocks that were set to each other by hand or by the network.
 STEP_NS = 10_000_000
 LAGS_NS = np.arange(-20, 21) * STEP_NS
+# Either half of them has six then, and an alignment has six unknowns (own choice).
 LEAST_FRAMES = 12
 # Positions this far apart are bridged, or this many usual steps, as for a look at a recording.
 BRIDGED_S, BRIDGED_STEPS = 0.2, 2.5
@@ -80,10 +81,22 @@ def _best_ns(squares: Float64) -> int | None:
     best = int(np.argmin(means))
     if best in (0, len(means) - 1):
         return None
-    before, here, after = means[best - 1 : best + 2]
+    return int(LAGS_NS[best]) + round(steps_to_vertex(means, best) * STEP_NS)
+
+
+def steps_to_vertex(values: Float64, best: int) -> float:
+    """How many steps from the best of even values the parabola through it and its neighbours has its vertex.
+
+    Args:
+        values: (n,), least or most at `best`.
+        best: neither the first nor the last.
+
+    Returns:
+        In [-1, 1]; 0 where the three lie on a line.
+    """
+    before, here, after = values[best - 1 : best + 2]
     bend = before - 2 * here + after
-    beside = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    return int(LAGS_NS[best]) + round(float(beside) * STEP_NS)
+    return float(np.clip(0.5 * (before - after) / bend, -1, 1)) if bend else 0.0
 
 
 def _squares(frames_ns: Int64, positions: Float64, reference: GivenTrajectory, lags_ns: Int64) -> Float64:

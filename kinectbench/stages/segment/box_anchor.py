@@ -21,7 +21,7 @@ from kinectbench.settings.edit import box_line
 from kinectbench.stages.segment.candidates import SAME_M
 from kinectbench.stages.segment.floor import Floor
 
-ANEW = "choose one anew by `kinectbench segment --suggest`"
+CHOOSE = "choose it again by `kinectbench segment --suggest`"
 
 
 def anchor_of(floor: Floor, trajectory: Trajectory) -> BoxAnchor:
@@ -52,7 +52,7 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     known = frame < len(trajectory.T_world_camera) and np.isfinite(trajectory.T_world_camera[frame]).all()
     if not known:
         raise SegmentationError(
-            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {ANEW}"
+            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {CHOOSE}"
         )
     T_floor_camera = floor.T_floor_world @ trajectory.T_world_camera[frame]
     T_now_then = T_floor_camera @ invert_rigid(_matrix(was))
@@ -69,7 +69,7 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     place = f"for the same place now write `{line}`, or " if upright else ""
     raise SegmentationError(
         "the box in benchmark.yaml was chosen in another floor frame, of another trajectory or plane: by "
-        f"frame {frame} it would be {moved_m:.2f} m off; {place}{ANEW}"
+        f"frame {frame} it would be {moved_m:.2f} m off; {place}{CHOOSE}"
     )
 
 

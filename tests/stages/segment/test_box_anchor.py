@@ -70,7 +70,7 @@ def test_on_another_plane_it_is_refused() -> None:
     box = yaml.safe_load(str(told.value).split("`")[1])["box"]
     assert box["center_m"] == [0.4, 1.5, -0.25]
     # A wall: no upright box is the same place.
-    with pytest.raises(SegmentationError, match=r"m off; choose one anew by"):
+    with pytest.raises(SegmentationError, match=r"m off; choose it again by"):
         check_anchor(chosen(), *scene(plane_world=(1, 0, 0, 2)))
 
 
