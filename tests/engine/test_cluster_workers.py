@@ -73,8 +73,10 @@ def test_recordings_on_processes_give_the_same_bytes_and_a_deadly_one_fails_alon
     assert (tmp_path / "elsewhere" / "build" / "chair" / "failed.json").is_file()
     assert outcomes[1].error is None and outcomes[1].made == ("ingest", "pairs")
     assert hashes(root / "build" / "table") == hashes(small / "build" / "table")
-    assert all(line.startswith("chair: its worker") for line in listener.warnings), listener.warnings
-    assert sum("tried once more at the end, alone" in line for line in listener.warnings) == 1
+    # The table's result may have been on the worker that the chair killed: it is made again, and told.
+    assert all(": its worker" in line for line in listener.warnings), listener.warnings
+    alone = [line for line in listener.warnings if "tried once more at the end, alone" in line]
+    assert len(alone) == 1 and alone[0].startswith("chair: "), listener.warnings
 
 
 def test_a_dashboard_is_told_where_it_answers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.planes import (
     FLAT_COSINE,
     INLIER_M,
@@ -233,11 +234,9 @@ def _figures(
     """
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
-    cell = np.floor(local[:, :2] / (2 * surface.spacing_m)).astype(np.int64)
-    cell -= cell.min(axis=0)
-    covered = np.zeros(cell.max(axis=0) + 1, dtype=bool)
-    covered[tuple(cell[inliers].T)] = True
-    under = below & covered[tuple(cell.T)]
+    # Numbers of cells, not a grid: one pose that is kilometres off would make it too large for the memory.
+    cell = cell_numbers(np.floor(local[:, :2] / (2 * surface.spacing_m)).astype(np.int64))
+    under = np.isin(cell[below], cell[inliers])
     above = cameras_world @ plane[:3] + plane[3] > MIN_CAMERA_HEIGHT_M
     return float(inliers.mean()), float(above.mean()), float(below.mean()), float(under.sum() / inliers.sum())
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from analytic_scenes import ring
+from bounds import within
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
@@ -72,6 +73,16 @@ def test_same_seed_same_floor():
     points, normals = room()
     one, two = (found_in("tilted", points, normals) for _ in range(2))
     np.testing.assert_array_equal(one.plane_world, two.plane_world)
+
+
+def test_a_point_kilometres_away_costs_no_memory():
+    """As of one frame whose pose is far off."""
+    points, normals = room()
+    far = np.append(points, [[3e5, -4e5, 0.0]], axis=0), np.append(normals, [[0.0, 0.0, 1.0]], axis=0)
+    with within(20, megabytes=200):
+        floor = found_in("tilted", *far)
+    up = WORLDS["tilted"][:3, 2]
+    assert np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ up))) < 0.5
 
 
 def test_no_floor():
