@@ -105,7 +105,7 @@ def inspect(
     """Say in seconds what is wrong with a recording, and what to do about it; nothing is built."""
     from kinectbench.cli import console
     from kinectbench.doctor import inspect as look_over
-    from kinectbench.settings.models import CameraSettings
+    from kinectbench.settings.models import CameraSettings, TrackingSettings
     from kinectbench.settings.overrides import settings_from_options
 
     known = _of_benchmark(recording)
@@ -121,6 +121,8 @@ def inspect(
         own_pixels=known is not None and known.segment_by is not None,
         plane_world=known.plane_world if known else None,
         boxed=known is not None and known.box is not None,
+        tracking=Common().settings.tracking if known else TrackingSettings(),
+        refined=known is not None and known.trajectory_mode == "refine",
         follow_links=follow_links or (known is not None and known.follow_links),
     )
     if page is not None:

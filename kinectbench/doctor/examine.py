@@ -23,10 +23,11 @@ from kinectbench.doctor.depth import (
 )
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.floor import Ground, check_floor, seen_floor
+from kinectbench.doctor.grade import check_grade
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
-from kinectbench.settings.models import CameraSettings, FusionSettings, Vector4
+from kinectbench.settings.models import CameraSettings, FusionSettings, TrackingSettings, Vector4
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
@@ -78,6 +79,8 @@ def inspect(
     follow_links: bool = False,
     plane_world: Vector4 | None = None,
     boxed: bool = False,
+    tracking: TrackingSettings | None = None,
+    refined: bool = False,
 ) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
@@ -90,6 +93,8 @@ def inspect(
         follow_links: links in it are followed, as benchmark.yaml may say.
         plane_world: it gives the plane that the object stands on.
         boxed: it gives a box around the object: no floor is needed.
+        tracking: by which a given trajectory is graded as a build will; None: it is not graded.
+        refined: it says that the given trajectory is to be refined.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
@@ -110,7 +115,16 @@ def inspect(
     if look.frames and not HOPELESS & {finding.name for finding in early}:
         more, found = _examined(look, ground, found, fusion, own_pixels=own_pixels)
         facts |= more
+        # Of poses that cannot be used, or that do not move what moves, no more is to be said.
+        hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in found)
+        if recording.given_trajectory is not None and tracking is not None and not hopeless:
+            found += [_by_own_pixels(look)] if own_pixels else check_grade(look, tracking, refined=refined)
     return Diagnosis(facts, gravest_first(found)), look
+
+
+def _by_own_pixels(look: Look) -> Finding:
+    what = "how good the given poses are is not said here: a build grades them by the object's own pixels"
+    return Finding("trajectory_ungraded", "note", what, look.where)
 
 
 def _examined(

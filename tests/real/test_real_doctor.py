@@ -8,7 +8,7 @@ import pytest
 from wrong_recordings import WRONG, make_wrong
 
 from kinectbench.doctor import inspect
-from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.models import CameraSettings, TrackingSettings
 
 DATA = os.environ.get("KINECTBENCH_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="KINECTBENCH_DATA does not name a folder of real recordings")
@@ -22,16 +22,23 @@ NOT_HERE = {"a frame of another scene", "intrinsics of twice the size", "millime
 @pytest.mark.parametrize(
     ("name", "settings", "expected"),
     [
-        ("tum_fr3_cabinet", None, set()),
-        ("7scenes_redkitchen_000-149", None, {"color_display_only", "arc"}),
+        ("tum_fr3_cabinet", None, {"trajectory_grade"}),
+        (
+            "7scenes_redkitchen_000-149",
+            None,
+            {"color_display_only", "arc", "trajectory_grade", "trajectory_check"},
+        ),
         # Its depth lags the motion capture, by some 28 ms.
-        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "trajectory_delay"}),
+        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "trajectory_delay", "trajectory_grade"}),
     ],
 )
 def test_no_alarm_on_right_recordings(name: str, settings: CameraSettings | None, expected: set[str]) -> None:
-    diagnosis, _ = inspect(ROOT / name, settings)
+    diagnosis, _ = inspect(ROOT / name, settings, tracking=TrackingSettings())
     assert {found.name for found in diagnosis.findings} == expected and not diagnosis.stops
     assert diagnosis.facts["poses_read_as"] == "as given"
+    # As `build` says it of all three: none of their trajectories is good as it was given.
+    (graded,) = [found for found in diagnosis.findings if found.name == "trajectory_grade"]
+    assert " for ground truth: " in graded.what and graded.advice == "recommended is `trajectory: refine`"
 
 
 def test_the_offset_of_a_motion_capture_is_found_and_taken_away() -> None:

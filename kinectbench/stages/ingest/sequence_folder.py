@@ -197,6 +197,14 @@ class FolderFrames:
             raise StorageError(f"{self.folder / name}: cannot be read ({reason}); {AGAIN}") from error
 
 
+def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
+    """What brings the colour of a frame onto its depth; None where it lies there, or that is not known."""
+    if recording.color_calibration is None or recording.color_registered:
+        return None
+    register = ColorRegistration(recording.camera, recording.color_calibration)
+    return partial(_registered, register, recording.depth_scale)
+
+
 def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
     """A frame whose colour is brought onto its depth."""
     if frame.color is None:
@@ -219,10 +227,7 @@ def _write_frames(
     watch: Watch | None,
 ) -> list[FrameRow]:
     """Write every frame that is whole; the rows of frames.json."""
-    register = None
-    if recording.color_calibration is not None and not recording.color_registered:
-        onto_depth = ColorRegistration(recording.camera, recording.color_calibration)
-        register = partial(_registered, onto_depth, recording.depth_scale)
+    register = onto_depth(recording)
     rows: list[FrameRow] = []
     # Readers are no affair of threads: a video or a database knows where it is.
     # Damage is noted here alone, in the order of the frames: those after them are checked ahead.

@@ -1,0 +1,55 @@
+"""How good given poses are for ground truth, as a build will find it and say it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError, TrackingError
+from kinectbench.doctor.finding import Finding, Severity
+from kinectbench.doctor.look import Look
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.ingest.in_memory import as_sequence
+from kinectbench.stages.track import track
+
+# So many frames are compared, evenly spread if there are more (own choice): 5.4 CPU seconds of 640 x 480.
+MOST_FRAMES = 150
+
+
+def check_grade(look: Look, tracking: TrackingSettings, *, refined: bool = False) -> Iterator[Finding]:
+    """Grade a given trajectory as the stage `track` does; of up to 150 frames the result is the same.
+
+    Args:
+        look: at a recording whose given trajectory can be read.
+        tracking: what counts as disagreement.
+        refined: a build will refine the poses, and grade what becomes of them.
+    """
+    count = len(look.recording)
+    every = count <= MOST_FRAMES
+    # Of a longer recording not all frames were read; damaged ones of a short one were left out.
+    indices = [frame.index for frame in look.frames]
+    if not every:
+        indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
+    which = "" if every else f", by {MOST_FRAMES} of {count} frames"
+    try:
+        health = track(as_sequence(look.recording, indices), "trust", tracking).health
+    except TrackingError as error:
+        severity: Severity = "stops" if every and not refined else "warning"
+        yield Finding("trajectory_wrong", severity, f"{error}{which}", look.where)
+        return
+    except RecordingError as error:
+        what = f"the given trajectory could not be graded here, only a build will: {error}"
+        yield Finding("trajectory_ungraded", "note", what, look.where)
+        return
+    assert health is not None
+    if health.grade == "good" and health.recommended == "trust":
+        return
+    what, advice = f"the given trajectory{which}: {health.verdict}", ""
+    bad = health.grade == "not good" or health.recommended != "trust"
+    if refined:
+        what += "; a build refines it, and grades the result"
+    elif health.recommended != "trust":
+        advice = f"recommended is `trajectory: {health.recommended}`"
+    yield Finding("trajectory_grade", "warning" if bad and not refined else "note", what, look.where, advice)
+    # Numbers of frames are those of the build only if all of them are there.
+    for line in health.warnings if every else ():
+        yield Finding("trajectory_check", "note", line, look.where)

@@ -1,0 +1,76 @@
+"""`inspect` grades a given trajectory as a build does: by the same functions, in the same words."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.doctor import grade
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.grade import check_grade
+from kinectbench.doctor.look import Look, take_look
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import Recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.track import track
+
+CHAIR = Path(__file__).parents[2] / "recordings/chair_01"
+FRAMES = 20
+# Fewer points than usual: the same are taken by both.
+TRACKING = TrackingSettings(check_stride_px=16)
+
+
+def shifted(recording: Recording, from_row: int, by_m: float) -> Recording:
+    """The recording with poses that jump."""
+    given = recording.given_trajectory
+    assert given is not None
+    T = given.T_world_camera.copy()
+    T[from_row:, 0, 3] += by_m
+    return replace(recording, given_trajectory=GivenTrajectory(given.stamps_ns, T))
+
+
+@pytest.fixture(scope="module")
+def chair() -> Recording:
+    recording = open_recording(CHAIR, None)
+    return replace(recording, places=recording.places[:FRAMES])
+
+
+@pytest.fixture(scope="module")
+def jumping(chair: Recording) -> Look:
+    return take_look(shifted(chair, FRAMES // 2, 0.06))
+
+
+@pytest.fixture(scope="module")
+def findings(jumping: Look) -> dict[str, Finding]:
+    return {found.name: found for found in check_grade(jumping, TRACKING)}
+
+
+def test_the_grade_is_that_of_the_build(jumping: Look, findings: dict[str, Finding], tmp_path: Path) -> None:
+    write_sequence(jumping.recording, tmp_path)
+    health = track(read_sequence(tmp_path), None, TRACKING).health
+    assert health is not None and health.grade == "not good"
+    found = findings["trajectory_grade"]
+    assert found.what == f"the given trajectory: {health.verdict}" and found.severity == "warning"
+    assert found.advice == f"recommended is `trajectory: {health.recommended}`"
+    assert findings["trajectory_check"].what == health.warnings[-1]
+
+
+def test_of_a_long_recording_some_frames_are_compared(jumping: Look, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grade, "MOST_FRAMES", 10)
+    (found,) = check_grade(jumping, TRACKING, refined=True)
+    assert found.what.startswith("the given trajectory, by 10 of 20 frames: ") and found.severity == "note"
+    assert found.what.endswith("a build refines it, and grades the result") and found.advice == ""
+
+
+def test_poses_that_fit_nowhere_stop_as_in_a_build(chair: Recording) -> None:
+    given = chair.given_trajectory
+    assert given is not None
+    T = given.T_world_camera.copy()
+    T[:, :3, 3] += np.random.default_rng(0).uniform(-0.3, 0.3, (len(T), 3))
+    wrong = replace(chair, given_trajectory=GivenTrajectory(given.stamps_ns, T))
+    (found,) = check_grade(take_look(wrong), TRACKING)
+    assert found.name == "trajectory_wrong" and found.severity == "stops"
+    assert "frames disagree" in found.what or "frames can be used" in found.what
