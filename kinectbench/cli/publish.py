@@ -14,7 +14,7 @@ from kinectbench.cli.build import (
     need_some,
     tell_unknown_categories,
 )
-from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.store.address import shown, unusable, url_of
 from kinectbench.core.untrusted import printable
@@ -22,6 +22,7 @@ from kinectbench.core.untrusted import printable
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.store.store import Store
+    from kinectbench.engine.summary import BuiltRecording
     from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.release.put import PutSummary
     from kinectbench.settings.models import BenchmarkSettings
@@ -38,6 +39,9 @@ def publish(
     thresholds: Annotated[
         Path | None, typer.Option(help="a threshold file (of score --save-thresholds) to publish with it")
     ] = None,
+    allow_poor: Annotated[
+        bool, typer.Option("--allow-poor", help="publish recordings that do not keep `publish.gate`, too")
+    ] = False,
     archives: Annotated[bool, typer.Option("--archives", help="pack each part as a zip file too")] = False,
     archives_to: Annotated[
         Path | None, typer.Option(help="folder of the zip files; default: beside the release")
@@ -53,7 +57,7 @@ def publish(
     from kinectbench.release.put import put_release
 
     settings = common.settings
-    options = publish_options(settings, hold_back or (), thresholds)
+    options = publish_options(settings, hold_back or (), thresholds, allow_poor)
     packed = archives or archives_to is not None
     stored = url_of(common.place) is not None
     if stored and (packed or to is not None):
@@ -68,7 +72,7 @@ def publish(
     if stored:
         summary = _publish_there(common, need_some(rows), options)
         _tell(common, summary, [])
-        return exit_status(rows)
+        return _status(rows, summary)
     root, tell = common.root, partial(console.waiting, "publish")
     summary = publish_if_stale(
         settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
@@ -80,7 +84,12 @@ def publish(
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [write_archive(part, archives_to or root) for part in parts] if packed else []
     _tell(common, summary, written, put)
-    return exit_status(rows)
+    return _status(rows, summary)
+
+
+def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
+    """3 if recordings failed, or did not pass the gate; what a person rejected is no failure."""
+    return exit_status(rows) or (SOME_FAILED if summary.refused else 0)
 
 
 def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
@@ -112,7 +121,10 @@ def store_at(url: str) -> "Store":
 
 
 def publish_options(
-    settings: "BenchmarkSettings", hold_back: Sequence[str], thresholds: Path | None
+    settings: "BenchmarkSettings",
+    hold_back: Sequence[str],
+    thresholds: Path | None,
+    allow_poor: bool = False,
 ) -> "PublishOptions":
     """The options as a value.
 
@@ -120,6 +132,7 @@ def publish_options(
         settings: the benchmark's.
         hold_back: splits.
         thresholds: a threshold file, or None.
+        allow_poor: whether recordings that do not keep the limits are published, too.
 
     Raises:
         SettingsError: no such split, or an unusable threshold file.
@@ -133,12 +146,13 @@ def publish_options(
         if split not in SPLITS:
             raise SettingsError(f"--hold-back {split}: choose among {', '.join(SPLITS)}")
     hidden = tuple(sorted(split for split in SPLITS if split in hold_back))
+    asked = PublishOptions(hold_back=hidden, thresholds=None, **({"allow_poor": True} if allow_poor else {}))
     if thresholds is None:
-        return PublishOptions(hold_back=hidden, thresholds=None)
+        return asked
     test = [recording for recording in settings.recordings if recording.split == "test"]
     categories = sorted({recording.category for recording in test})
     read_thresholds(thresholds, categories, frozenset(recording.object_name for recording in test))
-    return PublishOptions(hold_back=hidden, thresholds=read_plain_text(thresholds))
+    return asked.model_copy(update={"thresholds": read_plain_text(thresholds)})
 
 
 def _tell(
@@ -164,6 +178,7 @@ def _tell(
         "private_benchmark_sha256": summary.private_sha256,
         "removed": summary.removed,
         "unanswered": summary.unanswered,
+        "refused": summary.refused,
         "archives": [str(path) for path in archives],
         "put": None if put is None else _put_value(*put),
     }

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import Field
 
+from kinectbench.settings.base import Settings
 from kinectbench.settings.models import (
     BoxSettings,
     CameraSettings,
@@ -17,7 +18,6 @@ from kinectbench.settings.models import (
     PairSettings,
     SegmentationSettings,
     SegmentBy,
-    Settings,
     TrackingSettings,
     TrajectoryMode,
     Vector4,

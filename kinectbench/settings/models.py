@@ -1,16 +1,11 @@
 """Typed settings of a benchmark. Every default has its home here; unknown keys are refused at every depth."""
 
 import math
-import re
-from datetime import date
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
-    ValidationInfo,
     field_validator,
     model_serializer,
     model_validator,
@@ -22,7 +17,9 @@ from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.names import Category, Name, Named, first_clash
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted import MOST_SIDE_PX
-from kinectbench.settings.texts import Line, Text
+from kinectbench.settings.base import Settings
+from kinectbench.settings.publishing import PublishSettings, ReviewSettings
+from kinectbench.settings.texts import Line
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
 SegmentBy = Literal["masks", "turntable"]
@@ -35,19 +32,6 @@ FARTHEST_M, LEAST_TURN = 1e6, 1e-6
 # Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
 # (the rules for solids were chosen with it).
 LEAST_RANGE_M = 3.0
-
-CITED = {
-    "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),
-    "doi": (r"10\.\S+/\S+", "a DOI such as 10.5281/zenodo.1234, without https://doi.org/"),
-    "url": (r"https?://\S+", "an address that begins with https://"),
-    "date_released": (r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date as year-month-day"),
-}
-
-
-class Settings(BaseModel):
-    """Base of all settings: immutable, strictly typed, no unknown keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class CameraSettings(Settings):
@@ -163,6 +147,7 @@ class RecordingSettings(Settings):
         description="folder of PNG masks of frames, relative to benchmark.yaml; of all with "
         "`segment_by: masks`",
     )
+    review: ReviewSettings | None = Field(None, description="whether it is published, whatever its figures")
     license: Line | None = Field(None, description="of this recording's data; default: the benchmark's")
     source: Line | None = Field(
         None, description="who recorded it, or where it is from; default: the benchmark's"
@@ -274,56 +259,6 @@ class FitLimits(Settings):
 
 class PairSettings(FitLimits, PairForm):  # fields of the last base come first
     """Pairs of partial view and full shape."""
-
-
-class CitationSettings(Settings):
-    """How the benchmark wants to be cited."""
-
-    title: Line | None = Field(None, description="default: the benchmark's name")
-    authors: list[Line] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
-    version: str | None = Field(None, description="such as 1.0.0")
-    doi: str | None = Field(None, description="such as 10.5281/zenodo.1234")
-    url: str | None = Field(None, description="where it can be had")
-    date_released: str | None = Field(None, description="year-month-day")
-
-    @field_validator("version", "doi", "url", "date_released")
-    @classmethod
-    def _formed(cls, value: str | None, info: ValidationInfo) -> str | None:
-        pattern, wanted = CITED[str(info.field_name)]
-        if value is not None and not re.fullmatch(pattern, value):
-            raise ValueError(f"wanted {wanted}")
-        if value is not None and info.field_name == "date_released":
-            date.fromisoformat(value)  # the calendar has such a day
-        return value
-
-
-class DatasheetSettings(Settings):
-    """What only a person can tell of the data; each a sentence or more."""
-
-    motivation: Text | None = Field(None, description="why was it made, and for which task?")
-    creators: Text | None = Field(None, description="who made it, for whom, and who paid for it?")
-    collection: Text | None = Field(None, description="who recorded what, where and when, with which camera?")
-    consent: Text | None = Field(None, description="can people be seen or told from it, and did they agree?")
-    uses_to_avoid: Text | None = Field(None, description="what should it not be used for?")
-    maintenance: Text | None = Field(None, description="who keeps it, and where are faults reported?")
-
-
-class ChangeSettings(Settings):
-    """What is new in one version of the data."""
-
-    version: Line = Field(description="such as 1.0.0")
-    changes: list[Line] = Field(min_length=1, description="a line each")
-
-
-class PublishSettings(Settings):
-    """The release."""
-
-    color: bool = Field(False, description="publish colour images (faces and people cannot be ruled out)")
-    citation: CitationSettings = Field(CitationSettings(), description="how to cite it")
-    datasheet: DatasheetSettings = Field(DatasheetSettings(), description="what only a person can tell")
-    changelog: list[ChangeSettings] | None = Field(
-        None, description="versions of the data, newest first, each {version: …, changes: […]}"
-    )
 
 
 def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.settings import yaml_nodes
-from kinectbench.settings.models import Settings
+from kinectbench.settings.base import Settings
 from kinectbench.settings.words import field_at, listed, model_of, suggestion, wanted
 
 Model = TypeVar("Model", bound=Settings)

@@ -12,7 +12,8 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.untrusted import UNPACKED_BYTES, printable
 from kinectbench.core.untrusted_text import csv_rows
 from kinectbench.settings import yaml_nodes
-from kinectbench.settings.models import RecordingSettings, Settings
+from kinectbench.settings.base import Settings
+from kinectbench.settings.models import RecordingSettings
 from kinectbench.settings.reading import MOST_BYTES, as_text
 from kinectbench.settings.words import model_of, suggestion, without_none
 

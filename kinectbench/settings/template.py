@@ -11,7 +11,8 @@ import yaml
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
-from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
+from kinectbench.settings.base import Settings
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.words import field_range, model_of
 
 # What `category` is until a person says it; `build` and `publish` warn of it.

@@ -8,7 +8,8 @@ from typing import Any, Literal, Union, get_args, get_origin
 import annotated_types
 from pydantic.fields import FieldInfo
 
-from kinectbench.settings.models import BenchmarkSettings, Settings
+from kinectbench.settings.base import Settings
+from kinectbench.settings.models import BenchmarkSettings
 
 # More than any section has keys; of a thousand recordings nobody reads the names (own choice).
 LISTED = 40

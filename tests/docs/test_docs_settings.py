@@ -11,8 +11,9 @@ from small_benchmark import Run
 from kinectbench.lab.simulate import Format
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.synthesize.models import SynthesisSettings
+from kinectbench.settings.base import Settings
 from kinectbench.settings.file import load_benchmark
-from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

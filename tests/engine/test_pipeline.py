@@ -56,6 +56,7 @@ SETTINGS = {
     "recordings.chair.segment_by=turntable": ALL,
     "recordings.chair.masks=masks": FROM_VIEWS,
     "recordings.chair.license=CC0-1.0": (),
+    "recordings.chair.review={decision: accept, reason: looked at}": (),
     "recordings.chair.source=simulated": (),
     "tracking.check_stride_px=3": FROM_TRACK,
     "tracking.check_neighbours=5": FROM_TRACK,
@@ -80,6 +81,7 @@ SETTINGS = {
     "pairs.min_containment=0.8": FROM_VIEWS,
     "pairs.max_residual_m=0.02": FROM_VIEWS,
     "pairs.min_visible_share=0.3": FROM_VIEWS,
+    "publish.gate={min_estimated_iou: 0.4}": (),
     "publish.color=true": (),
     "publish.citation={title: Chairs, authors: ['Doe, Jo'], version: 1.0.0}": (),
     "publish.datasheet={motivation: to try it}": (),
@@ -89,7 +91,8 @@ SETTINGS = {
 
 def every_setting() -> set[str]:
     """Dotted names of all settings; those of a section that is None by default count as one."""
-    from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
+    from kinectbench.settings.base import Settings
+    from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
     names = {f"recordings.chair.{key}" for key in RecordingSettings.model_fields} - {
         "recordings.chair.id",

@@ -12,7 +12,8 @@ from pydantic import ValidationError
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage
 from kinectbench.engine.steps import STEPS
 from kinectbench.engine.work import Source, Work
-from kinectbench.settings.models import BenchmarkSettings, Settings
+from kinectbench.settings.base import Settings
+from kinectbench.settings.models import BenchmarkSettings
 
 EVERY = (*STAGES, SUGGEST)
 # Values of which each optional setting takes one.

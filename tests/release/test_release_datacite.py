@@ -15,7 +15,7 @@ from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.about import day_of
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release, open_release
-from kinectbench.settings.models import CitationSettings
+from kinectbench.settings.publishing import CitationSettings
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.settings.base import Settings
 from kinectbench.settings.file import load_benchmark
-from kinectbench.settings.models import BenchmarkSettings, RecordingSettings, Settings
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.template import init_benchmark
 from kinectbench.stages.ingest.readers import name_suffixes
 

@@ -6,13 +6,13 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from kinectbench.core.names import Name
+from kinectbench.settings.base import Settings
 from kinectbench.settings.models import (
     BenchmarkSettings,
     BoxSettings,
     CameraSettings,
     FusionSettings,
     RecordingSettings,
-    Settings,
 )
 from kinectbench.settings.words import field_at, model_of, range_in_words, suggestion, wanted
 

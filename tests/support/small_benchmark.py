@@ -24,6 +24,7 @@ recordings:
 fusion: {voxel_size_m: 0.01, scene_voxel_size_m: 0.02}
 views: {count: 3, min_pixels: 100}
 tracking: {check_stride_px: 4}
+publish: {gate: {min_estimated_iou: 0.5, max_doubts: 1}}  # of so few pixels legs are not seen
 """
 # What a run may write without having made anything.
 NOT_MADE = (".lock", "sources.json", "failed.json", "timing.json")

@@ -68,6 +68,8 @@ class RecordingInfo(Part):
     )
     license: str = Field(UNSPECIFIED, description="of the recording's data")
     source: str = Field(UNSPECIFIED, description="who recorded it, or where it is from")
+    poor: tuple[str, ...] = Field((), description="limits of `publish.gate` that it does not keep")
+    accepted: str | None = Field(None, description="why it is published all the same")
 
 
 class ReleaseInfo(ReleaseFile):
@@ -90,6 +92,9 @@ class ReleaseInfo(ReleaseFile):
     settings: SettingsInfo = Field(description="those it was built with")
     packages: dict[str, str] = Field(description="versions of what the data was computed with")
     recordings: dict[str, RecordingInfo] = Field(description="by id")
+    left_out: dict[str, str] | None = Field(
+        None, description="recording that was built and is not published → why"
+    )
     version: str | None = Field(None, description="of the data")
     held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")
     private_benchmark_sha256: str | None = Field(
@@ -120,6 +125,9 @@ class PublishOptions(Part):
 
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
+    allow_poor: bool | None = Field(
+        None, description="whether recordings that do not keep `publish.gate` are published, too"
+    )
 
 
 class PublishStamp(Stored):
@@ -137,3 +145,4 @@ class PublishStamp(Stored):
     private_sha256: str | None = Field(description="of the part that scores; null: nothing is held back")
     removed: tuple[str, ...] = Field(description="what was removed for privacy, one line each")
     unanswered: tuple[str, ...] = Field(description="questions of the datasheet, by key")
+    refused: tuple[str, ...] = Field((), description="ids of those that did not keep `publish.gate`")

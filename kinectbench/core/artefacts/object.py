@@ -20,6 +20,10 @@ INTERVAL_LOW = "lower end of its interval: more is missing, and every guess behi
 INTERVAL_HIGH = (
     "upper end of its interval: less is missing, and every guess behind an opening right; no bound"
 )
+# Parts of the warnings of quality.json that doubt what the object is: that it is one thing, whole, and stands
+# on what carries it. Whatever words such a warning takes them from here.
+LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
+HANGS, IN_PIECES = "what carries it gave no depth", "large pieces that do not touch"
 # Before the lines of `estimated_iou_reasons`, where an estimate is told with its interval in brackets.
 REASONS_FOLLOW = "the interval in brackets is so wide because of"
 
@@ -195,6 +199,11 @@ class QualityFile(Stored):
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: the mesh")
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """The warnings that the object may be several things, cut off, or without its support."""
+        return tuple(line for line in self.warnings if any(mark in line for mark in (LOOK, HANGS, IN_PIECES)))
 
     @property
     def advice(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from kinectbench.core.geometry.depth import TERMS, DepthCalibration
 from kinectbench.core.types import Float64
 
 Grade = Literal["good", "fair", "not good"]
+GRADES: tuple[Grade, ...] = ("not good", "fair", "good")  # rising
 # Files of older versions name millimetres, which no recording promised.
 OLDER_GRADES: dict[Any, Grade] = {"5 mm": "good", "10 mm": "fair"}
 Source = Literal["trust", "refine", "tracked"]

@@ -7,7 +7,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from kinectbench.core.geometry import Camera
 from kinectbench.lab.simulate import Format
-from kinectbench.settings.models import Settings
+from kinectbench.settings.base import Settings
 
 WorldFrame = Literal["upright", "first_camera", "random"]
 

@@ -13,7 +13,7 @@ from kinectbench.core.names import Category, Name, category_problem
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Framing, Split
 from kinectbench.release.exchange.layouts import SYNSETS
-from kinectbench.settings.models import Settings
+from kinectbench.settings.base import Settings
 
 Layout = Literal["release", "recgan"]
 Categories = Annotated[tuple[Category, ...], Field(strict=False)]

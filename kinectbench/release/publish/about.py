@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from kinectbench.core.artefacts.provenance import Lineage
-from kinectbench.settings.models import CitationSettings, DatasheetSettings
+from kinectbench.settings.publishing import CitationSettings, DatasheetSettings
 
 SUBJECTS = ("3-D shape completion", "RGB-D", "voxel grids", "benchmark")
 # Stamps from then on are times of a day: earlier ones count from the start of a recording or a machine.

@@ -7,7 +7,8 @@ from typing import Any
 import yaml
 
 from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo
-from kinectbench.settings.models import ChangeSettings, CitationSettings, RecordingSettings
+from kinectbench.settings.models import RecordingSettings
+from kinectbench.settings.publishing import ChangeSettings, CitationSettings
 
 # SPDX identifier -> what Hugging Face calls it.
 HUGGING_FACE = {

@@ -22,6 +22,7 @@ from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
+from kinectbench.release.publish.gate import Gate, gate
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
@@ -46,6 +47,7 @@ class PublishSummary:
         private_sha256: its identity.
         removed: what was removed for privacy, one line each.
         unanswered: questions of the datasheet, by key.
+        refused: ids of those that did not keep the limits of `publish.gate`.
     """
 
     folder: Path
@@ -57,6 +59,7 @@ class PublishSummary:
     private_sha256: str | None = None
     removed: tuple[str, ...] = ()
     unanswered: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
 
     @property
     def scoring(self) -> Path:
@@ -86,29 +89,34 @@ def publish(
         settings: the benchmark's.
         build: holds a folder per recording.
         out: the release's folder; with `hold_back` its public part, beside which `<out>-private` is written.
-        recordings: ids, all of them built; one without a single pair is left out with a warning.
-        options: thresholds, and what is held back.
+        recordings: ids, all of them built; one without a single pair, or that does not pass the gate, is left
+            out with a warning.
+        options: thresholds, what is held back, and whether poor recordings pass the gate.
 
     Raises:
-        ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule,
-            there is no pair at all or none to be held back, a file is larger than `verify` accepts, or a
-            folder holds something else.
+        ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule, no
+            recording passes the gate, there is no pair at all or none to be held back, a file is larger than
+            `verify` accepts, or a folder holds something else.
         StorageError: the disk is full or read-only.
     """
     private = out.with_name(out.name + PRIVATE)
     for folder in (out, private) if options.hold_back else (out,):
         _refuse_other(folder)
     _refuse_empty_split(settings, recordings, options.hold_back)
-    _refuse_many_files(settings, build, recordings)
+    passed = gate(settings, build, recordings, bool(options.allow_poor))
+    if not passed.published:
+        raise ReleaseError(f"{build}: no recording to publish; {next(passed.reasons())}")
+    _refuse_empty_split(settings, passed.published, options.hold_back)
+    _refuse_many_files(settings, build, passed.published)
     complete = options.model_copy(update={"hold_back": ()})
     if not options.hold_back:
         with replaced_folder(out) as folder:
-            return replace(_write(settings, build, folder, recordings, complete), folder=out)
+            return replace(_write(settings, build, folder, passed, complete), folder=out)
     with contextlib.ExitStack() as folders:
         hidden = folders.enter_context(replaced_folder(private))
         folder = folders.enter_context(replaced_folder(out))
-        whole = _write(settings, build, hidden, recordings, complete)
-        public = _write(settings, build, folder, recordings, options)
+        whole = _write(settings, build, hidden, passed, complete)
+        public = _write(settings, build, folder, passed, options)
         note_in_benchmark_json(hidden, public_benchmark_sha256=public.benchmark_sha256)
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
     return replace(public, folder=out, private=private, private_sha256=whole.benchmark_sha256)
@@ -147,22 +155,12 @@ def _write(
     settings: BenchmarkSettings,
     build: Path,
     folder: Path,
-    recordings: Sequence[str],
+    passed: Gate,
     options: PublishOptions,
 ) -> PublishSummary:
     """Fill one folder."""
-    found, made = list[Removed](), dict[str, Published]()
-    left_out, by_id = [], settings.by_id()
-    most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
-    for name in recordings:
-        recording = by_id[name]
-        hidden = recording.split in options.hold_back
-        built = Built(settings, recording, build / name, hidden, most_named)
-        published = publish_recording(built, folder, found)
-        if published is None:
-            left_out.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
-        else:
-            made[name] = published
+    found = list[Removed]()
+    made, without_pair = _pairs(settings, build, folder, passed, options, found)
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
     infos = {name: published.info for name, published in made.items()}
@@ -170,7 +168,8 @@ def _write(
     warnings = [
         *reasons_against_distribution(infos),
         *_gives_away(settings, options.hold_back),
-        *left_out,
+        *passed.lines(),
+        *without_pair,
         *_doubted(infos),
         *_unknown(made),
         *_without_thresholds(settings),
@@ -188,6 +187,7 @@ def _write(
         public,
         citation=settings.publish.citation,
         held_back=options.hold_back,
+        left_out=passed.left_out,
     )
     write_preview(folder, settings, targets, infos, warnings, options.hold_back)
     refuse_large(folder)  # before other files are made of them
@@ -201,7 +201,40 @@ def _write(
         tuple(warnings),
         removed=tuple(removed_lines(found)),
         unanswered=tuple(unanswered(settings)),
+        refused=tuple(passed.refused),
     )
+
+
+def _pairs(
+    settings: BenchmarkSettings,
+    build: Path,
+    folder: Path,
+    passed: Gate,
+    options: PublishOptions,
+    found: list[Removed],
+) -> tuple[dict[str, Published], list[str]]:
+    """Write the pairs of each recording; what was published by id, and a line for each without a pair."""
+    made, without_pair = dict[str, Published](), list[str]()
+    by_id, recordings = settings.by_id(), passed.published
+    most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
+    for name in recordings:
+        hidden = by_id[name].split in options.hold_back
+        built = Built(settings, by_id[name], build / name, hidden, most_named)
+        published = publish_recording(built, folder, found)
+        if published is None:
+            without_pair.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
+        else:
+            made[name] = _with_poor(published, passed, name)
+    return made, without_pair
+
+
+def _with_poor(published: Published, passed: Gate, name: str) -> Published:
+    """What was published of a recording, with the limits that it does not keep."""
+    if name not in passed.poor:
+        return published
+    limits, why = passed.poor[name]
+    info = published.info.model_copy(update={"poor": limits, "accepted": why})
+    return replace(published, info=info)
 
 
 def _write_texts(

@@ -53,7 +53,7 @@ from kinectbench.release.publish.croissant import croissant
 from kinectbench.release.publish.datacite import datacite
 from kinectbench.release.publish.object_glb import write_glbs
 from kinectbench.release.publish.schemas import write_schemas
-from kinectbench.settings.models import CitationSettings, PublishSettings
+from kinectbench.settings.publishing import CitationSettings, PublishSettings
 
 PACKAGES = (
     *("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "trimesh", "manifold3d", "zlib-ng"),
@@ -74,6 +74,7 @@ class Head:
         texts: what the card says of it.
         citation: how it is cited.
         held_back: splits of which only the inputs are there.
+        left_out: recording that was built and is not published -> why.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Head:
     texts: CardTexts = RECORDED
     citation: CitationSettings = field(default_factory=CitationSettings)
     held_back: tuple[Split, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_small_files(
@@ -168,7 +170,11 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         packages=package_versions(),
         recordings=dict(infos),
     )
-    there = {"version": head.citation.version, "held_back": head.held_back}
+    there = {
+        "version": head.citation.version,
+        "held_back": head.held_back,
+        "left_out": dict(head.left_out),
+    }
     return info.model_copy(update={key: value for key, value in there.items() if value})
 
 

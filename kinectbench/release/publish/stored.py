@@ -8,6 +8,7 @@ from pathlib import Path
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, PublishStamp
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.sequence import CameraFile
+from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.storage import write_below
 from kinectbench.core.store.address import joined, url_of
 from kinectbench.core.store.store import Store, in_parallel
@@ -24,7 +25,7 @@ RELEASE = "benchmark"
 # Of each stage the files that a release is made of; None: all.
 READ: Mapping[str, tuple[str, ...] | None] = {
     "ingest": (Manifest.FILE, CameraFile.FILE),
-    "track": (Manifest.FILE,),
+    "track": (Manifest.FILE, TrajectoryHealth.FILE),
     "fuse": (Manifest.FILE,),
     "segment": None,
     "sample-views": None,

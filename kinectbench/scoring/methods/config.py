@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from kinectbench.core.storage import canonical_json, name_problem, sha256_text
-from kinectbench.settings.models import Settings
+from kinectbench.settings.base import Settings
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
 # Networks whose encoder and decoder are the generator's: they alone have widths and sides to choose.

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kinectbench.core.artefacts.object import LOOK
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
@@ -21,7 +22,6 @@ CUT_SHARE, CUT_CELLS = 0.02, 1.5
 # A board goes on beyond what it carries; so much of it is seen so far around (own choice: a thing hides some
 # of it, and stands near its edge).
 BOARD_M, BOARD_SHARE = 0.06, 0.4
-LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object import BoxPart, FrontierPart, LabelCounts, QualityFile
+from kinectbench.core.artefacts.object import (
+    HANGS,
+    IN_PIECES,
+    LOOK,
+    BoxPart,
+    FrontierPart,
+    LabelCounts,
+    QualityFile,
+)
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.types import Int32, Int64
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
-from kinectbench.stages.segment.doubts import LOOK
 from kinectbench.stages.segment.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
     IouEstimate,
@@ -203,7 +210,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
     gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
     if chosen.floor.found and gap_m > MAX_GAP_M:
         warnings.append(
-            f"the solid begins {gap_m:.2f} m above the floor: what carries it gave no depth (black, glass or "
+            f"the solid begins {gap_m:.2f} m above the floor: {HANGS} (black, glass or "
             "mirror-like), or the box or the `floor` in benchmark.yaml is wrong; all is well if it stands on "
             "something else"
         )
@@ -212,7 +219,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
     pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())
     if pieces > 1:
         warnings.append(
-            f"the solid is in {pieces} large pieces that do not touch: what joins them gave no depth, or "
+            f"the solid is in {pieces} {IN_PIECES}: what joins them gave no depth, or "
             "they are several things: look at object/mesh.ply"
         )
     loose = np.flatnonzero(sizes < LARGE_PIECE_SHARE * sizes.sum()) + 1

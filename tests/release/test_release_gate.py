@@ -1,0 +1,123 @@
+"""What is published, left out, or published all the same: `publish.gate`, reviews, --allow-poor."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from analytic_scenes import health_of
+from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
+
+from kinectbench.core.artefacts.benchmark import PublishOptions
+from kinectbench.core.artefacts.object import HANGS, IN_PIECES, LOOK
+from kinectbench.core.errors import ReleaseError
+from kinectbench.release.publish.gate import gate
+from kinectbench.release.publish.publish import publish
+
+NAME = RECORDINGS[0][0]
+NAMES = [recording[0] for recording in RECORDINGS]
+SOUND = {"estimated_iou": 0.93, "estimated_iou_low": 0.8, "unknown_share": 0.2}
+
+
+def settings(review: Any = None, **limits: Any) -> Any:
+    """The synthetic benchmark's, with limits, and a review of its first recording."""
+    made = synthetic_settings(publish={"gate": limits}).model_dump(mode="json")
+    made["recordings"][0]["review"] = review
+    return type(synthetic_settings()).model_validate(made)
+
+
+def built(folder: Path, grade: str = "good", **quality: Any) -> Path:
+    """What the gate reads of the first recording."""
+    for name in ("object", "trajectory"):
+        (folder / NAME / name).mkdir(parents=True, exist_ok=True)
+    write_json(folder / NAME / "object/quality.json", SOUND | quality)
+    health_of(8, grade=grade).write(folder / NAME / "trajectory")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("found", "limits", "said"),
+    [
+        ({"estimated_iou": 0.45}, {}, "estimated IoU 0.45, less than publish.gate.min_estimated_iou: 0.7"),
+        (
+            {"estimated_iou_low": 0.69, "grade": "not good"},
+            {},
+            "trajectory is not good, 0.69, less than",
+        ),
+        (
+            {"grade": "not good"},
+            {"min_grade": "fair"},
+            "not good, below publish.gate.min_grade",
+        ),
+        (
+            {"unknown_share": 0.51},
+            {},
+            "51% of the solid is unknown, more than publish.gate.max_unk",
+        ),
+        (
+            {"warnings": [f"falls into 3; {LOOK}"]},
+            {},
+            "falls into 3 (1 doubt of the object, more",
+        ),
+        ({"warnings": [f"begins 0.2 m up: {HANGS}"]}, {}, "publish.gate.max_doubts: 0"),
+        ({"warnings": [f"the solid is in 2 {IN_PIECES}: x"]}, {}, "publish.gate.max_doubts: 0"),
+        # Sound, or as wide as the limits are set.
+        ({}, {}, None),
+        ({"estimated_iou_low": 0.69}, {}, None),
+        ({"grade": "not good"}, {}, None),
+        ({"estimated_iou": 0.45}, {"min_estimated_iou": 0.45}, None),
+        ({"warnings": ["nobody saw the underside", "thin"]}, {}, None),
+        ({"estimated_iou": None, "estimated_iou_low": None, "unknown_share": None}, {}, None),
+    ],
+)
+def test_limits(found: dict[str, Any], limits: dict[str, Any], said: str | None, tmp_path: Path) -> None:
+    passed = gate(settings(**limits), built(tmp_path, **found), [NAME], allow_poor=False)
+    if said is None:
+        assert passed.published == (NAME,) and not list(passed.lines())
+        return
+    assert passed.published == () and list(passed.refused) == [NAME]
+    (line,) = passed.reasons()
+    assert said in line and line.startswith(f"{NAME} is left out: ") and "--allow-poor" in line
+    for review, allow_poor, why in (
+        ({"decision": "accept", "reason": "looked at"}, False, "accepted by review: looked at"),
+        (None, True, "--allow-poor"),
+    ):
+        passed = gate(settings(review, **limits), tmp_path, [NAME], allow_poor)
+        assert passed.published == (NAME,) and not passed.refused and passed.poor[NAME][1] == why
+        assert said in next(passed.lines())
+
+
+def test_what_a_person_rejects_is_no_failure(tmp_path: Path) -> None:
+    review = {"decision": "reject", "reason": "a cloth hangs over it"}
+    passed = gate(settings(review), built(tmp_path), [NAME], allow_poor=True)
+    assert (passed.published, dict(passed.refused)) == ((), {})
+    assert list(passed.lines()) == [
+        "1 recording is left out of this release",
+        f"{NAME} is left out: rejected by review: a cloth hangs over it",
+    ]
+
+
+def test_the_release_says_what_was_left_out_and_what_was_let_pass(tmp_path: Path) -> None:
+    build = tmp_path / "build"
+    write_build(build)
+    built(build, estimated_iou=0.45)
+    summary = publish(settings(), build, tmp_path / "strict", NAMES)
+    assert summary.refused == (NAME,) and NAME not in summary.recordings and len(summary.recordings) == 4
+    content = json.loads((tmp_path / "strict/benchmark.json").read_text())
+    assert NAME not in content["recordings"] and "estimated IoU 0.45" in content["left_out"][NAME]
+    card = (tmp_path / "strict/README.md").read_text()
+    assert "- 1 recording is left out of this release" in card and f"- {NAME} is left out: estimated" in card
+
+    asked = PublishOptions(hold_back=(), thresholds=None, allow_poor=True)
+    summary = publish(settings(), build, tmp_path / "wide", NAMES, asked)
+    assert summary.refused == () and NAME in summary.recordings
+    content = json.loads((tmp_path / "wide/benchmark.json").read_text())
+    assert content["recordings"][NAME]["accepted"] == "--allow-poor" and "left_out" not in content
+    assert "estimated IoU 0.45" in content["recordings"][NAME]["poor"][0]
+    assert "poor" not in content["recordings"][NAMES[1]]
+    assert f"- {NAME} is published all the same (--allow-poor)" in (tmp_path / "wide/README.md").read_text()
+
+
+def test_nothing_passes(tmp_path: Path) -> None:
+    with pytest.raises(ReleaseError, match=r"to publish; chair_01 is left out: estimated IoU 0\.45"):
+        publish(settings(), built(tmp_path, estimated_iou=0.45), tmp_path / "out", [NAME])
