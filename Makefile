@@ -19,7 +19,7 @@ setup: ## install what is needed: system libraries, .venv, pinned packages
 	@scripts/setup.sh
 
 demo: setup ## a whole benchmark from a real and simulated recordings: build, publish, predict, score, report (two minutes)
-	@echo "demo: writing two further small simulated recordings to demo/recordings"
+	@echo "demo: writing a further small simulated recording to demo/recordings"
 	@$(BIN)/kinectbench simulate --demo demo/recordings
 	@cd demo && echo "demo: building the pairs, publishing them, and checking the release" && \
 	  $(KINECTBENCH) build --jobs 2 && $(KINECTBENCH) publish && $(KINECTBENCH) verify
