@@ -12,7 +12,7 @@ from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.lab.evaluate.build import Registration
 from kinectbench.lab.evaluate.measured import MeasuredSurface
 from kinectbench.lab.evaluate.surface import Surface
-from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
+from kinectbench.lab.simulate.truth import TrueCells, Truth
 from kinectbench.stages.segment.object_model import ObjectModel
 
 # What is farther than this from the true surface and wrong is no matter of noise; and so near lies what the
@@ -31,8 +31,11 @@ class Voxels:
         solid: bool, occupied.
         known: bool, the label is not `unknown`.
         probability: float32, that the voxel is occupied.
-        true: bool, its centre lies in the true solid.
-        distance_m: float32, of its centre from the true surface; infinite where that is more than 30 mm.
+        true: bool, its centre lies in the seeable solid (`core.voxels.seeable`).
+        judged: bool, it counts: it lies in no slit.
+        distance_m: float32, of its centre from that solid's surface; infinite where that is more than 30 mm.
+        exact: bool, its centre lies in the exact solid.
+        exact_distance_m: float32, of its centre from the true mesh, alike.
     """
 
     grid: Grid
@@ -40,7 +43,16 @@ class Voxels:
     known: Bools
     probability: Float32
     true: Bools
+    judged: Bools
     distance_m: Float32
+    exact: Bools
+    exact_distance_m: Float32
+
+    @property
+    def against_exact(self) -> "Voxels":
+        """The same beside the exact solid, every voxel judged."""
+        everywhere = np.ones_like(self.judged)
+        return replace(self, true=self.exact, distance_m=self.exact_distance_m, judged=everywhere)
 
 
 @dataclass(frozen=True)
@@ -87,7 +99,7 @@ def voxels_beside(
 
     Args:
         model: the built object, in its own world.
-        truth: the exact solid.
+        truth: the true solid.
         registration: how the worlds lie to each other.
         surface: samples of the true surface, which say where distances are worth computing.
     """
@@ -97,9 +109,37 @@ def voxels_beside(
     found_m = Surface(truth.mesh_world).distance_m(centres(grid, near)).astype(np.float32)
     distance_m = np.full(grid.shape, np.inf, dtype=np.float32)
     distance_m[near] = np.where(found_m <= CALIBRATED_M, found_m, np.float32(np.inf))
-    true = mesh_occupancy(truth.mesh_world, grid)
+    cells = truth.cells(grid)
     known = shape.labels != Label.UNKNOWN
-    return Voxels(grid, shape.solid, known, shape.probability, true, distance_m)
+    seeable_m = seeable_distance_m(cells, distance_m, grid.voxel_size_m)
+    return Voxels(
+        grid=grid,
+        solid=shape.solid,
+        known=known,
+        probability=shape.probability,
+        true=cells.solid,
+        judged=cells.judged,
+        distance_m=seeable_m,
+        exact=cells.exact,
+        exact_distance_m=distance_m,
+    )
+
+
+def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
+    """From the seeable solid's surface: near what is solid by definition only to half a voxel, else exact."""
+    from scipy import ndimage
+
+    by_definition = cells.solid & ~cells.exact
+    if not by_definition.any():
+        return exact_m
+    solid_m, air_m, added_m = (
+        ndimage.distance_transform_edt(part, sampling=voxel_m) - voxel_m / 2
+        for part in (cells.solid, ~cells.solid, ~by_definition)
+    )
+    counted = np.where(cells.solid, solid_m, air_m)
+    counted = np.where(counted <= CALIBRATED_M, counted, np.inf)
+    # Farther from it than the surface is, the nearest surface is the exact one.
+    return np.where(added_m > CALIBRATED_M, exact_m, counted).astype(np.float32)
 
 
 def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
@@ -130,7 +170,7 @@ def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) 
         true_volume_m3: of the true solid.
         beyond_m3: of the true solid beyond the voxels, that is known to be air and as far from the surface.
     """
-    wrong = voxels.known & (voxels.distance_m > GROSS_M)
+    wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3
     missing = float(np.count_nonzero(wrong & voxels.true & ~voxels.solid)) * cell_share
     missing += beyond_m3 / true_volume_m3
@@ -160,7 +200,7 @@ def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnkno
     """How much is unknown beside what was measured, by the nearest sample of the surface (own rule)."""
     from scipy.spatial import cKDTree
 
-    near = voxels.distance_m <= NEAR_M
+    near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged
     _, nearest = cKDTree(surface.points_world).query(centres(voxels.grid, near), workers=-1)
     measured = surface.measured[nearest]
     true, unknown = voxels.true[near][measured], ~voxels.known[near][measured]
@@ -176,7 +216,7 @@ def calibration(voxels: Voxels) -> tuple[CalibrationBin, ...]:
 
     Of voxels of one probability that the border of two bins divides, each bin gets the same share inside.
     """
-    asked = ~voxels.known | np.isfinite(voxels.distance_m)
+    asked = voxels.judged & (~voxels.known | np.isfinite(voxels.distance_m))
     probability, inside = voxels.probability[asked].astype(np.float64), voxels.true[asked]
     return equal_bins(probability, inside)
 

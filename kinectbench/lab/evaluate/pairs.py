@@ -13,7 +13,7 @@ from kinectbench.core.voxels.pair_file import Pair, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.lab.evaluate.build import Build, Registration
 from kinectbench.lab.evaluate.solid import iou, known_iou, share
-from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
+from kinectbench.lab.simulate.truth import Truth
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,9 @@ class PairRow:
     Attributes:
         view: its name.
         frame: index in the sequence.
-        iou: of `full` and the true solid, over all cells.
+        iou: of `full` and the seeable solid, over all judged cells.
         known_iou: the same over `known` cells; None if none of the true solid is known.
+        exact_iou: of `full` and the exact solid, over all cells.
         true_unknown_share: share of the true solid that is not `known`.
         containment: share of the partial's cells (64^3) that lie in the true solid, dilated once.
     """
@@ -108,6 +109,7 @@ class PairRow:
     frame: int
     iou: float
     known_iou: float | None
+    exact_iou: float
     true_unknown_share: float
     containment: float
 
@@ -126,8 +128,9 @@ class PairFigures:
     """All pairs against the truth.
 
     Attributes:
-        iou: of `full` and the true solid, over all cells; None without pairs.
+        iou: of `full` and the seeable solid, over all judged cells; None without pairs.
         known_iou: the same over `known` cells.
+        exact_iou: of `full` and the exact solid, over all cells.
         true_unknown_share: share of the true solid that is not `known`; the worst is the largest.
         containment: of the partial views in the true solid.
         without_truth: pairs of frames that the truth does not have, or that show another scene.
@@ -136,6 +139,7 @@ class PairFigures:
 
     iou: Summary | None
     known_iou: Summary | None
+    exact_iou: Summary | None
     true_unknown_share: Summary | None
     containment: Summary | None
     without_truth: tuple[str, ...]
@@ -173,6 +177,7 @@ def pair_figures(
     return PairFigures(
         iou=_summary(rows, "iou", min),
         known_iou=_summary(rows, "known_iou", min),
+        exact_iou=_summary(rows, "exact_iou", min),
         true_unknown_share=_summary(rows, "true_unknown_share", max),
         containment=_summary(rows, "containment", min),
         without_truth=tuple(without),
@@ -190,17 +195,19 @@ def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: ND
         truth: the exact solid.
         T_world_camera: (4, 4), the true camera in the truth's world.
     """
-    true = mesh_occupancy(truth.mesh_world, grid_in_truth(pair, T_world_camera))
+    cells = truth.cells(grid_in_truth(pair, T_world_camera))
+    true, judged = cells.solid & cells.judged, cells.judged
     full, known = unpack(pair.full), unpack(pair.known)
     # As verify does: before the partial rule thins the cells out.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
     return PairRow(
         view=view,
         frame=frame,
-        iou=iou(full, true),
-        known_iou=known_iou(full, true, known),
+        iou=iou(full & judged, true),
+        known_iou=known_iou(full & judged, true, known),
+        exact_iou=iou(full, cells.exact),
         true_unknown_share=share(~known, of=true),
-        containment=containment(touched, pack(true)),
+        containment=containment(touched, pack(cells.solid)),
     )
 
 

@@ -1,6 +1,10 @@
-"""The built solid and its labels against the true solid, on one upright cube around the true object."""
+"""The built solid and its labels against the true solid, on one upright cube around the true object.
 
-from dataclasses import dataclass, replace
+The true solid is the seeable one (`core.voxels.seeable`): what no camera could tell from solid counts as
+solid, of the truth as of the build. Figures named `exact` are against the exact one.
+"""
+
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -23,7 +27,7 @@ from kinectbench.lab.evaluate.known import (
     voxels_beside,
 )
 from kinectbench.lab.evaluate.measured import FaceBias, MeasuredSurface, face_bias
-from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
+from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -47,22 +51,31 @@ def share(part: Bools, of: Bools) -> float:
 
 @dataclass(frozen=True)
 class Solids:
-    """Three grids (n, n, n) of bool over one cube.
+    """Grids (n, n, n) of bool over one cube.
 
     Attributes:
-        true: the cell's centre lies in the true solid.
+        true: the cell's centre lies in the seeable solid.
         built: it lies in the built closed mesh.
         known: the nearest label is not `unknown`.
+        judged: it counts: it lies in no slit.
+        exact: it lies in the exact solid.
     """
 
     true: Bools
     built: Bools
     known: Bools
+    judged: Bools
+    exact: Bools
+
+    @property
+    def against_exact(self) -> "Solids":
+        """The same beside the exact solid, every cell judged."""
+        return replace(self, true=self.exact, judged=np.ones_like(self.judged))
 
 
 @dataclass(frozen=True)
 class SolidOverlap:
-    """The figures of one grid, in [0, 1].
+    """The figures of one grid, in [0, 1]; only judged cells count.
 
     Attributes:
         cells: along an edge.
@@ -87,12 +100,18 @@ class SolidFigures:
         fine: on 256^3 cells.
         coarse: on 64^3 cells of the same cube, each set where more than half of its 4^3 fine cells are.
             Upright parts a few cells thick gain or lose a whole layer by a small shift: this IoU jumps.
+        exact_fine: as `fine`, against the exact solid.
+        exact_coarse: as `coarse`, against the exact solid.
+        line_width_m: of the lines of sight that define the seeable solid.
+        closed_by_definition_share: what is solid by definition only, over the exact solid's volume.
+        not_judged_share: what lies in slits, over the exact solid's volume.
         true_volume_m3: enclosed by the true mesh.
         built_volume_m3: enclosed by the built mesh.
         built_outside_share: share of the built solid outside the cube, where nothing else is counted,
             looked for in a cube of twice the side.
         known_gross_share: volume of the object's own voxels that are known, wrong, and more than 10 mm from
-            the true surface, over the true volume.
+            the seeable solid's surface, over the seeable volume.
+        exact_known_gross_share: the same of the exact solid.
         solid_called_air: the part of it inside the true solid; beyond the object's voxels too.
         air_called_solid: the part of it outside.
         unknown_near_measured: of the voxels within 10 mm of measured surface, the share that is unknown.
@@ -107,10 +126,16 @@ class SolidFigures:
 
     fine: SolidOverlap
     coarse: SolidOverlap
+    exact_fine: SolidOverlap
+    exact_coarse: SolidOverlap
+    line_width_m: float
+    closed_by_definition_share: float
+    not_judged_share: float
     true_volume_m3: float
     built_volume_m3: float
     built_outside_share: float
     known_gross_share: float
+    exact_known_gross_share: float
     solid_called_air: float
     air_called_solid: float
     unknown_near_measured: NearUnknown
@@ -137,12 +162,14 @@ def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Regis
     Args:
         grid: a cube in the truth's world, a multiple of 8 cells a side.
         model: the built object, in its own world.
-        truth: the exact solid.
+        truth: the true solid.
         registration: how the worlds lie to each other.
     """
-    in_built = _in_built(grid, registration)
+    in_built, cells = _in_built(grid, registration), truth.cells(grid)
     return Solids(
-        true=mesh_occupancy(truth.mesh_world, grid),
+        true=cells.solid,
+        judged=cells.judged,
+        exact=cells.exact,
         built=_built_cells(model, in_built),
         known=unpack(known_in(*full_shape(model).known, in_built)),
     )
@@ -157,25 +184,34 @@ def solid_figures(
 
     Args:
         model: the built object, in its own world.
-        truth: the exact solid.
+        truth: the true solid.
         registration: how the worlds lie to each other.
         surface: samples of the true surface, and which of them were measured.
     """
     grid = canonical_cube(truth)
     fine = compare_on(grid, model, truth, registration)
+    exact, coarse, seeable = fine.against_exact, reduced(fine), truth.seeable
     figures, true_volume_m3 = overlap(fine), truth.mesh_world.volume_m3
     voxels = voxels_beside(model, truth, registration, surface)
-    lost = fine.true & fine.known & ~fine.built
-    gross = gross_errors(voxels, true_volume_m3, called_air_beyond_m3(grid, lost, voxels, truth))
+    lost = fine.exact & fine.known & ~fine.built
+    beyond_m3 = called_air_beyond_m3(grid, lost, voxels, truth)
+    gross = gross_errors(voxels, true_volume_m3 * (1 + seeable.closed_share), beyond_m3)
+    exact_gross = gross_errors(voxels.against_exact, true_volume_m3, beyond_m3)
     bins = calibration(voxels)
     low, high = (getattr(model.quality, name, None) for name in ("estimated_iou_low", "estimated_iou_high"))
     return SolidFigures(
         fine=figures,
-        coarse=overlap(reduced(fine)),
+        coarse=overlap(coarse),
+        exact_fine=overlap(exact),
+        exact_coarse=overlap(reduced(exact)),
+        line_width_m=seeable.limits.line_width_m,
+        closed_by_definition_share=seeable.closed_share,
+        not_judged_share=seeable.slit_share,
         true_volume_m3=true_volume_m3,
         built_volume_m3=model.shape.mesh.volume_m3,
         built_outside_share=_outside_share(grid, model, registration),
         known_gross_share=gross.known_gross_share,
+        exact_known_gross_share=exact_gross.known_gross_share,
         solid_called_air=gross.solid_called_air,
         air_called_solid=gross.air_called_solid,
         unknown_near_measured=unknown_near_measured(voxels, surface),
@@ -191,18 +227,19 @@ def solid_figures(
 
 def reduced(solids: Solids) -> Solids:
     """A quarter as many cells along each axis, by majority; a tie counts as not set."""
-    return Solids(*(reduce_blocks(g, "majority") for g in (solids.true, solids.built, solids.known)))
+    return Solids(*(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids)))
 
 
 def overlap(solids: Solids) -> SolidOverlap:
     """The figures of one grid."""
-    true, built, known = solids.true, solids.built, solids.known
+    built, known, judged = solids.built & solids.judged, solids.known, solids.judged
+    true = solids.true & judged
     return SolidOverlap(
         cells=len(true),
         iou=iou(built, true),
         known_iou=known_iou(built, true, known),
         true_unknown_share=share(~known, of=true),
-        empty_unknown_share=share(~known, of=~true),
+        empty_unknown_share=share(~known, of=~solids.true & judged),
     )
 
 

@@ -154,18 +154,21 @@ def _compared(part: str, compared: SurfaceComparison) -> Iterator[Row]:
 
 
 def _solid(figures: SolidFigures) -> Iterator[Row]:
-    for overlap in (figures.fine, figures.coarse):
-        grid = f"{overlap.cells}³"
+    for overlap in (figures.fine, figures.coarse, figures.exact_fine):
+        grid = f"{overlap.cells}³" + (", exact solid" if overlap is figures.exact_fine else "")
         yield _row(f"IoU, {grid}", overlap.iou)
         yield _row(f"IoU, {grid}, known cells", overlap.known_iou)
         yield _row(f"true solid labelled unknown, {grid}", overlap.true_unknown_share, "%")
         yield _row(f"empty space labelled unknown, {grid}", overlap.empty_unknown_share, "%")
     yield _row("true volume", figures.true_volume_m3, "l")
+    yield _row("solid by definition, of the true volume", figures.closed_by_definition_share, "%")
+    yield _row("not judged (slits), of the true volume", figures.not_judged_share, "%")
     yield _row("built volume", figures.built_volume_m3, "l")
     yield _row("built solid outside the cube", figures.built_outside_share, "%")
     yield _row("known, but wrong by over 10 mm, of the true volume", figures.known_gross_share, "%")
     yield _row("the same: solid called air", figures.solid_called_air, "%")
     yield _row("the same: air called solid", figures.air_called_solid, "%")
+    yield _row("the same, of the exact solid", figures.exact_known_gross_share, "%")
     near, bias = figures.unknown_near_measured, figures.face_bias_m
     yield _row("unknown within 10 mm of measured surface, solid", near.solid, "%")
     yield _row("unknown within 10 mm of measured surface, air", near.air, "%")
@@ -197,6 +200,7 @@ def _pairs(figures: PairFigures) -> Iterator[Row]:
     for name, summary in (
         ("IoU of full, 256³", figures.iou),
         ("IoU of full, 256³, known cells", figures.known_iou),
+        ("IoU of full, 256³, exact solid", figures.exact_iou),
         ("true solid not known", figures.true_unknown_share),
         ("containment of the partial", figures.containment),
     ):

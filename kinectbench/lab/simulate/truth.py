@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.storage import pretty_json
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.seeable import SeeableSolid, SensorLimits, seeable_solid
 
 FORMAT_VERSION = 2
 # Noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.
@@ -33,6 +36,21 @@ class SurfaceTruth:
     points_world: NDArray[np.float64]
     normals_world: NDArray[np.float64]
     frames_seen: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class TrueCells:
+    """What is true of the cells of a grid, by their middles: bool, of its shape.
+
+    Attributes:
+        exact: in the exact solid.
+        solid: in the seeable one: in the exact solid, or where no camera could tell; as air in a slit.
+        judged: not in a slit so narrow that sensors differ on it.
+    """
+
+    exact: Bools
+    solid: Bools
+    judged: Bools
 
 
 @dataclass(frozen=True)
@@ -60,6 +78,18 @@ class Truth:
     stamps_ns: NDArray[np.int64]
     T_world_camera: NDArray[np.float64]
     surface: SurfaceTruth
+
+    @cached_property
+    def seeable(self) -> SeeableSolid:
+        """The solid under the definition of air (`core.voxels.seeable`); takes some seconds, once."""
+        longest_m = float(np.ptp(self.mesh_world.vertices, axis=0).max())
+        return seeable_solid(self.mesh_world, self.T_world_object, SensorLimits.of_size(longest_m))
+
+    def cells(self, grid: Grid) -> "TrueCells":
+        """What is true of the cells of a grid in this world, whose last side is a multiple of 8."""
+        exact, seeable = mesh_occupancy(self.mesh_world, grid), self.seeable
+        closed = seeable.on(grid, seeable.closed & ~seeable.slit)
+        return TrueCells(exact, exact | closed, exact | ~seeable.on(grid, seeable.slit))
 
     @property
     def floor_plane_world(self) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import manifold3d
 import numpy as np
 import pytest
 from analytic_scenes import MemoryFrames
@@ -29,6 +30,7 @@ from kinectbench.lab.evaluate.known import (
     cells_around,
     equal_bins,
     gross_errors,
+    seeable_distance_m,
     unknown_near_measured,
     voxels_beside,
 )
@@ -43,7 +45,7 @@ from kinectbench.lab.evaluate.measured import (
 from kinectbench.lab.evaluate.solid import solid_figures
 from kinectbench.lab.evaluate.surface import scene_errors, surface_figures
 from kinectbench.lab.simulate.render import sample_surface
-from kinectbench.lab.simulate.truth import Truth
+from kinectbench.lab.simulate.truth import TrueCells, Truth
 from kinectbench.stages.segment.solid import SolidShape
 
 VOXEL_M = 0.005
@@ -135,7 +137,8 @@ def test_unknown_near_measured_by_hand(perfect: Known):
     labels[12:52, 12:52, 52] = Label.UNKNOWN  # one layer right above the cube
     labels[12:52, 12:52, 51] = Label.UNKNOWN  # the uppermost of the cube
     labels[:, :, 60:] = Label.UNKNOWN  # far from the surface
-    voxels = cube_voxels(perfect, inside, labels, inside.astype(float))
+    # Beside the exact cube: the edge that it makes with the floor is not judged otherwise.
+    voxels = cube_voxels(perfect, inside, labels, inside.astype(float)).against_exact
     surface = everywhere(cube_truth(perfect.truth))
     found = unknown_near_measured(voxels, surface)
     assert found.air == pytest.approx(1600 / np.count_nonzero((signed_m > 0) & (signed_m <= 0.01)))
@@ -155,7 +158,7 @@ def test_calibration_by_hand(perfect: Known):
     probability = np.where(inside, 0.9, 0.2)
     labels = np.where(inside, Label.INTERIOR, Label.FREE).astype(np.uint8)
     labels[:, :, 63] = Label.UNKNOWN
-    bins = calibration(cube_voxels(perfect, inside, labels, probability))
+    bins = calibration(cube_voxels(perfect, inside, labels, probability).against_exact)
     asked = np.abs(signed_m) <= 0.03
     asked[:, :, 63] = True
     assert sum(each.count for each in bins) == np.count_nonzero(asked)
@@ -324,3 +327,38 @@ def test_a_build_in_another_world(truth: Truth):
     assert near.solid is not None and 0.4 < near.solid < 0.8
     assert near.air is not None and 0.4 < near.air < 0.8
     assert figures.calibration_error == pytest.approx(0, abs=1e-3)
+
+
+def _block(box: OrientedBox) -> manifold3d.Manifold:
+    return manifold3d.Manifold.cube(box.size_m, center=True).translate(box.center_m)
+
+
+def test_what_no_camera_could_tell_is_solid_in_the_truth_too(perfect: Known):
+    """A shell of 14 mm upside down, 18 mm above the floor, called a solid: right by definition."""
+    outer = OrientedBox((0.0, 0.0, 0.118), (0.2, 0.2, 0.2))
+    inner = OrientedBox((0.0, 0.0, 0.1), (0.172, 0.172, 0.208))  # open below
+    shell = mesh_of(_block(outer) - _block(inner))
+    truth = replace(perfect.truth, mesh_world=shell, T_world_object=np.eye(4))
+    grid = Grid((64, 64, 64), VOXEL_M, rigid(np.eye(3), [-0.16, -0.16, 0.0]))
+    points = transform_points(grid.T_world_grid, (np.stack(np.indices(grid.shape), axis=-1) + 0.5) * VOXEL_M)
+    solid = outer.contains(points)
+    labels = np.where(solid, Label.INTERIOR, Label.FREE).astype(np.uint8)
+    assert perfect.build.model
+    shape = SolidShape(grid, solid, labels, solid.astype(np.float32), box_mesh(outer))
+    model = replace(perfect.build.model, shape=shape)
+    figures = solid_figures(model, truth, HERE, everywhere(truth))
+    assert figures.closed_by_definition_share > 1 and figures.line_width_m == 0.02
+    assert figures.known_gross_share < 0.003 < 0.5 < figures.exact_known_gross_share
+    assert figures.fine.iou > 0.97 and figures.exact_fine.iou < 0.6
+
+
+def test_distances_from_what_is_solid_by_definition_are_counted(perfect: Known):
+    """Beside it to half a voxel, elsewhere exactly."""
+    exact, solid = np.zeros((2, 40, 8, 8), bool)
+    exact[4:8], solid[4:20] = True, True  # a wall with a closed space behind it
+    exact_m = np.full(exact.shape, np.inf, np.float32)
+    exact_m[:4] = ((4 - np.arange(4)) * 0.01 - 0.005)[:, None, None]
+    found = seeable_distance_m(TrueCells(exact, solid, np.ones_like(solid)), exact_m, 0.01)
+    np.testing.assert_allclose(found[:, 4, 4][8:20], [np.inf] * 9 + [0.025, 0.015, 0.005], atol=1e-6)
+    np.testing.assert_allclose(found[:, 4, 4][20:24], [0.005, 0.015, 0.025, np.inf], atol=1e-6)
+    np.testing.assert_allclose(found[0:4, 4, 4], exact_m[0:4, 4, 4])

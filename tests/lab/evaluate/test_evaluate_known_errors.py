@@ -120,7 +120,10 @@ def test_dilated_mesh(truth: Truth):
     assert whole.scores[1].f == 1
     # The exact ratio of the volumes; grids in the object's own axes gain or lose whole layers.
     exact = chair().volume() / chair(0.004).volume()
-    assert evaluation.pairs.iou.mean == pytest.approx(exact, abs=0.001)
+    assert evaluation.pairs.exact_iou
+    assert evaluation.pairs.exact_iou.mean == pytest.approx(exact, abs=0.001)
+    # Edges between parts are not judged, where the dilated chair has more of its volume.
+    assert exact < evaluation.pairs.iou.mean < exact + 0.01
     assert evaluation.solid.fine.iou == pytest.approx(exact, abs=0.02)
     assert evaluation.solid.built_volume_m3 / evaluation.solid.true_volume_m3 == pytest.approx(1 / exact)
     assert evaluation.pairs.containment and evaluation.pairs.containment.worst == 1
@@ -152,14 +155,17 @@ def test_majority_by_hand():
     true[:4, :4, :3] = True  # 48 of 64: set
     built[:4, :4, :2] = True  # 32 of 64: a tie, not set
     built[4:, 4:, 4:] = known[:, :, 4:] = True
-    coarse = reduced(Solids(true, built, known))
+    judged = np.ones((8, 8, 8), bool)
+    judged[4:, :4, :4] = False
+    coarse = reduced(Solids(true, built, known, judged, exact=true))
     assert np.argwhere(coarse.true).tolist() == [[0, 0, 0]]
     assert np.argwhere(coarse.built).tolist() == [[1, 1, 1]]
     found = overlap(coarse)
     # None of the true solid is known: nothing can be said of it.
     assert (found.cells, found.iou, found.known_iou) == (2, 0, None)
     assert found.true_unknown_share == 1
-    assert found.empty_unknown_share == pytest.approx(3 / 7)
+    # Of six judged cells that are empty four are known.
+    assert found.empty_unknown_share == pytest.approx(2 / 6)
 
 
 def test_unknown_labels(truth: Truth):

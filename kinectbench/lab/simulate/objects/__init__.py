@@ -20,6 +20,7 @@ from kinectbench.lab.simulate.objects.ceramics import bottle, kettle, mug, vase
 from kinectbench.lab.simulate.objects.chairs import chair
 from kinectbench.lab.simulate.objects.containers import basket, bucket, pot, waste_bin
 from kinectbench.lab.simulate.objects.couches import couch
+from kinectbench.lab.simulate.objects.deceptive import flap_box, shell, sound_box, two_boxes
 from kinectbench.lab.simulate.objects.figures import shoe, toy_animal
 from kinectbench.lab.simulate.objects.frames import ladder, tray_stand
 from kinectbench.lab.simulate.objects.headgear import helmet
@@ -82,6 +83,10 @@ FAMILIES: dict[str, Callable[[Draw], Parts]] = {
     "toy_car": toy_car,
     "helmet": helmet,
     "bottle": bottle,
+    "shell": shell,
+    "two_boxes": two_boxes,
+    "flap_box": flap_box,
+    "sound_box": sound_box,
 }
 # Those of the paper's categories that are furniture: what `synthesize` draws where no family is named.
 PAPER_FURNITURE = ("chair", "table", "bench", "couch")
@@ -94,6 +99,7 @@ LOOKED_AT: tuple[str, ...] = (
     *("open_cabinet", "fridge", "kennel"),
     *("mug", "shoe", "kettle", "vase", "toy_animal"),
     *("blob", "sculpture"),
+    *("shell", "two_boxes", "flap_box", "sound_box"),
 )
 REPORTED_ONLY: tuple[str, ...] = (
     *("sideboard", "piano", "stool", "bed"),

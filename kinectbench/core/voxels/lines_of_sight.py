@@ -1,0 +1,240 @@
+"""Which voxels of an upright grid a camera sees along a straight line: sweeps over sampled directions.
+
+A sweep walks all lines of one direction at once, slice by slice from the cameras' end, and keeps for each
+the distance of the farthest camera behind it that nothing hides. So a direction costs one look at each voxel.
+"""
+
+from typing import Final
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.types import Float32, Float64
+
+# The state of a voxel: a line passes; it passes, and a camera can be here; no line passes.
+PASSABLE: Final = 0
+PLACE: Final = 1
+BLOCKED: Final = 2
+# How a voxel is seen; a bit each: by a camera that is as high as it or higher, and by a lower one.
+FROM_ABOVE: Final = 1
+FROM_BELOW: Final = 2
+# Of distances: nothing of the kind, and as far as one likes.
+_NONE, _FAR = np.float32(-1e9), np.float32(1e9)
+_LEVEL = 1e-9
+
+
+def directions(count: int) -> Float64:
+    """Unit vectors (n, 3), from a point to a camera: a Fibonacci lattice, and level and upright ones.
+
+    What stands on a floor has its narrow gaps along these.
+
+    Args:
+        count: of the lattice; as many are level as its spacing asks for.
+    """
+    at = np.arange(count) + 0.5
+    z = 1 - 2 * at / count
+    turn = np.pi * (1 + np.sqrt(5)) * at
+    ball = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    level = 2 * np.pi * np.arange(round(np.sqrt(np.pi * count))) / round(np.sqrt(np.pi * count))
+    ring = np.stack([np.cos(level), np.sin(level), np.zeros(len(level))], axis=1)
+    return np.concatenate([ball, ring, [[0, 0, 1], [0, 0, -1]]])
+
+
+def seen_along(
+    state: NDArray[np.uint8],
+    heights_m: Float32,
+    voxel_size_m: float,
+    near_m: float,
+    least_height_m: float,
+    to_camera: Float64,
+) -> NDArray[np.uint8]:
+    """How each voxel is seen along these directions, by a camera in some PLACE, or beyond the grid.
+
+    Beyond the grid nothing hides a camera, and it can be wherever it is high enough. Lines are walked from
+    voxel to voxel: one slice of the grid along their main axis a step.
+
+    Args:
+        state: (nx, ny, nz), its last axis up: PASSABLE, PLACE or BLOCKED.
+        heights_m: (nz,) of the layers' middles above the floor; infinite without one.
+        voxel_size_m: edge of a voxel.
+        near_m: a camera is at least so far from what it sees.
+        least_height_m: a camera beyond the grid is at least so high.
+        to_camera: (n, 3) unit vectors.
+
+    Returns:
+        (nx, ny, nz): FROM_ABOVE, FROM_BELOW, both (3) or 0.
+    """
+    seen = np.zeros(state.shape, np.uint8)
+    main = np.argmax(np.abs(to_camera), axis=1)
+    lengths = np.float32(voxel_size_m), np.float32(near_m), np.float32(least_height_m)
+    for axis in range(3):
+        # So that a slice lies in one piece, with the axis that varies fastest at its end.
+        order = (axis, *(other for other in range(3) if other != axis))
+        turned = np.ascontiguousarray(state.transpose(order))
+        found = np.zeros(turned.shape, np.uint8)
+        for direction in to_camera[main == axis]:
+            _sweep(turned, found, direction[list(order)], order.index(2), heights_m, *lengths)
+        seen |= found.transpose(np.argsort(order))
+    return seen
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _beyond(height, up, least):  # type: ignore[no-untyped-def]
+    """How far from a voxel of this height the farthest camera beyond the grid can be, along a direction."""
+    if up > _LEVEL:
+        return _FAR
+    if up > -_LEVEL:
+        return _FAR if height >= least else _NONE
+    farthest = (height - least) / np.float32(-up)
+    return farthest if farthest >= 0 else _NONE
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _sweep(state, seen, direction, up_axis, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Add what is seen along one direction, of which the first axis is the main one."""
+    n0, n1, n2 = state.shape
+    along, up = abs(direction[0]), direction[up_axis]
+    bit = np.uint8(FROM_BELOW if up < -_LEVEL else FROM_ABOVE)
+    step = np.float32(voxel_m / along)
+    # From slice to slice a line moves away from the camera.
+    slope1, slope2 = -direction[1] / along, -direction[2] / along
+    # Distance of the farthest camera from each voxel of the slice before, and of this slice.
+    before, now = np.empty((n1, n2), np.float32), np.empty((n1, n2), np.float32)
+    at1 = at2 = 0
+    for count in range(n0):
+        i = n0 - 1 - count if direction[0] > 0 else count
+        next1, next2 = int(np.rint(slope1 * count)), int(np.rint(slope2 * count))
+        move1, move2 = next1 - at1, next2 - at2
+        at1, at2 = next1, next2
+        for j in range(n1):
+            own, into, row = state[i, j], seen[i, j], now[j]
+            low, high = n2, n2
+            if count > 0 and 0 <= j - move1 < n1:
+                source = before[j - move1]
+                low, high = max(0, move2), min(n2, n2 + move2)
+                for k in range(low, high):
+                    row[k] = source[k - move2] + step
+            # Lines that come in through the grid's side.
+            for k in range(low):
+                row[k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
+            for k in range(high, n2):
+                row[k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
+            for k in range(n2):
+                far = max(row[k], np.float32(0)) if own[k] == PLACE else row[k]
+                far = _NONE if own[k] == BLOCKED else far
+                row[k] = far
+                into[k] |= bit if far >= near_m else np.uint8(0)
+        before, now = now, before
+
+
+def seen_around_corners(
+    seen: NDArray[np.uint8],
+    state: NDArray[np.uint8],
+    heights_m: Float32,
+    voxel_size_m: float,
+    near_m: float,
+    least_height_m: float,
+    to_camera: Float64,
+) -> NDArray[np.uint8]:
+    """Add what is seen along further directions, asked only at the edge of what is seen already.
+
+    Through a narrow gap few directions lead. All points of a line up to its camera are seen, too: so what is
+    added grows from what is seen. Asked voxel by voxel, from the edge on.
+
+    Args:
+        seen: by `seen_along`.
+        state: as there; and all that follows.
+        heights_m: (nz,).
+        voxel_size_m: edge of a voxel.
+        near_m: a camera is at least so far from what it sees.
+        least_height_m: a camera beyond the grid is at least so high.
+        to_camera: (n, 3) unit vectors, more of them.
+
+    Returns:
+        As `seen_along`.
+    """
+    more = seen.copy()
+    lengths = np.float32(voxel_size_m), np.float32(near_m), np.float32(least_height_m)
+    up = to_camera[:, 2] >= -_LEVEL
+    # Whether a voxel that is seen from above is seen from below as well decides nothing.
+    for bit, enough, ways in (
+        (FROM_ABOVE, FROM_ABOVE, to_camera[up]),
+        (FROM_BELOW, FROM_ABOVE | FROM_BELOW, to_camera[~up]),
+    ):
+        # Each is asked once at most.
+        stack = np.empty(np.count_nonzero((state != BLOCKED) & (more & enough == 0)), np.int64)
+        bits = np.uint8(bit), np.uint8(enough)
+        _grow(more, state, bits, np.ascontiguousarray(ways), stack, heights_m, *lengths)
+    return more
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    nx, ny, nz = state.shape
+    bit, enough = bits
+    asked = np.zeros(state.shape, np.bool_)
+    count = 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if seen[i, j, k] & enough:
+                    count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
+    last = 0
+    while count > 0:
+        count -= 1
+        cell = stack[count]
+        i, j, k = cell // (ny * nz), cell // nz % ny, cell % nz
+        for turn in range(len(ways)):
+            # Neighbours are mostly seen along the same direction.
+            way = (last + turn) % len(ways)
+            if _sees(state, i, j, k, ways[way], heights_m, voxel_m, near_m, least_m):
+                last = way
+                seen[i, j, k] |= bit
+                count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
+                break
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
+    """Put the neighbours (6) that are not seen and were not asked onto the stack; its new length."""
+    nx, ny, nz = state.shape
+    for side in range(6):
+        step = 1 if side % 2 else -1
+        a = i + step if side // 2 == 0 else i
+        b = j + step if side // 2 == 1 else j
+        c = k + step if side // 2 == 2 else k
+        if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
+            continue
+        if state[a, b, c] != BLOCKED and not seen[a, b, c] & enough and not asked[a, b, c]:
+            asked[a, b, c] = True
+            stack[count] = (a * ny + b) * nz + c
+            count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Whether a voxel is seen along a direction."""
+    nx, ny, nz = state.shape
+    along = max(abs(way[0]), abs(way[1]), abs(way[2]))
+    dx, dy, dz = way[0] / along, way[1] / along, way[2] / along
+    step = np.float32(voxel_m / along)
+    distance_m = np.float32(0)
+    last_k = k
+    count = 0
+    while True:
+        a, b, c = (
+            i + int(np.rint(dx * count)),
+            j + int(np.rint(dy * count)),
+            k + int(np.rint(dz * count)),
+        )
+        if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
+            return distance_m - step + _beyond(heights_m[last_k], way[2], least_m) >= near_m
+        if state[a, b, c] == BLOCKED:
+            return False
+        if state[a, b, c] == PLACE and distance_m >= near_m:
+            return True
+        last_k = c
+        distance_m += step
+        count += 1

@@ -1,0 +1,235 @@
+"""Which space around an object is air: what some camera could see. Everything else is the object.
+
+    Air is what some camera could see: a point is air if a straight line of the sensor's width reaches it,
+    without crossing the object, from a place that a camera can be brought to.
+
+No ray can tell a shell on its rim from a solid dome. Where no camera could tell, this definition says object,
+of recordings, simulations and CAD models alike.
+"""
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, transform_points
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.lines_of_sight import (
+    BLOCKED,
+    FROM_ABOVE,
+    PASSABLE,
+    PLACE,
+    directions,
+    seen_along,
+    seen_around_corners,
+)
+
+# Things so small stand on a table and are recorded from 0.5 to 1 m, where ten pixels are 10 to 20 mm.
+SMALL_M, NEAR_LINE_M = 0.4, 0.02
+
+
+@dataclass(frozen=True)
+class SensorLimits:
+    """What a sensor is, and where it can be brought to; all lengths in metres.
+
+    Attributes:
+        line_width_m: a line of sight is as wide. Through less no depth camera measures: 30 mm are ten pixels
+            of a Kinect at 1.6 m, and as many as its matching window has.
+        near_m: it is at least so far from what it sees: the least range of a Kinect v1 in near mode.
+        camera_size_m: diameter of the ball that is moved without crossing the object: a camera in a hand.
+        camera_height_m: its centre is at least so high above the plane that the object stands on.
+    """
+
+    line_width_m: float = 0.03
+    near_m: float = 0.4
+    camera_size_m: float = 0.15
+    camera_height_m: float = 0.05
+
+    @classmethod
+    def of_size(cls, longest_m: float) -> "SensorLimits":
+        """Lines of 30 mm; of 20 mm for things shorter than 0.4 m, which are recorded from near."""
+        return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
+
+
+# Directions of the sweeps over all voxels, and of those asked at the edge of what these found.
+COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
+# Voxels of an exact solid: half a line is three wide, unless the object has more than so many along its edge.
+VOXELS_PER_LINE, MOST_VOXELS_LONG = 6, 320
+
+
+def seen_from_outside(
+    obstacle: Bools,
+    heights_m: Float32 | None,
+    voxel_size_m: float,
+    limits: SensorLimits,
+    seen: NDArray[np.uint8] | None = None,
+) -> NDArray[np.uint8]:
+    """The voxels that some admissible line reaches, and from where.
+
+    The middle of a line keeps half its width from the obstacle and from the plane; what it reaches is grown
+    back by as much, never into the obstacle. Cameras are where a ball gets from beyond the grid.
+
+    Args:
+        obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
+        heights_m: (nz,) float32, of the layers' middles above the plane it stands on; None: no plane.
+        voxel_size_m: edge of a voxel.
+        limits: of the sensor.
+        seen: the same of wider lines, if known: what they reach, narrower ones reach.
+
+    Returns:
+        uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0; 0 in the
+        obstacle. What is seen from above may be seen from below, too, without saying so.
+    """
+    heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
+    half_m = limits.line_width_m / 2
+    gap_m = _distance_m(obstacle, voxel_size_m) - np.float32(voxel_size_m / 2)
+    place = _from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
+    blocked = (gap_m < half_m) | (heights < half_m)
+    state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
+    how = heights, voxel_size_m, limits.near_m, limits.camera_height_m
+    first = seen_along(state, *how, directions(COARSE_DIRECTIONS)) if seen is None else seen * ~blocked
+    reached = seen_around_corners(first, state, *how, directions(FINE_DIRECTIONS))
+    if seen is not None:
+        reached |= seen
+    # Half a voxel more, or layers right at the obstacle would be missed by rounding.
+    return np.asarray(_grown_back(reached, obstacle, half_m / voxel_size_m + 0.5))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
+    """Voxels with what of `reached` lies within a ball of some voxels around each, but for the obstacle's."""
+    nx, ny, nz = reached.shape
+    most = int(radius)
+    balls = [
+        (a, b, c)
+        for a in range(-most, most + 1)
+        for b in range(-most, most + 1)
+        for c in range(-most, most + 1)
+        if a * a + b * b + c * c <= radius * radius
+    ]
+    grown = reached.copy()
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if obstacle[i, j, k] or reached[i, j, k] & FROM_ABOVE:
+                    continue
+                for a, b, c in balls:
+                    inside = 0 <= i + a < nx and 0 <= j + b < ny and 0 <= k + c < nz
+                    if inside and reached[i + a, j + b, k + c]:
+                        grown[i, j, k] |= reached[i + a, j + b, k + c]
+                        if grown[i, j, k] & FROM_ABOVE:
+                            break
+    return grown
+
+
+def _from_beyond(roomy: Bools) -> Bools:
+    """Those of the voxels in which a camera fits that it reaches from beyond the grid (6 neighbours)."""
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(roomy)
+    reached = np.zeros(count + 1, bool)
+    for axis in range(3):
+        for end in (0, -1):
+            reached[np.unique(np.take(pieces, end, axis))] = True
+    reached[0] = False
+    result: Bools = reached[pieces]
+    return result
+
+
+def _distance_m(of: Bools, voxel_size_m: float) -> Float32:
+    """From the middle of each voxel to that of the nearest set one, metres; infinite if none is set."""
+    from scipy import ndimage
+
+    if not of.any():
+        return np.full(of.shape, np.inf, np.float32)
+    return np.asarray(ndimage.distance_transform_edt(~of, sampling=voxel_size_m), np.float32)
+
+
+@dataclass(frozen=True)
+class SeeableSolid:
+    """An exact solid under the definition, on an upright grid around it; arrays have the grid's shape.
+
+    Attributes:
+        limits: by which it was found.
+        grid: upright; its lowest layer stands on the plane.
+        solid: bool, the voxel's middle lies in the exact solid.
+        closed: bool, it does not, and no camera could tell: object by definition.
+        slit: bool, by lines of half the width the answer differs: not judged.
+    """
+
+    limits: SensorLimits
+    grid: Grid
+    solid: Bools
+    closed: Bools
+    slit: Bools
+
+    @property
+    def closed_share(self) -> float:
+        """Volume that is object by definition only and is judged, over the exact solid's: what it costs."""
+        return int((self.closed & ~self.slit).sum()) / max(1, int(self.solid.sum()))
+
+    @property
+    def slit_share(self) -> float:
+        """Volume that is not judged, over the exact solid's."""
+        return int(self.slit.sum()) / max(1, int(self.solid.sum()))
+
+    def on(self, grid: Grid, which: Bools) -> Bools:
+        """One of its arrays on another grid, by the nearest voxel; False beyond."""
+        if not which.any():
+            return np.zeros(grid.shape, bool)
+        T = self.grid.T_grid_world @ grid.T_world_grid
+        scale = grid.voxel_size_m / self.grid.voxel_size_m
+        T_cells = np.concatenate([T[:3, :3] * scale, T[:3, 3:] / self.grid.voxel_size_m], axis=1)
+        return np.asarray(_nearest(which, T_cells, *grid.shape))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """The value at the middle of each cell of another grid; (3, 4) maps its cells to those of `which`."""
+    found = np.zeros((nx, ny, nz), np.bool_)
+    mx, my, mz = which.shape
+    for i in range(nx):
+        for j in range(ny):
+            x, y, z = T_cells[:, 0] * (i + 0.5) + T_cells[:, 1] * (j + 0.5) + T_cells[:, 3]
+            for k in range(nz):
+                a = int(np.floor(x + T_cells[0, 2] * (k + 0.5)))
+                b = int(np.floor(y + T_cells[1, 2] * (k + 0.5)))
+                c = int(np.floor(z + T_cells[2, 2] * (k + 0.5)))
+                if 0 <= a < mx and 0 <= b < my and 0 <= c < mz:
+                    found[i, j, k] = which[a, b, c]
+    return found
+
+
+def seeable_solid(
+    mesh_world: TriangleMesh, T_world_upright: Float64, limits: SensorLimits, *, stands: bool = True
+) -> SeeableSolid:
+    """What of the space in and around a closed mesh is object under the definition.
+
+    Args:
+        mesh_world: closed, metres.
+        T_world_upright: (4, 4), a frame with z up whose plane z = 0 the object stands on.
+        limits: of the sensor.
+        stands: False: there is no plane, and cameras may be anywhere.
+    """
+    from kinectbench.core.voxels.pair_file import unpack
+    from kinectbench.core.voxels.solid import voxelize_solid
+
+    upright = transform_points(invert_rigid(T_world_upright), mesh_world.vertices)
+    low, high = upright.min(axis=0), upright.max(axis=0)
+    voxel_m = max(limits.line_width_m / VOXELS_PER_LINE, float((high - low).max()) / MOST_VOXELS_LONG)
+    margin_m = limits.camera_size_m / 2 + limits.line_width_m
+    low, high = low - margin_m, high + margin_m
+    if stands:
+        low[2] = 0.0
+    shape = np.ceil((high - low) / voxel_m).astype(int)
+    shape[2] = -(-shape[2] // 8) * 8  # of packed grids
+    nx, ny, nz = (int(n) for n in shape)
+    grid = Grid((nx, ny, nz), voxel_m, T_world_upright @ rigid(np.eye(3), low))
+    solid = unpack(voxelize_solid(mesh_world.vertices, mesh_world.faces, grid))
+    heights_m = ((np.arange(nz) + 0.5) * voxel_m).astype(np.float32) if stands else None
+    seen = seen_from_outside(solid, heights_m, voxel_m, limits)
+    narrow = replace(limits, line_width_m=limits.line_width_m / 2)
+    through_less = seen_from_outside(solid, heights_m, voxel_m, narrow, seen)
+    hidden = ~solid & (seen == 0)
+    return SeeableSolid(limits, grid, solid, hidden, hidden & (through_less > 0))
