@@ -97,9 +97,9 @@ def test_simulate_init_build_publish_score(command: Command, tmp_path: Path) -> 
     assert "recordings/chair" in text and "recordings/table" in text
     coarse = [
         "--set",
-        "fusion.voxel_size_m=0.01",
+        "fusion.voxel_size_m=0.015",
         "--set",
-        "fusion.scene_voxel_size_m=0.02",
+        "fusion.scene_voxel_size_m=0.03",
         "--set",
         "views.count=2",
         "--set",

@@ -168,8 +168,8 @@ def test_interrupted(
     wait_until_all_ended(process)
     assert leftovers(fresh) == []
     if whom == "all":
-        assert command(fresh, "build", "--jobs", "1").status == 0
-        assert hashes(fresh / "build") == hashes(small / "build")
+        assert command(fresh, "build", "chair", "--jobs", "1").status == 0
+        assert hashes(fresh / "build" / "chair") == hashes(small / "build" / "chair")
 
 
 @pytest.mark.parametrize("wait_s", [0.0, slow(0.3), 0.6, slow(0.9)])
@@ -243,8 +243,8 @@ def test_a_full_disk(command: Command, small: Path, tmp_path: Path, mounted: Cal
     assert all("the disk is full: free some space" in line for line in lines), lines
     assert leftovers(root) == []
     subprocess.run(["mount", "-o", "remount,size=40m", str(disk)], check=True)
-    assert command(root, "build", "--jobs", "1").status == 0
-    assert hashes(root / "build") == hashes(small / "build")
+    assert command(root, "build", "chair", "--jobs", "1").status == 0
+    assert hashes(root / "build" / "chair") == hashes(small / "build" / "chair")
 
 
 def test_a_read_only_disk(command: Command, small: Path, mounted: Callable[..., Path]) -> None:

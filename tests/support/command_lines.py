@@ -10,7 +10,7 @@ ONE = """\
 name: one
 recordings:
   - {id: chair, path: recordings/chair, category: chair}
-fusion: {voxel_size_m: 0.01, scene_voxel_size_m: 0.02}
+fusion: {voxel_size_m: 0.015, scene_voxel_size_m: 0.03}
 views: {count: 3, min_pixels: 100}
 tracking: {check_stride_px: 4}
 """

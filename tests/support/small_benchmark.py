@@ -21,7 +21,7 @@ name: small
 recordings:
   - {id: chair, path: recordings/chair, category: chair}
   - {id: table, path: recordings/table, category: table, split: validation}
-fusion: {voxel_size_m: 0.01, scene_voxel_size_m: 0.02}
+fusion: {voxel_size_m: 0.015, scene_voxel_size_m: 0.03}
 views: {count: 3, min_pixels: 100}
 tracking: {check_stride_px: 4}
 publish: {gate: {min_estimated_iou: 0.5, max_doubts: 1}}  # of so few pixels legs are not seen
