@@ -44,6 +44,7 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
     return parse_benchmark(as_text(read_bytes(path), source), source, overrides, path)
 
 
+@yaml_nodes.unsearched()
 def parse_benchmark(
     text: str, source: str, overrides: Sequence[str] = (), config: Path | None = None
 ) -> BenchmarkSettings:

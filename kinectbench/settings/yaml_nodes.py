@@ -1,6 +1,7 @@
 """YAML as nodes that know their file and line, and as plain values; one clear line for every error."""
 
 import contextlib
+import gc
 import io
 import os
 import re
@@ -143,6 +144,19 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
     return node or yaml.ScalarNode(NULL_TAG, "", null_mark(source), null_mark(source))
 
 
+@contextlib.contextmanager
+def unsearched() -> Iterator[None]:
+    """Within the block nothing is searched for garbage: values are many and stay, and it took half the time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+@unsearched()
 def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
     """The nodes of a text; what is wrong with a short one is said by PyYAML's own parser, which says more."""
     before = allowance.values

@@ -56,7 +56,8 @@ def test_nesting_ends_in_a_line(
     assert len(complaint(tmp_path, f"name: a\nx: {NESTED[name]}\n").splitlines()) <= 2
 
 
-MANY = 100_000
+# Whatever grows with their square takes minutes.
+MANY = 30_000
 COSTLY = {
     "unknown keys": ("".join(f"k{n}: 1\n" for n in range(MANY)), "k18: unknown key"),
     "wrong values": ("publish: {changelog: [" + "1, " * MANY + "]}\n", "publish.changelog: found [1, 1"),
@@ -73,9 +74,9 @@ COSTLY = {
 TOO_MANY = "more than the 400000 keys and values that such a file may have"
 COSTLIER = {
     "values": ("x: [" + "1," * (yaml_nodes.MOST_VALUES + 10) + "]\n", TOO_MANY),
-    "lines": ("x:\n" + "- 1\n" * (3 << 20), TOO_MANY),
-    "numbers for recordings": ("recordings: [" + "1," * 50_000 + "]\n", "recordings[0]: found 1; wanted"),
-    "nothing for recordings": ("recordings: [" + "{}," * 50_000 + "]\n", "recordings[0].id: missing"),
+    "lines": ("x:\n" + "- 1\n" * (2 * yaml_nodes.MOST_VALUES), TOO_MANY),
+    "numbers for recordings": ("recordings: [" + "1," * 20_000 + "]\n", "recordings[0]: found 1; wanted"),
+    "nothing for recordings": ("recordings: [" + "{}," * 20_000 + "]\n", "recordings[0].id: missing"),
     "many aliases": ("a: &a [1, 1]\nb: [" + "*a," * 50_000 + "]\n", "a: unknown key"),
 }
 
@@ -103,7 +104,7 @@ def test_what_is_wrong_is_told_in_time_and_in_short(name: str, tmp_path: Path) -
     text, words = COSTLY[name]
     started = time.process_time()
     told = complaint(tmp_path, f"name: a\n{text}")
-    assert time.process_time() - started < 15
+    assert time.process_time() - started < 5
     lines = told.splitlines()
     assert words in told and len(lines) <= SHOWN + 1 and max(map(len, lines)) < 600
     if len(lines) > SHOWN:
@@ -156,10 +157,10 @@ def test_thousands_of_recordings_are_read_soon(tmp_path: Path) -> None:
 
 
 def test_init_gives_names_that_can_be_used_and_soon(tmp_path: Path) -> None:
-    found = [(f"{n}/{name}", "tum") for n in range(1000) for name in (*OURS, "same")]
+    found = [(f"{n}/{name}", "tum") for n in range(400) for name in (*OURS, "same")]
     started = time.process_time()
     text = init_benchmark(tmp_path / "baselines", found, ())
-    assert time.process_time() - started < 4
+    assert time.process_time() - started < 1.6
     (tmp_path / "benchmark.yaml").write_text(text, encoding="utf-8")
     settings = load_benchmark(tmp_path / "benchmark.yaml")
     assert len({one.id.lower() for one in settings.recordings}) == len(found)
