@@ -146,7 +146,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
 
 @contextlib.contextmanager
 def unsearched() -> Iterator[None]:
-    """Within the block nothing is searched for garbage: values are many and stay, and it took half the time."""
+    """Within the block nothing is searched for garbage: values are many and stay; it took half the time."""
     was_on = gc.isenabled()
     gc.disable()
     try:

@@ -19,7 +19,7 @@ from kinectbench.engine.stages import STAGES, SUGGEST, current_stages
 from kinectbench.lab.synthesize.make import Task
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.release.publish.current import publish_if_stale
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.baselines.beside import baselines_beside
 from kinectbench.scoring.baselines.registry import LEARNED
 from kinectbench.scoring.pair_result import Counting, Job
@@ -238,8 +238,9 @@ def test_another_version_counts_again(release: Release, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("stage", ["score", "baselines"])
 def test_another_version_scores_the_baselines_again(
-    release: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str
 ) -> None:
+    release = open_release(root / "fixed" / "benchmark")
     (first, *_) = baselines_beside(release, tmp_path, protocols=("paper",), without=LEARNED)
     monkeypatch.setattr("kinectbench.scoring.assemble.__version__", "99.0.0")
     (kept, *_) = baselines_beside(release, tmp_path, protocols=("paper",), without=LEARNED)

@@ -16,10 +16,8 @@ pytestmark = [
 
 
 def cost_of(name: str, folder: Path, times: int) -> Cost:
-    """The cheaper of two runs: what else the machine does is charged to one run, what multiplies to both."""
     folder.mkdir()
-    run = AMPLIFIERS[name].make(folder, times * AMPLIFIERS[name].units)
-    return min((cost(run) for _ in range(2)), key=lambda found: found.seconds)
+    return cost(AMPLIFIERS[name].make(folder, times * AMPLIFIERS[name].units))
 
 
 @pytest.mark.parametrize("name", AMPLIFIERS)
@@ -27,7 +25,10 @@ def test_costs_grow_with_the_input_and_no_faster(name: str, tmp_path: Path) -> N
     (tmp_path / "first").mkdir()
     with suppress(KinectBenchError):
         AMPLIFIERS[name].make(tmp_path / "first", 2)()  # what is imported on the way costs once
-    once, twice = (cost_of(name, tmp_path / f"{times}", times) for times in (1, 2))
+    for attempt in "ab":  # what else the machine does is charged to one of them, what multiplies to both
+        once, twice = (cost_of(name, tmp_path / f"{attempt}{times}", times) for times in (1, 2))
+        if twice.seconds < MOST_TIMES * once.seconds + ALWAYS_SECONDS:
+            break
     assert {once.end, twice.end} <= {"done", "refused"}, (once, twice)
     assert twice.seconds < MOST_TIMES * once.seconds + ALWAYS_SECONDS, (once, twice)
     assert twice.seconds < MOST_SECONDS, twice
