@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 from ingest_writers import BagWriter
+from numpy.typing import NDArray
 from slow import slow
 from small_benchmark import Run, small_spec
-from wrong_recordings import WRONG, make_wrong, rows_of
+from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Finding, inspect
@@ -25,8 +26,19 @@ RECORDINGS = Path(__file__).parents[2] / "recordings"
 CHAIR = RECORDINGS / "chair_01"
 
 
+# Of the 72: enough for all that is wrong but a colour that is late.
+FRAMES = {"colour three frames late": 40}
+
+
 def names(diagnosis: Diagnosis) -> list[str]:
     return [found.name for found in diagnosis.findings]
+
+
+def heights_m() -> NDArray[np.float64]:
+    """Of the chair's cameras over the floor, by the truth."""
+    rows = np.array([[float(word) for word in row] for row in rows_of(CHAIR, "groundtruth")])
+    plane = np.array(json.loads((RECORDINGS / "chair_01.truth/floor.json").read_text())["plane_world"])
+    return rows[:, 1:4] @ plane[:3] + plane[3]
 
 
 @pytest.mark.parametrize("name", ["chair_01", "table_01.bag"])
@@ -39,6 +51,8 @@ def test_no_alarm_on_the_samples(name: str) -> None:
     assert diagnosis.facts["arc_deg"] > 300  # type: ignore[operator]
     assert diagnosis.facts["pose_residual_mm"] < 5  # type: ignore[operator]
     assert diagnosis.facts["max_depth_m"] == 3.0 and 0 < diagnosis.facts["beyond_share"] < 0.3  # type: ignore[operator]
+    if name == CHAIR.name:
+        assert diagnosis.facts["camera_height_m"] == pytest.approx(np.median(heights_m()), abs=0.15)
 
 
 def test_depth_of_the_object_that_would_make_no_surface_is_told() -> None:
@@ -49,19 +63,10 @@ def test_depth_of_the_object_that_would_make_no_surface_is_told() -> None:
     assert "beyond 1.4 m" in found.what and "fusion.max_depth_m" in found.advice
 
 
-def test_camera_height_is_that_of_the_truth() -> None:
-    rows = np.array([[float(word) for word in row] for row in rows_of(CHAIR, "groundtruth")])
-    truth = json.loads((RECORDINGS / "chair_01.truth/floor.json").read_text())
-    plane = np.array(truth["plane_world"])
-    heights_m = rows[:, 1:4] @ plane[:3] + plane[3]
-    diagnosis, _ = inspect(CHAIR)
-    assert diagnosis.facts["camera_height_m"] == pytest.approx(np.median(heights_m), abs=0.15)
-
-
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", [slow(name) if name in FURTHER else name for name in WRONG])
 def test_what_is_wrong_is_named(name: str, tmp_path: Path) -> None:
     _, finding, words = WRONG[name]
-    diagnosis, _ = inspect(make_wrong(CHAIR, name, tmp_path / "wrong"))
+    diagnosis, _ = inspect(make_wrong(CHAIR, name, tmp_path / "wrong", FRAMES.get(name, 24)))
     said = [f"{found.what}; {found.advice}" for found in diagnosis.findings if found.name == finding]
     assert said and any(words in text for text in said), diagnosis.findings
     assert diagnosis.verdict != "usable"
@@ -123,24 +128,24 @@ def test_the_gravest_comes_first_and_decides() -> None:
     assert Diagnosis({}, tuple(found[:1])).verdict == "usable"
 
 
-def test_the_command(command: Callable[..., Run], tmp_path: Path) -> None:
-    right = command(tmp_path, "inspect", str(CHAIR), "--page", "sheet.html")
+def test_the_command(small_chair: Path, command: Callable[..., Run], tmp_path: Path) -> None:
+    right = command(tmp_path, "inspect", str(small_chair), "--page", "sheet.html")
     assert right.status == 0 and right.out.splitlines()[-2] == "verdict: usable"
     page = (tmp_path / "sheet.html").read_text()
     assert page.count("data:image/jpeg") == 24 and '<div class="sheet triples">' in page
     assert "http" not in page.replace("http-equiv", "")
-    wrong = command(tmp_path, "inspect", str(CHAIR), "--json", "--set", "depth_scale=500")
+    wrong = command(tmp_path, "inspect", str(small_chair), "--json", "--set", "depth_scale=500")
     said = json.loads(wrong.out)
     assert wrong.status == 1 and said["verdict"].startswith("not usable") and said["depth_scale"] == 500
     assert said["findings"][0]["name"] == "depth_scale" and "5000" in said["findings"][0]["advice"]
-    unknown = command(tmp_path, "inspect", str(CHAIR), "--set", "fz=1")
+    unknown = command(tmp_path, "inspect", str(small_chair), "--set", "fz=1")
     assert unknown.status == 2 and "fz: unknown" in unknown.err
 
 
 def test_a_recording_of_the_benchmark_is_inspected_by_its_id(
     command: Callable[..., Run], tmp_path: Path
 ) -> None:
-    wrong = make_wrong(CHAIR, "NaN in the poses", tmp_path / "recordings/one")
+    wrong = make_wrong(CHAIR, "NaN in the poses", tmp_path / "recordings/one", 24)
     (wrong / "camera.json").unlink()
     yaml = "name: x\nrecordings:\n  - {id: a, path: recordings/one, category: chair, trajectory: trust}\n"
     (tmp_path / "benchmark.yaml").write_text(yaml)
@@ -160,7 +165,7 @@ def test_a_recording_of_the_benchmark_is_inspected_by_its_id(
 def test_a_build_does_not_begin_with_it(name: str, tmp_path: Path, command: Callable[..., Run]) -> None:
     refuse_hopeless(open_recording(CHAIR))
     with pytest.raises(RecordingError, match=f"{WRONG[name][2]}.*kinectbench inspect"):
-        refuse_hopeless(open_recording(make_wrong(CHAIR, name, tmp_path / "wrong")))
+        refuse_hopeless(open_recording(make_wrong(CHAIR, name, tmp_path / "wrong", 24)))
     yaml = "name: x\nrecordings: [{id: a, path: wrong, category: chair}]\n"
     (tmp_path / "benchmark.yaml").write_text(yaml)
     built = command(tmp_path, "build", "--jobs", "1")

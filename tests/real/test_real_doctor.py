@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+from slow import slow
 from wrong_recordings import WRONG, make_wrong
 
 from kinectbench.doctor import inspect
@@ -14,6 +15,17 @@ DATA = os.environ.get("KINECTBENCH_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="KINECTBENCH_DATA does not name a folder of real recordings")
 ROOT = Path(DATA or ".")
 FREIBURG1 = CameraSettings(fx=517.3, fy=516.5, cx=318.6, cy=255.3)
+# What rests on how real depth and colour are; tests/doctor/test_doctor.py has all of them.
+BY_PICTURES = (
+    "65535 for none",
+    "colour beside depth",
+    "colour three frames late",
+    "half-resolution intrinsics",
+    "inverse trajectory",
+    "mirrored colour",
+    "poses 200 ms late",
+    "scale x 10",
+)
 # Keyframes are too far apart for one to stand out; twice its principal point lies outside the image, which
 # cannot be opened; half of its depth is beyond 16 bits at ten times the scale.
 NOT_HERE = {"a frame of another scene", "intrinsics of twice the size", "millimetres x 10 in the images"}
@@ -23,7 +35,7 @@ NOT_HERE = {"a frame of another scene", "intrinsics of twice the size", "millime
     ("name", "settings", "expected"),
     [
         ("tum_fr3_cabinet", None, {"trajectory_grade"}),
-        (
+        slow(
             "7scenes_redkitchen_000-149",
             None,
             {"color_display_only", "arc", "trajectory_grade", "trajectory_check"},
@@ -60,7 +72,9 @@ def test_a_phone_that_looks_down_76_degrees_sees_the_floor() -> None:
     assert diagnosis.facts["camera_height_m"] == pytest.approx(0.51, abs=0.05)
 
 
-@pytest.mark.parametrize("name", sorted(set(WRONG) - NOT_HERE))
+@pytest.mark.parametrize(
+    "name", [name if name in BY_PICTURES else slow(name) for name in sorted(set(WRONG) - NOT_HERE)]
+)
 def test_wrong_copies_of_the_cabinet_are_named(name: str, tmp_path: Path) -> None:
     _, finding, words = WRONG[name]
     diagnosis, _ = inspect(make_wrong(ROOT / "tum_fr3_cabinet", name, tmp_path / "wrong"))
