@@ -50,9 +50,14 @@ def plane(normal: tuple[float, float, float], offset_m: float) -> Surface:
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Surface:
     def hit(origin: Float64, rays: Float64) -> Float64:
-        safe = np.where(rays == 0, 1e-300, rays)
-        t = np.sort(np.stack([(np.array(low) - origin) / safe, (np.array(high) - origin) / safe]), axis=0)
-        near, far = t[0].max(-1), t[1].min(-1)
+        # Axis by axis: sorting all crossings of all rays takes ten times as long.
+        near, far = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
+        for axis in range(3):
+            along = rays[..., axis]
+            safe = np.where(along == 0, 1e-300, along)
+            ends = (low[axis] - origin[axis]) / safe, (high[axis] - origin[axis]) / safe
+            np.maximum(near, np.minimum(*ends), out=near)
+            np.minimum(far, np.maximum(*ends), out=far)
         return np.where((near <= far) & (near > 0), near, np.inf)
 
     return hit
@@ -61,7 +66,9 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Su
 def depth_of(surfaces: list[Surface], camera: Camera, T_world_camera: Float64) -> NDArray[np.float32]:
     """Exact depth through integer pixel centres: rays have z = 1, so the ray parameter is the depth."""
     rays = camera.rays() @ T_world_camera[:3, :3].T
-    first = np.min([surface(T_world_camera[:3, 3], rays) for surface in surfaces], axis=0)
+    first = np.full(rays.shape[:-1], np.inf)
+    for surface in surfaces:
+        np.minimum(first, surface(T_world_camera[:3, 3], rays), out=first)
     return np.where(np.isfinite(first), first, 0).astype(np.float32)
 
 

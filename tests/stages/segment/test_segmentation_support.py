@@ -8,6 +8,7 @@ import pytest
 from analytic_scenes import CAMERA, Surface, box, plane, ring
 from bad_scenes import FLOOR, Recorded, recorded
 from scipy.spatial import cKDTree
+from slow import slow
 
 from kinectbench.core.geometry import transform_points
 from kinectbench.settings.models import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
@@ -37,7 +38,7 @@ def middle(low, high) -> tuple[float, float, float]:
 
 
 def seen_from_near(things: list[Surface], target, elevations=(0.7, 1.0, 1.25), distance_m=0.6) -> Recorded:
-    return recorded(things, ring(24, distance_m, target, elevations), camera=CAMERA, fusion=NEAR)
+    return recorded(things, ring(16, distance_m, target, elevations), camera=CAMERA, fusion=NEAR)
 
 
 @functools.cache
@@ -66,7 +67,7 @@ def test_what_hangs_below_the_edge_is_no_object():
     assert len(heights_m) >= 2 and min(heights_m) > 0
 
 
-@pytest.mark.parametrize("lower", [True, False])
+@pytest.mark.parametrize("lower", [slow(True), False])
 def test_with_and_without_the_floor_in_view(lower):
     floor = [FLOOR] if lower else []
     found = seen_from_near([*floor, *table(), box(*THING)], middle(*THING), (1.0, 1.25))
@@ -157,7 +158,7 @@ def before_it(count: int) -> np.ndarray:
 
 @functools.cache
 def on_a_shelf() -> Recorded:
-    return recorded([*SHELF, box(*BOTTLE)], before_it(50), camera=CAMERA, fusion=NEAR)
+    return recorded([*SHELF, box(*BOTTLE)], before_it(30), camera=CAMERA, fusion=NEAR)
 
 
 def is_the_bottle(candidate_box, T_world_floor) -> bool:
@@ -181,11 +182,11 @@ def test_a_bottle_on_a_shelf_comes_to_pairs(with_box):
     # Smaller voxels than those of furniture, and the solid is as wide as it is.
     assert model.shape.grid.voxel_size_m < 0.004
     np.testing.assert_allclose(sorted(model.box.size_m), [0.06, 0.06, 0.22], atol=0.006)
-    settings = ViewSettings(count=10), SegmentationSettings(), PairSettings()
+    settings = ViewSettings(count=5), SegmentationSettings(), PairSettings()
     scene = on_a_shelf()
     views = sample_views(scene.sequence, scene.trajectory, model, *settings)
     made = [make_pair(view, scene.sequence, full_shape(model), PairSettings()) for view in views.views]
-    assert sum(one.pair is not None for one in made) >= 8
+    assert sum(one.pair is not None for one in made) >= 4
 
 
 BY_HAND = FloorHint(plane_world=np.array([0.0, 0, 1, 0]))

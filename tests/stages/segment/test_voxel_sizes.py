@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from observed_boxes import Room, looked_into
+from slow import slow
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.voxels.observation import Observation
@@ -19,7 +20,7 @@ LOW, HIGH = (0.1, 0.1, -1.0), (0.54, 0.38, 0.6)
 FUSED_M = 0.04
 
 
-@pytest.fixture(params=[0.005, 0.01, 0.02], ids=["5 mm", "10 mm", "20 mm"])
+@pytest.fixture(params=[slow(0.005), 0.01, 0.02], ids=["5 mm", "10 mm", "20 mm"])
 def room(request: pytest.FixtureRequest) -> Room:
     voxel_m: float = request.param
     return Room(voxel_m, (0.64, 0.48, 0.8))
