@@ -1,6 +1,7 @@
 """`kinectbench track --compare FILE`, as a user gives it."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,8 +13,11 @@ from small_benchmark import Run, copied, hashes, small_spec
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_text
+from kinectbench.engine.pipeline import build_recording
+from kinectbench.engine.stages import Job
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.truth import read_truth
+from kinectbench.settings.file import load_benchmark
 
 Command = Callable[..., Run]
 FRAMES = 12
@@ -29,13 +33,15 @@ OTHER_WORLD = rigid(rotation_from_quaternion_xyzw([0.3, -0.2, 0.5, 0.7]), [1.0, 
 
 @pytest.fixture(scope="module")
 def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two recordings; not to be changed."""
+    """Two recordings, of which the chair is tracked; not to be changed."""
     root = tmp_path_factory.mktemp("tracked")
     for family in ("chair", "table"):
         spec = small_spec(family, frames=FRAMES)
         near = spec.model_copy(update={"path": spec.path.model_copy(update={"arc_rad": 1.5})})
         simulate(near, root / "recordings" / family)
     (root / "benchmark.yaml").write_text(YAML)
+    settings = load_benchmark(root / "benchmark.yaml")
+    assert build_recording(Job(settings, settings.recordings[0], root), "track").error is None
     return root
 
 
@@ -54,6 +60,7 @@ def write(path: Path, stamps_ns: np.ndarray, T_world_camera: np.ndarray) -> None
 
 
 def test_the_same_path_in_another_world(command: Command, here: Path, given: GivenTrajectory) -> None:
+    shutil.rmtree(here / "build")
     write(here / "other.txt", given.stamps_ns, OTHER_WORLD @ given.T_world_camera)
     run = command(here, "track", "chair", "--compare", "other.txt", "--json")
     assert run.status == 0, run.err
@@ -118,6 +125,7 @@ def test_frames_without_a_pose_are_counted(command: Command, here: Path, given: 
 
 
 def test_a_file_that_is_missing_or_no_trajectory(command: Command, here: Path) -> None:
+    shutil.rmtree(here / "build")
     run = command(here, "track", "--compare", "nothing.txt")
     assert run.status == 1 and not (here / "build").exists()  # before anything is built
     assert run.err == "error: nothing.txt: cannot be read (No such file or directory)\n"

@@ -70,7 +70,7 @@ def job(root: Path, name: str, by: str = "masks") -> Job:
         {
             "name": "moving",
             "recordings": [{"id": name, "path": name, "category": "toy", "segment_by": by}],
-            "fusion": {"voxel_size_m": 0.004},
+            "fusion": {"voxel_size_m": 0.006, "scene_voxel_size_m": 0.02},
             "views": {"count": 3, "min_pixels": 200},
         }
     )

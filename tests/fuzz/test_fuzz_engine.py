@@ -46,7 +46,7 @@ TEXTS = {
 }
 FAULTS = {
     "waits": "waits for ever, in ?",
-    "spins": "more than 1 s of a processor, in ?",
+    "spins": "more than 3 s of a processor, in ?",
     "eats": "memory",
     "dies": "the process ended with -6",
     "raises": "KeyError in ?",
@@ -62,7 +62,7 @@ FAULTS = {
 
 @pytest.fixture(scope="module")
 def worker() -> Iterator[Worker]:
-    made = Worker(call=faulty, most_cpu_s=1, most_idle_s=2)
+    made = Worker(call=faulty, most_cpu_s=3, most_idle_s=2)
     yield made
     made.close()
 
