@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "kinectbench"
@@ -15,10 +16,16 @@ FILES = {
 COMPILED = ("njit", "jit", "vectorize", "guvectorize")
 
 
+@cache
+def parsed(text: str) -> ast.Module:
+    """Each file once for all tests."""
+    return ast.parse(text)
+
+
 def holds_the_lock(text: str) -> list[str]:
     """What computes without giving Python's lock back: kernels without nogil, and rows that are sorted."""
     found = []
-    for call in ast.walk(ast.parse(text)):
+    for call in ast.walk(parsed(text)):
         if not isinstance(call, ast.Call):
             continue
         name = ast.unparse(call.func)
@@ -26,7 +33,7 @@ def holds_the_lock(text: str) -> list[str]:
         compiled = name.split(".")[-1] in COMPILED and given.get("nogil") != "True"
         if compiled or (name == "np.unique" and "axis" in given):
             found.append(ast.unparse(call))
-    bare = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef))
+    bare = (node for node in ast.walk(parsed(text)) if isinstance(node, ast.FunctionDef))
     found += [
         f"@{name}"
         for node in bare
@@ -74,7 +81,7 @@ def test_few_files_are_under_40_lines() -> None:
 
 def functions(text: str) -> Iterator[tuple[str, int]]:
     """Each function's name and lines, with its docstring; not what numba compiles."""
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(parsed(text)):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         if {name for one in node.decorator_list for name in _names(one)}.isdisjoint(COMPILED):
@@ -150,7 +157,7 @@ RAW_CALLS = {
 
 
 def raw_calls(text: str) -> set[str]:
-    calls = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call))
+    calls = (node for node in ast.walk(parsed(text)) if isinstance(node, ast.Call))
     return {ast.unparse(call.func) for call in calls} & RAW_CALLS
 
 
@@ -167,7 +174,7 @@ MODE_OF_TEXT = re.compile("[rwax][+t]*")
 def without_encoding(text: str) -> list[str]:
     """Calls that open a text in the locale's encoding; `open` is told by its mode: archives have one, too."""
     found = []
-    for call in ast.walk(ast.parse(text)):
+    for call in ast.walk(parsed(text)):
         if not isinstance(call, ast.Call) or any(word.arg == "encoding" for word in call.keywords):
             continue
         name = call.func.attr if isinstance(call.func, ast.Attribute) else ""
@@ -194,7 +201,7 @@ def test_only_the_console_writes_to_the_terminal() -> None:
     """It alone takes control characters out of what strangers wrote."""
     writers = {"typer.echo", "typer.secho", "print", "sys.stdout.write", "sys.stderr.write", "Console"}
     calls = {
-        name: {ast.unparse(node.func) for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)}
+        name: {ast.unparse(node.func) for node in ast.walk(parsed(text)) if isinstance(node, ast.Call)}
         for name, text in FILES.items()
         if name.startswith("cli/")
     }
@@ -258,7 +265,7 @@ OPENED = {
 def openings(text: str) -> set[str]:
     """What opens files to read them, by other means than `core/untrusted.py`."""
     found = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(parsed(text)):
         if not isinstance(node, ast.Call):
             continue
         called = ast.unparse(node.func)
