@@ -123,7 +123,7 @@ def scored(small: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_score_publishes_first_and_writes_the_page(command: Command, scored: Path, tmp_path: Path) -> None:
     root = copied(scored, tmp_path / "b", "benchmark.yaml", "recordings", "build", "predictions")
-    result = command(root, "score", "predictions", "--jobs", "1", "--json", "--no-surface")
+    result = command(root, "score", "predictions", "--jobs", "1", "--json", *PLAIN)
     assert result.status == 0, result.err
     assert sorted(entry["method"] for entry in json.loads(result.out)) == sorted(METHODS)
     assert (root / "benchmark" / "targets.csv").is_file()
