@@ -90,7 +90,12 @@ def main() -> None:
         )
     context = "spawn" if options.workers else None
     loader = DataLoader(
-        training, batch_size=None, shuffle=True, num_workers=options.workers, multiprocessing_context=context
+        training,
+        batch_size=None,
+        shuffle=True,
+        num_workers=options.workers,
+        multiprocessing_context=context,
+        persistent_workers=options.workers > 0,  # else each epoch starts them anew
     )
     network = Network()
     optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
