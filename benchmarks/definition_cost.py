@@ -1,6 +1,6 @@
 """What the definition of air costs: how much of the exact air of each family no camera could tell from solid.
 
-Exact meshes, no recording. The table is that of docs/ground-truth.md.
+Exact meshes, no recording.
 """
 
 import argparse

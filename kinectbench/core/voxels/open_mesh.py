@@ -32,13 +32,21 @@ def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[
     """
     fixed = snapped_cells(vertices_world, grid)
     triangles = np.ascontiguousarray(faces, dtype=np.int32)
-    packed = np.zeros((grid.shape[0], grid.shape[1], grid.shape[2] // 8), np.uint8)
-    for u, v, w in ((1, 2, 0), (0, 2, 1), (0, 1, 2)):
-        _mark_edges(fixed, triangles, (u, v, w), grid.shape, packed)
+    packed = voxelize_surface(vertices_world, faces, grid)
     x = _between(fixed, triangles, (1, 2, 0), grid.shape)
     y = _between(fixed, triangles, (0, 2, 1), grid.shape)
     z = _between(fixed, triangles, (0, 1, 2), grid.shape)
     _mark_enclosed(*x, *y, *z, packed)
+    return packed
+
+
+def voxelize_surface(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
+    """The cells on a mesh's surface: those of whose cube an edge crosses a face; else as `voxelize_open`."""
+    fixed = snapped_cells(vertices_world, grid)
+    triangles = np.ascontiguousarray(faces, dtype=np.int32)
+    packed = np.zeros((grid.shape[0], grid.shape[1], grid.shape[2] // 8), np.uint8)
+    for u, v, w in ((1, 2, 0), (0, 2, 1), (0, 1, 2)):
+        _mark_edges(fixed, triangles, (u, v, w), grid.shape, packed)
     return packed
 
 

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.lines_of_sight import (
@@ -54,6 +55,8 @@ class SensorLimits:
 
 # Directions of the sweeps over all voxels, and of those asked at the edge of what these found.
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
+# Distances from voxel to voxel are exact but for rounding.
+ROUNDING_M = 1e-6
 # Voxels of an exact solid: half a line is three wide, unless the object has more than so many along its edge.
 VOXELS_PER_LINE, MOST_VOXELS_LONG = 6, 320
 
@@ -77,6 +80,8 @@ def seen_from_outside(
         limits: of the sensor.
         seen: the same of wider lines, if known: what they reach, narrower ones reach.
 
+    The answer is to a voxel: through a slot up to one voxel wider than a line none may lead.
+
     Returns:
         uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0; 0 in the
         obstacle. What is seen from above may be seen from below, too, without saying so.
@@ -85,15 +90,14 @@ def seen_from_outside(
     half_m = limits.line_width_m / 2
     gap_m = _distance_m(obstacle, voxel_size_m) - np.float32(voxel_size_m / 2)
     place = _from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
-    blocked = (gap_m < half_m) | (heights < half_m)
+    blocked = (gap_m < half_m - ROUNDING_M) | (heights < half_m - ROUNDING_M)
     state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
     how = heights, voxel_size_m, limits.near_m, limits.camera_height_m
     first = seen_along(state, *how, directions(COARSE_DIRECTIONS)) if seen is None else seen * ~blocked
     reached = seen_around_corners(first, state, *how, directions(FINE_DIRECTIONS))
-    if seen is not None:
-        reached |= seen
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
-    return np.asarray(_grown_back(reached, obstacle, half_m / voxel_size_m + 0.5))
+    grown = np.asarray(_grown_back(reached, obstacle, half_m / voxel_size_m + 0.5))
+    return grown if seen is None else grown | seen
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -153,13 +157,16 @@ class SeeableSolid:
     Attributes:
         limits: by which it was found.
         grid: upright; its lowest layer stands on the plane.
-        solid: bool, the voxel's middle lies in the exact solid.
+        exact_m3: volume of the exact solid.
+        solid: bool, the voxel's middle lies in it.
         closed: bool, it does not, and no camera could tell: object by definition.
-        slit: bool, by lines of half the width the answer differs: not judged.
+        slit: bool, closed, and not judged: by lines of half the width the answer differs, or it is a wall
+            thinner than a voxel.
     """
 
     limits: SensorLimits
     grid: Grid
+    exact_m3: float
     solid: Bools
     closed: Bools
     slit: Bools
@@ -167,12 +174,15 @@ class SeeableSolid:
     @property
     def closed_share(self) -> float:
         """Volume that is object by definition only and is judged, over the exact solid's: what it costs."""
-        return int((self.closed & ~self.slit).sum()) / max(1, int(self.solid.sum()))
+        return self._over_exact(self.closed & ~self.slit)
 
     @property
     def slit_share(self) -> float:
         """Volume that is not judged, over the exact solid's."""
-        return int(self.slit.sum()) / max(1, int(self.solid.sum()))
+        return self._over_exact(self.slit)
+
+    def _over_exact(self, voxels: Bools) -> float:
+        return float(voxels.sum()) * self.grid.voxel_size_m**3 / self.exact_m3
 
     def on(self, grid: Grid, which: Bools) -> Bools:
         """One of its arrays on another grid, by the nearest voxel; False beyond."""
@@ -206,21 +216,31 @@ def seeable_solid(
 ) -> SeeableSolid:
     """What of the space in and around a closed mesh is object under the definition.
 
+    Walls thinner than a voxel, in which no voxel's middle lies, hide what is behind them as thick ones do.
+
     Args:
         mesh_world: closed, metres.
         T_world_upright: (4, 4), a frame with z up whose plane z = 0 the object stands on.
         limits: of the sensor.
         stands: False: there is no plane, and cameras may be anywhere.
+
+    Raises:
+        ShapeError: the mesh is empty, or lies below the plane.
     """
+    from kinectbench.core.voxels.open_mesh import voxelize_surface
     from kinectbench.core.voxels.pair_file import unpack
     from kinectbench.core.voxels.solid import voxelize_solid
 
+    if not len(mesh_world.faces):
+        raise ShapeError("no seeable solid: the mesh has no faces")
     upright = transform_points(invert_rigid(T_world_upright), mesh_world.vertices)
     low, high = upright.min(axis=0), upright.max(axis=0)
     voxel_m = max(limits.line_width_m / VOXELS_PER_LINE, float((high - low).max()) / MOST_VOXELS_LONG)
     margin_m = limits.camera_size_m / 2 + limits.line_width_m
     low, high = low - margin_m, high + margin_m
     if stands:
+        if high[2] - margin_m <= 0:
+            raise ShapeError("no seeable solid: the mesh lies below the plane that it is said to stand on")
         low[2] = 0.0
     shape = np.ceil((high - low) / voxel_m).astype(int)
     shape[2] = -(-shape[2] // 8) * 8  # of packed grids
@@ -228,8 +248,19 @@ def seeable_solid(
     grid = Grid((nx, ny, nz), voxel_m, T_world_upright @ rigid(np.eye(3), low))
     solid = unpack(voxelize_solid(mesh_world.vertices, mesh_world.faces, grid))
     heights_m = ((np.arange(nz) + 0.5) * voxel_m).astype(np.float32) if stands else None
-    seen = seen_from_outside(solid, heights_m, voxel_m, limits)
+    thin = _thin(unpack(voxelize_surface(mesh_world.vertices, mesh_world.faces, grid)), solid)
+    obstacle = solid | thin
+    seen = seen_from_outside(obstacle, heights_m, voxel_m, limits)
     narrow = replace(limits, line_width_m=limits.line_width_m / 2)
-    through_less = seen_from_outside(solid, heights_m, voxel_m, narrow, seen)
+    through_less = seen_from_outside(obstacle, heights_m, voxel_m, narrow, seen)
     hidden = ~solid & (seen == 0)
-    return SeeableSolid(limits, grid, solid, hidden, hidden & (through_less > 0))
+    slit = hidden & ((through_less > 0) | thin)
+    return SeeableSolid(limits, grid, mesh_world.volume_m3, solid, hidden, slit)
+
+
+def _thin(surface: Bools, solid: Bools) -> Bools:
+    """Voxels on the surface of walls so thin that none of the voxels around (26) is solid."""
+    from scipy import ndimage
+
+    thin: Bools = surface & ~ndimage.binary_dilation(solid, np.ones((3, 3, 3)))
+    return thin

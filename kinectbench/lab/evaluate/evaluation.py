@@ -126,7 +126,8 @@ def floor_figures(floor: Floor, truth: Truth, registration: Registration) -> Flo
     return FloorFigures(float(np.arctan2(sine, cosine)), float(-(normal @ foot + offset) / cosine))
 
 
-FORMAT_VERSION = 1
+# 2: figures are to the seeable solid; those to the exact one, which had their names, begin with `exact`.
+FORMAT_VERSION = 2
 DIGITS = 6
 # Of matrices and lists of errors, metres.
 ARRAY_DECIMALS = 9

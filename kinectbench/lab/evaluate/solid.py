@@ -193,10 +193,13 @@ def solid_figures(
     exact, coarse, seeable = fine.against_exact, reduced(fine), truth.seeable
     figures, true_volume_m3 = overlap(fine), truth.mesh_world.volume_m3
     voxels = voxels_beside(model, truth, registration, surface)
-    lost = fine.exact & fine.known & ~fine.built
-    beyond_m3 = called_air_beyond_m3(grid, lost, voxels, truth)
+    called_air = fine.known & ~fine.built
+    beyond_m3, exact_beyond_m3 = (
+        called_air_beyond_m3(grid, lost & called_air, voxels, truth)
+        for lost in (fine.true & fine.judged, fine.exact)
+    )
     gross = gross_errors(voxels, true_volume_m3 * (1 + seeable.closed_share), beyond_m3)
-    exact_gross = gross_errors(voxels.against_exact, true_volume_m3, beyond_m3)
+    exact_gross = gross_errors(voxels.against_exact, true_volume_m3, exact_beyond_m3)
     bins = calibration(voxels)
     low, high = (getattr(model.quality, name, None) for name in ("estimated_iou_low", "estimated_iou_high"))
     return SolidFigures(

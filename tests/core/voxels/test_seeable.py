@@ -6,6 +6,7 @@ import manifold3d
 import numpy as np
 import pytest
 
+from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import (
     Grid,
     TriangleMesh,
@@ -95,6 +96,32 @@ def test_what_stands_is_not_seen_from_below_the_floor() -> None:
     for stands in (True, False):
         found = seeable_solid(mesh_of(ON_A_RING), np.eye(4), LIMITS, stands=stands)
         assert at(found, found.closed, 0.2, 0.2, 0.025) == stands
+
+
+@pytest.mark.parametrize("wall_m", [0.002, 0.004, 0.012])
+def test_walls_thinner_than_a_voxel_hide_what_is_behind_them(wall_m: float) -> None:
+    found = seeable_solid(mesh_of(hollow(wall_m, 0.253)), np.eye(4), LIMITS)
+    inside = found.grid.voxel_size_m**3 * (found.closed & ~found.slit).sum()
+    assert inside == pytest.approx((0.253 - 2 * wall_m) ** 3, rel=0.15)
+    assert found.closed_share == pytest.approx(inside / found.exact_m3)
+
+
+@pytest.mark.parametrize("walls", [1, 2, 3])
+def test_what_wider_lines_see_does_not_grow_through_a_wall(walls: int) -> None:
+    solid = np.zeros((50, 50, 48), bool)
+    solid[10:40, 10:40, :30] = True
+    solid[10 + walls : 40 - walls, 10 + walls : 40 - walls, walls : 30 - walls] = False
+    heights_m = ((np.arange(48) + 0.5) * 0.01).astype(np.float32)
+    wide = seen_from_outside(solid, heights_m, 0.01, LIMITS)
+    narrow = seen_from_outside(solid, heights_m, 0.01, replace(LIMITS, line_width_m=0.03), wide)
+    assert not narrow[10:40, 10:40, :30].any() and narrow[:10].any()
+
+
+def test_a_mesh_that_has_no_seeable_solid() -> None:
+    with pytest.raises(ShapeError, match="no faces"):
+        seeable_solid(TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.eye(4), LIMITS)
+    with pytest.raises(ShapeError, match="below the plane"):
+        seeable_solid(mesh_of(SEALED.translate([0, 0, -1])), np.eye(4), LIMITS)
 
 
 def test_a_convex_body_is_itself_in_any_world() -> None:

@@ -43,7 +43,7 @@ def written(folders: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
 def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
     evaluation, out = written
     found = json.loads((out / "evaluation.json").read_text())
-    assert found["format_version"] == 1
+    assert found["format_version"] == 2
     # Vertices on disk are float32: 0.1 um.
     assert found["trajectory"]["error"]["ate_m"]["rmse"] < 1e-9
     assert found["surface"]["whole"]["accuracy"]["mean_m"] < 1e-6
