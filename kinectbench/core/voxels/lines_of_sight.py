@@ -74,7 +74,8 @@ def seen_along(
         turned = np.ascontiguousarray(state.transpose(order))
         found = np.zeros(turned.shape, np.uint8)
         for direction in to_camera[main == axis]:
-            _sweep(turned, found, direction[list(order)], order.index(2), heights_m, *lengths)
+            flat = turned.reshape(-1), found.reshape(-1), turned.shape
+            _sweep(*flat, direction[list(order)], order.index(2), heights_m, *lengths)
         seen |= found.transpose(np.argsort(order))
     return seen
 
@@ -91,16 +92,16 @@ def _beyond(height, up, least):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sweep(state, seen, direction, up_axis, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Add what is seen along one direction, of which the first axis is the main one."""
-    n0, n1, n2 = state.shape
+def _sweep(state, seen, shape, direction, up_axis, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Add what is seen along one direction, of which the first axis is the main one; arrays are flat."""
+    n0, n1, n2 = shape
     along, up = abs(direction[0]), direction[up_axis]
     bit = np.uint8(FROM_BELOW if up < -_LEVEL else FROM_ABOVE)
     step = np.float32(voxel_m / along)
     # From slice to slice a line moves away from the camera.
     slope1, slope2 = -direction[1] / along, -direction[2] / along
     # Distance of the farthest camera from each voxel of the slice before, and of this slice.
-    before, now = np.empty((n1, n2), np.float32), np.empty((n1, n2), np.float32)
+    before, now = np.empty(n1 * n2, np.float32), np.empty(n1 * n2, np.float32)
     at1 = at2 = 0
     for count in range(n0):
         i = n0 - 1 - count if direction[0] > 0 else count
@@ -108,24 +109,38 @@ def _sweep(state, seen, direction, up_axis, heights_m, voxel_m, near_m, least_m)
         move1, move2 = next1 - at1, next2 - at2
         at1, at2 = next1, next2
         for j in range(n1):
-            own, into, row = state[i, j], seen[i, j], now[j]
             low, high = n2, n2
             if count > 0 and 0 <= j - move1 < n1:
-                source = before[j - move1]
                 low, high = max(0, move2), min(n2, n2 + move2)
-                for k in range(low, high):
-                    row[k] = source[k - move2] + step
+                _carry(before, (j - move1) * n2 + low - move2, now, j * n2 + low, high - low, step)
             # Lines that come in through the grid's side.
             for k in range(low):
-                row[k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
+                now[j * n2 + k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
             for k in range(high, n2):
-                row[k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
-            for k in range(n2):
-                far = max(row[k], np.float32(0)) if own[k] == PLACE else row[k]
-                far = _NONE if own[k] == BLOCKED else far
-                row[k] = far
-                into[k] |= bit if far >= near_m else np.uint8(0)
+                now[j * n2 + k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
+            _look(state, seen, (i * n1 + j) * n2, now, j * n2, n2, near_m, bit)
         before, now = now, before
+
+
+# Both loops run on several voxels at once, if their indices cannot be negative.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _carry(before, begin, now, to, count, step):  # type: ignore[no-untyped-def]
+    """Distances of a row of the slice before, a step farther."""
+    source, target = np.uintp(begin), np.uintp(to)
+    for k in range(count):
+        now[target + np.uintp(k)] = before[source + np.uintp(k)] + step
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _look(state, seen, begin, far_m, to, count, near_m, bit):  # type: ignore[no-untyped-def]
+    """Places and obstacles of a row, and what is seen in it."""
+    own, row = np.uintp(begin), np.uintp(to)
+    for k in range(count):
+        at, kept = own + np.uintp(k), row + np.uintp(k)
+        far = max(far_m[kept], np.float32(0)) if state[at] == PLACE else far_m[kept]
+        far = _NONE if state[at] == BLOCKED else far
+        far_m[kept] = far
+        seen[at] |= bit if far >= near_m else np.uint8(0)
 
 
 def seen_around_corners(
