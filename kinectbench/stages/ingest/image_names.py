@@ -7,6 +7,7 @@ and are taken for these.
 
 import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from decimal import Decimal
 from itertools import pairwise
 
@@ -19,11 +20,22 @@ FRAME_NUMBER = re.compile(r"\d{1,9}")
 # Redwood's scans and SUN3D: frame number and stamp in microseconds, which differs between depth and colour.
 NUMBER_AND_STAMP = re.compile(r"(\d{1,9})-(\d{12})")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
+# A date and the time of day, and a part of the second. Digits without a gap are no stamp of nanoseconds:
+# these have 19, and 14 of a date leave 3, 6 or 9 for the part.
+DATE = re.compile(
+    r"(?<!\d)((?:19[7-9]|20\d)\d)(\D?)(\d\d)\2(\d\d)\D{0,2}(\d\d)(\D?)(\d\d)\6(\d\d)"
+    r"(?:\D(\d{1,9})|(\d{3}|\d{6}|\d{9})|)(?!\d)"
+)
 # Names hold few numbers, and a stamp no more digits than nanoseconds with decimals have (own choices).
 MOST_NUMBERS, MOST_DIGITS = 16, 30
-# Units of time in nanoseconds, by how many there are in a second; a fraction of seconds by its digits.
+# Units of time in nanoseconds, by how many there are in a second.
 UNITS_NS = (NS_PER_S, NS_PER_S // 10**3, NS_PER_S // 10**6, 1)
-FRACTIONS_NS = {3: NS_PER_S // 10**3, 6: NS_PER_S // 10**6, 9: 1}
+# Digits of a part of a second, at most; a part is taken for a count if its largest step is so many times
+# smaller then than that of decimals: where it is one, frames of each first tenth of a second are missed
+# there in the other reading, two frames or more from 10 Hz on (own choice).
+PART_DIGITS, MORE_REGULAR = 9, 1.5
+# Parts that are nearer to each other count frames (own choice: 333 Hz, as above).
+LEAST_PART_STEP_NS = 3 * NS_PER_S // 10**3
 # Stamps of today: seconds from 2001 to 2096.
 TODAY_NS = (10**9 * NS_PER_S, 4 * 10**9 * NS_PER_S)
 # Steps between frames, if the unit is right (own choices): at most 2000 Hz, keyframes of up to 10 s.
@@ -48,44 +60,50 @@ def frame_key(stem: str) -> str:
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int] | None:
-    """The number of each name: the last that is not the same in all; None if there is none, or one is twice.
+    """The number of each name: the last that is not the same in all.
+
+    None if there is none, or if it does not rise from name to name: one that begins anew, as in each second
+    or scene, is the number of no frame.
 
     Args:
         stems: of one stream, such as depth_0001, depth_0002.
     """
-    for column in reversed(_columns(stems)):
+    columns = _columns(stems)
+    for place, column in reversed(list(enumerate(columns))):
         if all(FRAME_NUMBER.fullmatch(text) for text in column) and len(set(column)) > 1:
             numbers = [int(text) for text in column]
-            return numbers if len(set(numbers)) == len(numbers) else None
+            return numbers if _rises(numbers, columns[:place]) else None
     return None
 
 
 def times_of_names(stems: Sequence[str]) -> list[int] | None:
     """Stamps in nanoseconds, where the names of a stream hold such; None where they hold none.
 
-    Read are Redwood's NUMBER-MICROSECONDS; seconds and their fraction as two numbers, such as
-    1305031102_160407000; and one number, with or without others beside it, in the unit that its size and its
-    steps tell.
+    Read are Redwood's NUMBER-MICROSECONDS; a date and the time of day, with or without a part of a second
+    after it, such as 20240115_103045_160407; seconds of today and their part, as a count or as decimals, such
+    as 1305031102_160407000; and one number that rises from name to name, with or without others beside it, in
+    the unit that its size and its steps tell. A number that begins anew is a part of a time, and none itself.
 
     Args:
         stems: names of the images of one stream, without what they end in.
     """
     redwood = [NUMBER_AND_STAMP.fullmatch(stem) for stem in stems]
     if stems and all(redwood):
-        return _if_times([int(match[2]) * UNITS_NS[2] for match in redwood if match])
+        recorded_ns = [int(match[2]) * UNITS_NS[2] for match in redwood if match]
+        return None if no_times(recorded_ns) else _if_times(recorded_ns)
+    dated = [DATE.search(stem) for stem in stems]
+    if stems and all(dated):
+        found = _if_parts(_of_dates([match for match in dated if match]))
+        if found:
+            return found
     columns = _columns(stems)
     for whole, rest in pairwise(columns):
-        unit_ns = FRACTIONS_NS.get(len(rest[0]))
-        padded = unit_ns and all(text.isdecimal() and len(text) == len(rest[0]) for text in rest)
-        if unit_ns and padded and all(len(text) == 10 and text.isdecimal() for text in whole):
-            return _if_times([int(s) * NS_PER_S + int(f) * unit_ns for s, f in zip(whole, rest, strict=True)])
-    for column in reversed(columns):
-        if max(map(len, column)) <= MOST_DIGITS and len(set(column)) == len(column):
-            values = [Decimal(text) for text in column]
-            unit_ns = _unit_ns(values, decimals=any("." in text for text in column))
-            found = unit_ns and _if_times([int(value * unit_ns) for value in values])
-            if found:
-                return found
+        if all(len(text) == 10 and text.isdecimal() for text in whole) and _are_parts(rest):
+            return _if_parts(_with_parts([int(text) for text in whole], rest))
+    for place, column in reversed(list(enumerate(columns))):
+        found = _of_one_number(column)
+        if found and _rises(found, columns[:place]):
+            return found
     return None
 
 
@@ -109,10 +127,81 @@ def _columns(stems: Sequence[str]) -> list[list[str]]:
     return [list(column) for column in zip(*rows, strict=True)]
 
 
+def _rises(values: Sequence[int], left: Sequence[Sequence[str]]) -> bool:
+    """Whether the values of a column rise from name to name, in the order of the columns left of it."""
+    names = zip(*([Decimal(text) for text in column] for column in left), values, strict=True)
+    return all(first < second for (*_, first), (*_, second) in pairwise(sorted(names)))
+
+
+def _are_parts(texts: Sequence[str]) -> bool:
+    return all(text.isdecimal() and len(text) <= PART_DIGITS for text in texts)
+
+
+def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
+    """Stamps in nanoseconds of matches of DATE; none if a date is none."""
+    try:
+        times = [
+            datetime(int(m[1]), int(m[3]), int(m[4]), int(m[5]), int(m[7]), int(m[8]), tzinfo=UTC)
+            for m in dated
+        ]
+    except ValueError:
+        return []
+    return _with_parts([int(time.timestamp()) for time in times], [m[9] or m[10] or "0" for m in dated])
+
+
+def _with_parts(whole: Sequence[int], rest: Sequence[str]) -> list[int]:
+    """Stamps in nanoseconds of whole seconds, each with a part that is a count or decimals.
+
+    Padded with zeros the part is both. Else it is decimals where one begins with a zero; a count where the
+    longest are of nanoseconds and seconds are of today, as floats do not have so many decimals then; or what
+    makes the steps more regular (own rules).
+
+    Args:
+        whole: seconds.
+        rest: up to 9 digits each.
+    """
+    longest = max(map(len, rest))
+    unit_ns = 10 ** (PART_DIGITS - 3 * -(-longest // 3))
+    pairs = list(zip(whole, rest, strict=True))
+    decimals = [s * NS_PER_S + int(text.ljust(PART_DIGITS, "0")) for s, text in pairs]
+    counts = [s * NS_PER_S + int(text) * unit_ns for s, text in pairs]
+    if len(set(map(len, rest))) == 1 or any(len(text) > 1 and text[0] == "0" for text in rest):
+        return decimals
+    today = min(whole) * NS_PER_S >= TODAY_NS[0]
+    if (today and longest == PART_DIGITS) or not _if_times(decimals):
+        return counts
+    regular = MORE_REGULAR * _largest_step(counts) < _largest_step(decimals)
+    return counts if regular and _if_times(counts) else decimals
+
+
+def _largest_step(stamps_ns: Sequence[int]) -> int:
+    return max((second - first for first, second in pairwise(sorted(stamps_ns))), default=0)
+
+
+def _of_one_number(column: Sequence[str]) -> list[int] | None:
+    """Stamps in nanoseconds, if the numbers of a column are times."""
+    if max(map(len, column)) > MOST_DIGITS:
+        return None
+    values, points = [Decimal(text) for text in column], [text.partition(".") for text in column]
+    unit_ns = _unit_ns(values, decimals=any(point for _, point, _ in points))
+    if unit_ns == NS_PER_S and all(len(rest) <= PART_DIGITS for *_, rest in points):
+        return _if_times(
+            _with_parts([int(whole) for whole, *_ in points], [rest or "0" for *_, rest in points])
+        )
+    return _if_times([int(value * unit_ns) for value in values]) if unit_ns else None
+
+
 def _if_times(stamps_ns: list[int]) -> list[int] | None:
-    """Stamps, if all differ, and they are times of frames."""
-    usable = len(set(stamps_ns)) == len(stamps_ns) and max(stamps_ns) < LIMIT_NS
-    return stamps_ns if usable and not no_times(stamps_ns) else None
+    """Stamps, if all differ, and they are times of frames, in whatever order names are listed."""
+    usable = 0 < len(set(stamps_ns)) == len(stamps_ns) and max(stamps_ns) < LIMIT_NS
+    return stamps_ns if usable and not no_times(sorted(stamps_ns)) else None
+
+
+def _if_parts(stamps_ns: list[int]) -> list[int] | None:
+    """Stamps, if they are times, and far enough apart for parts of a second."""
+    found = _if_times(stamps_ns)
+    period_ns = usual_period_ns(np.array(sorted(found or []), np.int64))
+    return found if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
 
 
 def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
