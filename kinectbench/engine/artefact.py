@@ -31,7 +31,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 8,
-    "track": 8,
+    "track": 9,
     "fuse": 5,
     "segment": 26,
     "sample-views": 3,

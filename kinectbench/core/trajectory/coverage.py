@@ -17,10 +17,13 @@ LEAN_WEIGHT = 0.01
 NEARLY_ALONG = 0.95
 # A camera counts as looking at a point that lies within this angle of its axis.
 LOOKING_AT_RAD = np.pi / 4
-# The point where the axes meet is looked at if it is at most so many times nearer or farther than what is
-# seen in the middle of the images (own choice; of three recordings .9 to 1.3 times as far, of a camera that
-# sweeps over a desk a twelfth as far).
+# The axes meet by chance if that is more than so many times nearer or farther than what is seen in the middle
+# of the images, and if they turn by less than this share of the arc of the cameras around it: who walks
+# around a thing turns as far, also where the wall is seen beside it (own choices; of three recordings .9 to
+# 1.3 times as far, of a camera that sweeps over a desk a twelfth as far. That one turns by .12 of the arc,
+# the others by .98 and 2.5).
 MEETS_BY_CHANCE = 2.0
+LEAST_TURN_SHARE = 0.75
 # Depth is kept on a grid of about this many columns; every eighth of its pixels is a point to be found.
 DEPTH_COLUMNS = 160
 POINT_STEP = 8
@@ -89,8 +92,10 @@ def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
 def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
     """The point (3,) that the cameras look at: where their axes meet, unless they meet by chance (own rule).
 
-    Axes of a camera that hardly moves cross somewhere, also right before it, where nothing is. Then it is the
-    mean of what lies ahead of each camera, as far as is seen in the middle of the images.
+    Axes of a camera that hardly turns cross somewhere, also right before it, where nothing is. Then it is the
+    mean of what lies ahead of each camera, as far as is seen in the middle of the images. Axes that turn as
+    far as the cameras go around their meeting point do not meet by chance, however far the images see there:
+    the middle of most shows the wall where a thing is slender or has gaps.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -102,7 +107,14 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
     far_m = float(np.median(np.linalg.norm(point - positions, axis=1)))
     if depth_m / MEETS_BY_CHANCE <= far_m <= depth_m * MEETS_BY_CHANCE:
         return point
-    ahead: Float64 = (positions + depth_m * T_world_camera[:, :3, 2]).mean(axis=0)
+    looking, axes = _looking_at(point, T_world_camera), T_world_camera[:, :3, 2]
+    if looking.any():
+        turned_rad, around_rad = (
+            _arc_rad(towards[looking], T_world_camera) for towards in (axes, point - positions)
+        )
+        if turned_rad >= LEAST_TURN_SHARE * around_rad:
+            return point
+    ahead: Float64 = (positions + depth_m * axes).mean(axis=0)
     return ahead
 
 
@@ -121,13 +133,23 @@ def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | N
     """
     if not len(T_world_camera):
         return None
-    towards = looked_at(T_world_camera, depth_m) - T_world_camera[:, :3, 3]
-    distance_m = np.linalg.norm(towards, axis=1)
-    ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
-    looking = ahead_m > np.cos(LOOKING_AT_RAD) * distance_m
+    point = looked_at(T_world_camera, depth_m)
+    looking = _looking_at(point, T_world_camera)
     if 2 * looking.sum() < len(T_world_camera):
         return None
-    right, forward, _ = from_above(T_world_camera) @ -towards[looking].T
+    return _arc_rad(point - T_world_camera[looking, :3, 3], T_world_camera)
+
+
+def _looking_at(point: Float64, T_world_camera: Float64) -> Bools:
+    """Which cameras (n,) have a point (3,) of the world within 45 degrees of their axis."""
+    towards = point - T_world_camera[:, :3, 3]
+    ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
+    return np.asarray(ahead_m > np.cos(LOOKING_AT_RAD) * np.linalg.norm(towards, axis=1))
+
+
+def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
+    """The full circle less the largest gap between directions (m, 3), m > 0, seen from above the cameras."""
+    right, forward, _ = from_above(T_world_camera) @ directions_world.T
     angles = np.sort(np.arctan2(forward, right))
     gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
     return float(2 * np.pi - gaps.max())

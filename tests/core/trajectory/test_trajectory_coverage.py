@@ -67,6 +67,19 @@ def test_a_thing_that_is_looked_at_is_where_the_axes_meet(seen_m: float) -> None
     np.testing.assert_array_equal(looked_at(poses, seen_m), convergence_point(poses))
 
 
+@pytest.mark.parametrize("degrees", [30, 90, 180, 270])
+@pytest.mark.parametrize("wall_m", [0.2, 1.5, 2.0, 4.0, 9.0])
+def test_the_wall_behind_a_slender_thing_takes_nothing_of_its_arc(degrees: int, wall_m: float) -> None:
+    """Someone walks around a lamp 0.8 m away, and aims by hand: within 5 degrees of it."""
+    poses = ring(361, 0.8)[: degrees + 1]
+    aims_rad = np.radians(np.random.default_rng(1).uniform(-5, 5, (len(poses), 2)))
+    for pose, (yaw, pitch) in zip(poses, aims_rad, strict=True):
+        yawed = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+        pitched = [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
+        pose[:3, :3] = pose[:3, :3] @ np.array(yawed) @ np.array(pitched)
+    assert np.degrees(covered_arc_rad(poses, wall_m)) == pytest.approx(degrees, abs=5)
+
+
 def test_the_depth_in_the_middle() -> None:
     one = np.zeros((9, 9), np.float32)
     one[4, 4], one[0, 0] = 1.5, 9.0
