@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 8,
     "track": 9,
     "fuse": 5,
-    "segment": 26,
+    "segment": 27,
     "sample-views": 3,
     "pairs": 2,
     "suggest": 5,

@@ -48,6 +48,9 @@ MIN_NEAR_POINTS = 100
 # A person is told if fewer of the cameras than this look down on what was chosen, if more of the surface than
 # this lies lower, and if another plane has this share of its evidence (own choices).
 TOLD_ABOVE_SHARE, TOLD_BELOW_SHARE, TOLD_RIVAL = 0.95, 0.05, 0.5
+# Of a plane that was refused it takes more evidence than that of what was chosen; and so many times as much
+# if they are parallel, as the top of a table is to the floor about it (own choices).
+TOLD_REFUSED, TOLD_REFUSED_PARALLEL = 1.0, 5.0
 # Planes whose normals differ by less are one floor, or parallel (own choice).
 SAME_DEG = 15.0
 TAKEN = "the plane that was taken for the floor"
@@ -65,6 +68,8 @@ REASONS: dict[Reason, str] = {
     "higher": "what the cameras look at stands on a higher plane",
 }
 NEVER: tuple[Reason, ...] = ("turned", "cameras", "clutter")
+# Those that a limit refuses, which a plane may miss by little.
+BY_A_LIMIT: tuple[Reason, ...] = ("cameras", "clutter", "top")
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,13 @@ class PlaneChoice:
             lines.append(
                 f"{chosen.inlier_share:.0%} of the surface lies on {TAKEN}, and {rival.inlier_share:.0%} on "
                 f"another that may be it, turned by {_turn_deg(rival, chosen):.0f} degrees; {GIVE}"
+            )
+        refused = [each for each in others if each.reason in BY_A_LIMIT and _outweighs(each, chosen)]
+        if refused:
+            most = max(refused, key=lambda each: each.evidence)
+            lines.append(
+                f"{chosen.inlier_share:.0%} of the surface lies on {TAKEN}, and {most.inlier_share:.0%} on "
+                f"another that was refused: {REASONS[most.reason]}; {GIVE}"
             )
         return tuple(lines)
 
@@ -337,3 +349,9 @@ def refined_near(plane: Float64, surface: Surface) -> tuple[Float64, float]:
 def _turn_deg(one: PlaneCandidate, other: PlaneCandidate) -> float:
     """The angle between the normals of two planes."""
     return float(np.degrees(np.arccos(np.clip(one.plane[:3] @ other.plane[:3], -1, 1))))
+
+
+def _outweighs(refused: PlaneCandidate, chosen: PlaneCandidate) -> bool:
+    """Whether so much speaks for a plane that was refused that a person is told."""
+    parallel = _turn_deg(refused, chosen) <= SAME_DEG
+    return refused.evidence > (TOLD_REFUSED_PARALLEL if parallel else TOLD_REFUSED) * chosen.evidence

@@ -8,7 +8,7 @@ from bounds import within
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.stages.segment.floor import find_floor
-from kinectbench.stages.segment.floor_planes import REASONS
+from kinectbench.stages.segment.floor_planes import REASONS, PlaneCandidate, PlaneChoice
 from kinectbench.stages.segment.planes import floor_frame
 
 CELL_M = 0.03
@@ -145,6 +145,39 @@ def test_a_top_above_what_is_seen_right_below_it_is_no_floor():
     points, normals = (np.concatenate([seat[k], *(leg[k] for leg in legs)]) for k in (0, 1))
     with pytest.raises(SegmentationError, match=r"on the likeliest plane, but much is seen right below it"):
         found_in("upright", points, normals)
+
+
+def candidate(reason, share, turn_deg=0.0, **figures):
+    turn = np.radians(turn_deg)
+    plane = np.array([np.sin(turn), 0.0, np.cos(turn), -0.7])
+    known = {"above_share": 1.0, "below_share": 0.0, "under_share": 0.0, "tilt_rad": turn, "way": 0}
+    return PlaneCandidate(plane, round(10_000 * share), share, **{**known, **figures}, reason=reason)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 40.0])
+@pytest.mark.parametrize(
+    "reason, figures", [("top", {"under_share": 0.2}), ("cameras", {"above_share": 0.79}), ("clutter", {})]
+)
+def test_a_refused_plane_that_outweighs_the_floor_is_told_with_its_reason(reason, figures, turn_deg):
+    floor = candidate("", 0.012)
+    (line,) = PlaneChoice(floor, (floor, candidate(reason, 0.6, turn_deg, **figures))).doubts()
+    assert "1% of the surface lies on the plane that was taken for the floor, and 60% on" in line
+    assert f"refused: {REASONS[reason]}" in line and "floor: {plane_world" in line
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        candidate("top", 0.3, under_share=0.9),  # a table on the floor
+        candidate("clutter", 0.15, 40.0),
+        candidate("cameras", 0.3, above_share=0.4),  # the board of a shelf
+        candidate("turned", 0.6, 90.0),  # a wall
+        candidate("lower", 0.6),
+    ],
+)
+def test_a_refused_plane_that_is_none_is_not_told(other):
+    floor = candidate("", 0.2)
+    assert PlaneChoice(floor, (floor, other)).doubts() == ()
 
 
 def test_frame_of_the_floor():
