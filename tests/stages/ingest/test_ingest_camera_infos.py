@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ingest_writers import CAMERA, START_NS, BagWriter, color_image, depth_image
 
+from kinectbench.core.geometry import rigid
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
@@ -23,13 +26,16 @@ def opened(
     infos: dict[str, tuple[dict[str, object], str]],
     frame_ids: tuple[str, str] = ("color", "color"),
     settings: CameraSettings | None = None,
+    other_images: str = "",
 ) -> Recording:
-    """A bag with these CameraInfo: {folder: (values, frame)}; frames of depth and of colour."""
+    """A bag with these CameraInfo: {folder: (values, frame)}; frames of depth and of colour; other images."""
     with BagWriter(root / "r.bag") as bag:
         for folder, (values, frame_id) in infos.items():
             bag.info(f"{folder}/camera_info", START_NS, values, frame_id=frame_id)
         bag.image(depth, START_NS, depth_image(0), "16UC1", frame_ids[0])
         bag.image(COLOR, START_NS, color_image(0), "bgr8", frame_ids[1])
+        if other_images:
+            bag.image(other_images, START_NS, color_image(0), "bgr8", "other")
     return open_recording(root / "r.bag", settings)
 
 
@@ -83,9 +89,8 @@ def test_beside_comes_before_the_frame(tmp_path: Path) -> None:
     [
         # The same camera twice.
         (ALIGNED, {BESIDE: (CAMERA, "color"), "/camera/color": (CAMERA, "color")}, None),
-        # Two cameras of one size, each with its own frame; then those of two devices, of one frame.
+        # Two cameras of one size, each with its own frame.
         (DEPTH, {"/camera/depth": (CAMERA, "d"), "/camera/color": (OTHER, "c")}, ("d", "c")),
-        (DEPTH, {"/camera/depth": (CAMERA, "d"), "/left/depth": (OTHER, "d")}, ("d", "c")),
         # Another size is another image's.
         (ALIGNED, {BESIDE: (CAMERA, "color"), "/camera/color": (WIDE, "color")}, None),
         # Aligned depth without any of its own.
@@ -101,3 +106,38 @@ def test_nothing_is_said_where_nothing_contradicts(
     recording = opened(tmp_path, depth, infos, frame_ids or ("color", "color"))
     assert recording.camera.fx == 60.0
     assert not any("contradict" in warning for warning in recording.warnings)
+
+
+@pytest.mark.parametrize("other", ["/left/depth", "/camera/depth_registered", "/calibrated"])
+def test_another_of_one_size_and_frame_is_told_wherever_it_lies(tmp_path: Path, other: str) -> None:
+    infos = {"/camera/depth": (CAMERA, "d"), other: (OTHER, "d")}
+    recording = opened(tmp_path, DEPTH, infos, ("d", "c"))
+    assert recording.camera.fx == 60.0
+    assert any("contradict" in said and f"{other}/camera_info" in said for said in recording.warnings)
+
+
+def test_a_camera_info_beside_images_of_its_own_contradicts_nothing(tmp_path: Path) -> None:
+    """Two devices whose drivers call their frames alike."""
+    infos = {"/camera/depth": (CAMERA, "d"), "/left/depth": (OTHER, "d")}
+    recording = opened(tmp_path, DEPTH, infos, ("d", "c"), other_images="/left/depth/image_rect")
+    assert recording.camera.fx == 60.0
+    assert not any("contradict" in warning for warning in recording.warnings)
+
+
+@pytest.mark.parametrize("placed", [True, False])
+@pytest.mark.parametrize("other", ["/camera/rgb", "/driver/settings"])
+def test_two_of_colour_that_differ_are_told_where_colour_is_brought_to_depth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, placed: bool, other: str
+) -> None:
+    T_color_depth = rigid(np.eye(3), [0.05, 0.0, 0.0]) if placed else None
+    monkeypatch.setattr(RosRecording, "color_place", lambda *_: T_color_depth)
+    infos = {"/camera/depth": (CAMERA, "d"), "/camera/color": (CAMERA, "c"), other: (OTHER, "c")}
+    recording = opened(tmp_path, DEPTH, infos, ("d", "c"))
+    assert (recording.color_calibration is not None) == placed
+    told = [said for said in recording.warnings if "contradict" in said]
+    assert len(told) == placed
+    for said in told:
+        assert (
+            f"{COLOR}: /camera/color/camera_info (fx: 60" in said and f"{other}/camera_info (fx: 42.5" in said
+        )
+        assert "leave the topic of the first out of the bag" in said and "\n" not in said

@@ -22,6 +22,8 @@ from kinectbench.stages.ingest.bags.ros_messages import BagTopic, MessagePlace, 
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_poses, read_transforms
 from kinectbench.stages.ingest.bags.ros_topics import (
     CAMERA_INFO,
+    COLOR_KIND,
+    DEPTH_KIND,
     WANTED,
     CameraInfo,
     ImageTopic,
@@ -30,6 +32,7 @@ from kinectbench.stages.ingest.bags.ros_topics import (
     choose_color,
     choose_depth,
     distortion_of,
+    every_image,
     intrinsics_of,
     is_named_registered,
 )
@@ -44,8 +47,6 @@ from kinectbench.stages.ingest.intrinsics import scale_warnings
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.undistortion import Undistortion
-
-COLOR_WORDS = ("rgb", "color", "colour")
 
 
 class Pair(NamedTuple):
@@ -126,7 +127,7 @@ class RosRecording(Recording):
             depth, color = replace(depth, frame_id=""), color and replace(color, frame_id="")
         size_px = _first_depth_size(bag, depth)
         infos = cls.camera_infos(bag)
-        info, info_warnings = _depth_info(depth, color, size_px, infos, settings)
+        info, info_warnings = _depth_info(bag, depth, color, size_px, infos, settings)
         intrinsics = intrinsics_of(info, depth).overridden_by(settings)
         camera = intrinsics.camera(size_px, path)
         tree = read_transforms(bag)
@@ -139,7 +140,8 @@ class RosRecording(Recording):
         calibration = None
         if color is not None and not registered:
             T_color_depth = cls.color_place(bag, tree, depth, color)
-            calibration = _calibration(bag, color, T_color_depth, infos)
+            calibration, color_doubts = _calibration(bag, color, T_color_depth, infos)
+            color_warnings = [*color_warnings, *color_doubts]
         if calibration is not None:
             size_warnings = []
             registered = calibration.lies_on(camera)
@@ -268,6 +270,7 @@ def _is_registered(
 
 
 def _depth_info(
+    bag: RosBag,
     depth: ImageTopic,
     color: ImageTopic | None,
     size_px: tuple[int, int],
@@ -276,7 +279,9 @@ def _depth_info(
 ) -> tuple[CameraInfo | None, list[str]]:
     """The CameraInfo of depth; and a warning that another contradicts it, unless the settings decide."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
-    info, said = choose_camera_info(depth, ("depth",), size_px, infos, color if on_color else None)
+    info, said = choose_camera_info(
+        depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
+    )
     decided = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
     return info, [said] if said and not decided else []
 
@@ -294,14 +299,15 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 
 def _calibration(
     bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
-) -> ColorCalibration | None:
-    """Camera and place of colour; None if either is not known or does not fit the images."""
+) -> tuple[ColorCalibration | None, list[str]]:
+    """Camera and place of colour, None if either is not known or does not fit the images; and a warning."""
     size_px = _first_color_size(bag, color)
-    info, _ = choose_camera_info(color, COLOR_WORDS, size_px, infos)
+    info, said = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:
-        return None
+        return None, []
     try:
         camera = intrinsics_of(info, color).camera(size_px, bag.path)
-        return ColorCalibration(camera, distortion_of(bag.path, info, color), T_color_depth)
+        calibration = ColorCalibration(camera, distortion_of(bag.path, info, color), T_color_depth)
     except RecordingError:
-        return None
+        return None, []
+    return calibration, [said] if said else []

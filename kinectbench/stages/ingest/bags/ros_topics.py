@@ -31,6 +31,8 @@ BROWN_LENGTHS = frozenset({4, 5, 8})
 # A message of sensor_msgs/CameraInfo, and with its topic's name.
 CameraInfo = Any
 NamedInfo = tuple[str, CameraInfo]
+# How well a CameraInfo fits images: of their size, beside them, of their frame, folders that both lie in.
+Rank = tuple[bool, bool, bool, int]
 # Intrinsics that differ by less than this share of the focal length are the same: .6 px of a Kinect's.
 SAME_SHARE = 1e-3
 
@@ -55,6 +57,25 @@ class ImageTopic:
         return self.topic.name
 
 
+@dataclass(frozen=True)
+class ImageKind:
+    """What tells the CameraInfo of one kind of images.
+
+    Attributes:
+        words: that the name of a folder holds in which such images and their CameraInfo lie.
+        advice: what to do if another CameraInfo is right; {second} is its values.
+    """
+
+    words: tuple[str, ...]
+    advice: str
+
+
+DEPTH_KIND = ImageKind(("depth",), "put `camera: {{{second}}}` into benchmark.yaml")
+COLOR_KIND = ImageKind(
+    ("rgb", "color", "colour"), "colour lies beside its surface: leave the topic of the first out of the bag"
+)
+
+
 def image_topics(bag: RosBag, encoding_of: Callable[[Any], str | None]) -> list[ImageTopic]:
     """The image topics whose first readable message has an encoding by `encoding_of`."""
     found = []
@@ -64,6 +85,11 @@ def image_topics(bag: RosBag, encoding_of: Callable[[Any], str | None]) -> list[
         if message is not None and encoding is not None:
             found.append(ImageTopic(topic, encoding, message.header.frame_id))
     return found
+
+
+def every_image(bag: RosBag) -> list[ImageTopic]:
+    """The image topics that hold a readable message, of whatever kind."""
+    return image_topics(bag, lambda m: m.format if is_compressed(m) else m.encoding)
 
 
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
@@ -82,8 +108,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
     # Infrared images are 16-bit too.
     found = [t for t in found if "depth" in t.name.lower() or not INFRARED.search(t.name.lower())]
     if not found:
-        every = image_topics(bag, lambda m: m.format if is_compressed(m) else m.encoding)
-        images = [f"{t.name} ({t.encoding})" for t in every]
+        images = [f"{t.name} ({t.encoding})" for t in every_image(bag)]
         raise RecordingError(
             f"{bag.path}: no topic holds depth images (16UC1, mono16, 32FC1 or 16-bit PNG); its image topics "
             f"are: {', '.join(images) or 'none'}"
@@ -126,7 +151,7 @@ def choose_color(
         found,
         key=lambda t: (
             not INFRARED.search(t.name.lower()) and "depth" not in t.name.lower(),
-            any(word in t.name.lower() for word in ("rgb", "color", "colour")),
+            any(word in t.name.lower() for word in COLOR_KIND.words),
             _first_folder(t) == _first_folder(depth),
             t.encoding != "mono8",
             t.topic.type != COMPRESSED_IMAGE,
@@ -171,9 +196,10 @@ def values_of(info: CameraInfo, name: str) -> tuple[float, ...]:
 
 def choose_camera_info(
     image: ImageTopic,
-    kind: Sequence[str],
+    kind: ImageKind,
     size_px: tuple[int, int],
     infos: Sequence[NamedInfo],
+    images: Sequence[ImageTopic],
     pixels_of: ImageTopic | None = None,
 ) -> tuple[CameraInfo | None, str]:
     """The CameraInfo of images: of their frame, beside them, or in a folder that is named for their kind.
@@ -184,9 +210,10 @@ def choose_camera_info(
 
     Args:
         image: the topic of the images.
-        kind: words that such a folder's name holds, such as "depth".
+        kind: of the images.
         size_px: width and height of the images.
         infos: every CameraInfo of the bag with its topic's name.
+        images: every topic of images: a CameraInfo beside another one is that one's, and contradicts nothing.
         pixels_of: the topic of the images on whose pixels `image` lies, by name or by frame; or None.
 
     Returns:
@@ -198,12 +225,17 @@ def choose_camera_info(
         shared = _shared_folders(name, image.name)
         same_frame = bool(image.frame_id) and info.header.frame_id == image.frame_id
         beside = _is_beside(name, image)
-        if same_frame or beside or any(word in folder.lower() for folder in shared for word in kind):
+        if same_frame or beside or any(word in folder.lower() for folder in shared for word in kind.words):
             rank = ((info.width, info.height) == size_px, beside, same_frame, len(shared))
             ranked.append((rank, (name, info)))
     ranked.sort(key=lambda entry: entry[0], reverse=True)
-    # As good as the first but for its name; and the camera on whose pixels the images lie.
-    rivals = [named for rank, named in ranked[1:] if rank[:3] == ranked[0][0][:3]]
+    # As good as the first but for its name, or of its size and frame; the camera on whose pixels they lie.
+    rivals = [
+        named
+        for rank, named in ranked[1:]
+        if rank[:3] == ranked[0][0][:3]
+        or (_is_of_one_camera(rank, ranked[0][0]) and not any(_is_beside(named[0], each) for each in images))
+    ]
     for name, info in usable:
         if pixels_of and _is_beside(name, pixels_of) and (info.width, info.height) == size_px:
             rivals.insert(0, (name, info))
@@ -215,7 +247,12 @@ def choose_camera_info(
         return own[1], ""
     if pixels_of and is_named_registered(image) and _is_beside(rival[0], pixels_of):
         own, rival = rival, own
-    return own[1], _contradicted(own, rival, image)
+    return own[1], _contradicted(own, rival, image, kind.advice)
+
+
+def _is_of_one_camera(rank: Rank, best: Rank) -> bool:
+    """Whether two CameraInfo are both of the images' size and frame, wherever they lie."""
+    return rank[0] and best[0] and rank[2] and best[2]
 
 
 def _is_beside(info: str, image: ImageTopic) -> bool:
@@ -233,12 +270,12 @@ def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
     return any(abs((x or 0.0) - (y or 0.0)) > SAME_SHARE * (a.fx or 1.0) for x, y in pairs)
 
 
-def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic) -> str:
-    """The warning that two CameraInfo differ, with both values, and the setting that takes the other."""
+def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic, advice: str) -> str:
+    """The warning that two CameraInfo differ, with both values, and what to do about it."""
     first, second = (_in_words(info, image) for _, info in (taken, other))
     return (
         f"{image.name}: {taken[0]} ({first}) and {other[0]} ({second}) contradict each other; the first is "
-        f"taken; if the second is right, put `camera: {{{second}}}` into benchmark.yaml"
+        f"taken; if the second is right, {advice.format(second=second)}"
     )
 
 
