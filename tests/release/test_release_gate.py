@@ -11,7 +11,7 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build, write
 from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.artefacts.object import HANGS, IN_PIECES, LOOK
 from kinectbench.core.errors import ReleaseError
-from kinectbench.release.publish.gate import gate
+from kinectbench.release.publish.gate import NOT_TOLD, gate
 from kinectbench.release.publish.publish import publish
 
 NAME = RECORDINGS[0][0]
@@ -121,3 +121,47 @@ def test_the_release_says_what_was_left_out_and_what_was_let_pass(tmp_path: Path
 def test_nothing_passes(tmp_path: Path) -> None:
     with pytest.raises(ReleaseError, match=r"to publish; chair_01 is left out: estimated IoU 0\.45"):
         publish(settings(), built(tmp_path, estimated_iou=0.45), tmp_path / "out", [NAME])
+
+
+# Each is a way to let pass, or to leave out, the first recording, which is of the test split.
+@pytest.mark.parametrize(
+    ("review", "allow_poor"),
+    [
+        (None, True),
+        (None, False),
+        ({"decision": "accept", "reason": "REASON"}, False),
+        ({"decision": "reject", "reason": "REASON"}, False),
+    ],
+)
+def test_no_figure_and_no_reason_of_a_truth_that_is_held_back(
+    review: Any, allow_poor: bool, tmp_path: Path
+) -> None:
+    build = tmp_path / "build"
+    write_build(build)
+    built(
+        build,
+        estimated_iou=0.4567,
+        unknown_share=0.8642,
+        grade="not good",
+        warnings=[f"it falls into 17 things; {LOOK}"],
+    )
+    asked = PublishOptions(hold_back=("test",), thresholds=None, allow_poor=allow_poor or None)
+    summary = publish(settings(review, min_grade="good"), build, tmp_path / "out", NAMES, asked)
+    # Quality of every kind, and the person's words; the rest of the page is of other recordings.
+    told = ("0.46", "0.4567", "86%", "0.8642", "17 things", "REASON", "the trajectory is not good")
+    for part, is_public in ((summary.folder, True), (summary.private, False)):
+        assert part is not None
+        texts = [path.read_text(errors="replace") for path in part.rglob("*") if is_text(path)]
+        found = {word for word in told if any(word in text for text in texts)}
+        assert not found if is_public else found
+    content = json.loads((summary.folder / "benchmark.json").read_text())
+    said = content["recordings"].get(NAME, {}).get("poor", [content.get("left_out", {}).get(NAME)])
+    assert all(NOT_TOLD in line for line in said)
+    assert f"- {NAME} is " in (summary.folder / "README.md").read_text()
+    # Whoever publishes sees why.
+    assert any(line.startswith(f"{NAME} is ") and NOT_TOLD not in line for line in summary.warnings)
+
+
+def is_text(path: Path) -> bool:
+    """Whether a file of a release is text."""
+    return path.suffix in (".json", ".md", ".csv", ".html", ".cff", "") and path.is_file()

@@ -68,7 +68,9 @@ class RecordingInfo(Part):
     )
     license: str = Field(UNSPECIFIED, description="of the recording's data")
     source: str = Field(UNSPECIFIED, description="who recorded it, or where it is from")
-    poor: tuple[str, ...] = Field((), description="limits of `publish.gate` that it does not keep")
+    poor: tuple[str, ...] = Field(
+        (), description="limits of `publish.gate` that it does not keep; no figures where they are held back"
+    )
     accepted: str | None = Field(None, description="why it is published all the same")
 
 

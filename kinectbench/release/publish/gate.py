@@ -4,8 +4,8 @@ Limits are `publish.gate` of benchmark.yaml. `recordings[].review` accepts or re
 reason, and `publish --allow-poor` lets all pass; a release says of each whether its limits were passed over.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinectbench.core.artefacts.object import QualityFile
@@ -15,6 +15,8 @@ from kinectbench.settings.publishing import GateSettings
 
 ALLOWED = "--allow-poor"
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
+# What is said in place of figures and a person's reason, which tell of a truth that is held back.
+NOT_TOLD = "why is held back, as its truth is"
 # Of a doubt, which advises after it.
 SHOWN_OF_DOUBT = ";"
 
@@ -41,6 +43,13 @@ class Gate:
         return {name: "; ".join(limits) for name, limits in self.refused.items()} | {
             name: f"rejected by review: {reason}" for name, reason in self.rejected.items()
         }
+
+    def for_everybody(self, hidden: Collection[str]) -> "Gate":
+        """The same without the figures and reasons of some recordings, whose truth is held back."""
+        poor = {name: ((NOT_TOLD,), NOT_TOLD) if name in hidden else it for name, it in self.poor.items()}
+        refused = {name: (NOT_TOLD,) if name in hidden else it for name, it in self.refused.items()}
+        rejected = {name: NOT_TOLD if name in hidden else it for name, it in self.rejected.items()}
+        return replace(self, poor=poor, refused=refused, rejected=rejected)
 
     def reasons(self) -> Iterator[str]:
         """Why each of those that are not in the release is not, a line each."""

@@ -42,7 +42,7 @@ class PublishSummary:
         benchmark_sha256: its identity.
         pairs: number of pairs.
         recordings: those published, in the order given.
-        warnings: one line each; they are on the card too.
+        warnings: one line each; the card has them too, but for reasons that tell of a truth held back.
         private: the part that scores, where something is held back.
         private_sha256: its identity.
         removed: what was removed for privacy, one line each.
@@ -116,10 +116,19 @@ def publish(
         hidden = folders.enter_context(replaced_folder(private))
         folder = folders.enter_context(replaced_folder(out))
         whole = _write(settings, build, hidden, passed, complete)
-        public = _write(settings, build, folder, passed, options)
+        public = _write(settings, build, folder, passed.for_everybody(_hidden(settings, options)), options)
         note_in_benchmark_json(hidden, public_benchmark_sha256=public.benchmark_sha256)
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
-    return replace(public, folder=out, private=private, private_sha256=whole.benchmark_sha256)
+    # Whoever publishes is told the reasons, too.
+    warnings = tuple(dict.fromkeys((*whole.warnings, *_gives_away(settings, options.hold_back))))
+    return replace(
+        public, folder=out, warnings=warnings, private=private, private_sha256=whole.benchmark_sha256
+    )
+
+
+def _hidden(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[str]:
+    """Ids of the recordings whose truth is held back."""
+    return frozenset(each.id for each in settings.recordings if each.split in options.hold_back)
 
 
 def _refuse_other(out: Path) -> None:
@@ -215,11 +224,10 @@ def _pairs(
 ) -> tuple[dict[str, Published], list[str]]:
     """Write the pairs of each recording; what was published by id, and a line for each without a pair."""
     made, without_pair = dict[str, Published](), list[str]()
-    by_id, recordings = settings.by_id(), passed.published
+    by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
     for name in recordings:
-        hidden = by_id[name].split in options.hold_back
-        built = Built(settings, by_id[name], build / name, hidden, most_named)
+        built = Built(settings, by_id[name], build / name, name in hidden_ids, most_named)
         published = publish_recording(built, folder, found)
         if published is None:
             without_pair.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
@@ -315,13 +323,17 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 def _public_settings(
     settings: BenchmarkSettings, hold_back: Sequence[str], found: list[Removed]
 ) -> dict[str, Any]:
-    """The settings without the paths of the machine they were used on, and the boxes of what is held back."""
+    """The settings without the paths of the machine they were used on; without what tells of a hidden truth.
+
+    A box tells its size, a review what a person thinks of it.
+    """
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish"})
     for recording in public["recordings"]:
         recording.pop("path")
         recording.pop("masks")
         if recording["split"] in hold_back:
             recording.pop("box")
+            recording.pop("review")
     clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found, settings)
     # What people say of themselves here is meant to be read.
     return clean | {"publish": settings.publish.model_dump(mode="json")}
