@@ -82,7 +82,10 @@ class GateSettings(Settings):
     # Own choice: beyond a half most of the truth is a guess. Sound ones: 0.08 to 0.3.
     max_unknown_share: float = Field(0.5, ge=0, le=1, description="of the solid: never seen nor enclosed")
     max_doubts: int = Field(
-        0, ge=0, le=100, description="that it is several things, cut off, in pieces, or without its support"
+        0,
+        ge=0,
+        le=100,
+        description="that it is several things, cut off, in pieces, without its support, or on another floor",
     )
 
 

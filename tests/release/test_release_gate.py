@@ -9,10 +9,11 @@ from analytic_scenes import health_of
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
-from kinectbench.core.artefacts.object import HANGS, IN_PIECES, LOOK
+from kinectbench.core.artefacts.object import WORDS_OF_DOUBTS
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.publish.gate import NOT_TOLD, gate
 from kinectbench.release.publish.publish import publish
+from kinectbench.stages.segment.doubts import LOOK
 
 NAME = RECORDINGS[0][0]
 NAMES = [recording[0] for recording in RECORDINGS]
@@ -57,10 +58,17 @@ def built(folder: Path, grade: str = "good", **quality: Any) -> Path:
         (
             {"warnings": [f"falls into 3; {LOOK}"]},
             {},
-            "falls into 3 (1 doubt of the object, more",
+            "falls into 3 (1 doubt of the object or its floor, more",
         ),
-        ({"warnings": [f"begins 0.2 m up: {HANGS}"]}, {}, "publish.gate.max_doubts: 0"),
-        ({"warnings": [f"the solid is in 2 {IN_PIECES}: x"]}, {}, "publish.gate.max_doubts: 0"),
+        ({"warnings": [f"begins 0.2 m up: {WORDS_OF_DOUBTS[1]}"]}, {}, "publish.gate.max_doubts: 0"),
+        ({"warnings": [f"the solid is in 2 {WORDS_OF_DOUBTS[2]}: x"]}, {}, "publish.gate.max_doubts: 0"),
+        # A file with doubts says itself which of its warnings are some, in any words.
+        (
+            {"warnings": ["in other words; x", "thin"], "doubts": ["in other words; x"]},
+            {},
+            "in other words (",
+        ),
+        ({"warnings": [f"no doubt; {LOOK}"], "doubts": []}, {}, None),
         # Sound, or as wide as the limits are set.
         ({}, {}, None),
         ({"estimated_iou_low": 0.69}, {}, None),

@@ -53,8 +53,14 @@ class Recorded:
         grid = object_grid(chosen.box, chosen.floor, FUSION.voxel_size_m, given=given)
         return witness(self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
 
-    def model(self, given: OrientedBox | None = None, fusion: FusionSettings = FUSION) -> ObjectModel:
-        return build_object(self.sequence, self.trajectory, self.scene, given, SEGMENTATION, fusion)
+    def model(
+        self,
+        given: OrientedBox | None = None,
+        fusion: FusionSettings = FUSION,
+        floor: tuple[float, float, float, float] | None = None,
+    ) -> ObjectModel:
+        parts = (self.sequence, self.trajectory, self.scene)
+        return build_object(*parts, given, SEGMENTATION, fusion, floor=floor)
 
     def views(self, model: ObjectModel) -> Views:
         settings = (ViewSettings(min_pixels=50), SEGMENTATION, PairSettings())

@@ -20,10 +20,12 @@ INTERVAL_LOW = "lower end of its interval: more is missing, and every guess behi
 INTERVAL_HIGH = (
     "upper end of its interval: less is missing, and every guess behind an opening right; no bound"
 )
-# Parts of the warnings of quality.json that doubt what the object is: that it is one thing, whole, and stands
-# on what carries it. Whatever words such a warning takes them from here.
-LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
-HANGS, IN_PIECES = "what carries it gave no depth", "large pieces that do not touch"
+# Files from before `doubts` say by these words of a warning that it is one.
+WORDS_OF_DOUBTS = (
+    "`kinectbench segment --suggest` lists boxes to choose from",
+    "what carries it gave no depth",
+    "large pieces that do not touch",
+)
 # Before the lines of `estimated_iou_reasons`, where an estimate is told with its interval in brackets.
 REASONS_FOLLOW = "the interval in brackets is so wide because of"
 
@@ -169,6 +171,11 @@ class QualityFile(Stored):
     format_version: Literal[1] | None = Field(None, description="of this file's format")
     verdict: str | None = Field(None, description="in words")
     warnings: tuple[str, ...] = Field((), description="one line each")
+    doubts: tuple[str, ...] | None = Field(
+        None,
+        description="the warnings that doubt what was measured: that the object is one thing and whole, and "
+        "that it stands on the floor that was found",
+    )
     repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
     estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
     estimated_iou_low: float | None = Field(None, description=INTERVAL_LOW)
@@ -201,9 +208,11 @@ class QualityFile(Stored):
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """The warnings that the object may be several things, cut off, or without its support."""
-        return tuple(line for line in self.warnings if any(mark in line for mark in (LOOK, HANGS, IN_PIECES)))
+    def known_doubts(self) -> tuple[str, ...]:
+        """The doubts; of a file without them, the warnings of the object that say so by their words."""
+        if self.doubts is not None:
+            return self.doubts
+        return tuple(line for line in self.warnings if any(words in line for words in WORDS_OF_DOUBTS))
 
     @property
     def advice(self) -> tuple[str, ...]:

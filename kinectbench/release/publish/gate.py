@@ -123,8 +123,8 @@ def _beyond(limits: GateSettings, folder: Path) -> Iterator[str]:
             f"{unknown:.0%} of the solid is unknown, more than publish.gate.max_unknown_share: "
             f"{limits.max_unknown_share:g}"
         )
-    doubts = quality.doubts
+    doubts = quality.known_doubts
     if len(doubts) > limits.max_doubts:
         first = doubts[0].split(SHOWN_OF_DOUBT, 1)[0]
-        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object"
+        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object or its floor"
         yield f"{first} ({count}, more than publish.gate.max_doubts: {limits.max_doubts})"

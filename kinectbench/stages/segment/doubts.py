@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.artefacts.object import LOOK
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.select import label_pieces, nearest_within, standing
 
+LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
 MAX_EXTENT_M = 2.5
 # Parts of at least this share of the largest one's surface are things of their own.
 PART_SHARE = 0.2

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.artefacts.object import LOOK
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import FloorCuts
+from kinectbench.stages.segment.doubts import LOOK
 from kinectbench.stages.segment.floor import Floor, find_floor, floor_cut_m, level_floor, low_cut_m
 from kinectbench.stages.segment.near import cell_scale, enlarged_box, near_scale
 from kinectbench.stages.segment.select import (

@@ -4,9 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object import (
-    HANGS,
-    IN_PIECES,
-    LOOK,
     BoxPart,
     FrontierPart,
     LabelCounts,
@@ -17,6 +14,7 @@ from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.types import Int32, Int64
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
+from kinectbench.stages.segment.doubts import LOOK
 from kinectbench.stages.segment.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
     IouEstimate,
@@ -85,17 +83,17 @@ def measure_quality(
     unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
     unknown_air = int((~together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
-    warnings = (
-        *seen.warnings,
-        *(frontier.advice for frontier in frontiers),
-        *_warnings(chosen, together, repeatability, estimate, frontiers, unknown),
-    )
+    unsupported = _unsupported(chosen, together)
+    advice = tuple(frontier.advice for frontier in frontiers)
+    fused = _warnings(unsupported, together, repeatability, estimate, frontiers, unknown)
+    warnings = (*seen.warnings, *advice, *fused)
     boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
     whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
     return QualityFile(
         format_version=1,
         verdict="look at the warnings" if warnings else "good",
         warnings=warnings,
+        doubts=(*seen.doubts, *unsupported),
         repeatability_iou=round(repeatability, 4),
         estimated_iou=round(estimate.value, 4),
         estimated_iou_low=round(estimate.low, 4),
@@ -151,7 +149,7 @@ def _label_counts(labels: NDArray[np.uint8]) -> LabelCounts:
 
 
 def _warnings(
-    chosen: Segmentation,
+    unsupported: list[str],
     shape: SolidShape,
     repeatability: float,
     estimate: IouEstimate,
@@ -197,7 +195,7 @@ def _warnings(
     )
     return [
         *(line for wrong, line in fused if wrong),
-        *_unsupported(chosen, shape),
+        *unsupported,
         *(line for wrong, line in seen if wrong),
     ]
 
@@ -210,7 +208,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
     gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
     if chosen.floor.found and gap_m > MAX_GAP_M:
         warnings.append(
-            f"the solid begins {gap_m:.2f} m above the floor: {HANGS} (black, glass or "
+            f"the solid begins {gap_m:.2f} m above the floor: what carries it gave no depth (black, glass or "
             "mirror-like), or the box or the `floor` in benchmark.yaml is wrong; all is well if it stands on "
             "something else"
         )
@@ -219,7 +217,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
     pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())
     if pieces > 1:
         warnings.append(
-            f"the solid is in {pieces} {IN_PIECES}: what joins them gave no depth, or "
+            f"the solid is in {pieces} large pieces that do not touch: what joins them gave no depth, or "
             "they are several things: look at object/mesh.ply"
         )
     loose = np.flatnonzero(sizes < LARGE_PIECE_SHARE * sizes.sum()) + 1

@@ -108,7 +108,7 @@ class UnseenSide:
 
 @dataclass(frozen=True)
 class Witness:
-    """What quality.json says of it; a line for people for each thing that is wrong."""
+    """What quality.json says of it: a line for people for each thing that is wrong, and which are doubts."""
 
     good_frames: int
     unseen_side: UnseenSidePart
@@ -116,6 +116,7 @@ class Witness:
     max_depth_m: float
     beyond_share: float
     warnings: tuple[str, ...]
+    doubts: tuple[str, ...]
 
 
 def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
@@ -184,7 +185,8 @@ def witness(
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
     side = unseen_side(T_floor_camera, np.array(chosen.box.center_m))
     moving = moving_frames(sequence, trajectory, scene, chosen.floor)
-    warnings = [*_of_trajectory(trajectory), *_of_floor(chosen.floor), *chosen.doubts]
+    doubts = (*_of_floor(chosen.floor), *chosen.doubts)
+    warnings = [*_of_trajectory(trajectory), *doubts]
     if side.share > 0:
         x, y = np.cos(side.towards_rad), np.sin(side.towards_rad)
         warnings.append(
@@ -210,4 +212,4 @@ def witness(
         towards_rad=np.radians(round(np.degrees(side.towards_rad), 1)),
         share=round(side.share, 4),
     )
-    return Witness(len(good), figures, moving, max_depth_m, round(too_far, 4), tuple(warnings))
+    return Witness(len(good), figures, moving, max_depth_m, round(too_far, 4), tuple(warnings), doubts)

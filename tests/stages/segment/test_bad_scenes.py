@@ -194,6 +194,21 @@ def test_a_floor_that_is_not_flat_may_be_something_else():
     for each, told in ((chosen, False), (rough, True)):
         found = plain().witness_of(each)
         assert warned(found.warnings, "the floor found scatters by 19 mm") is told
+        assert warned(found.doubts, "the floor found scatters by 19 mm") is told
+
+
+def test_what_is_doubted_of_object_and_floor_is_stored_as_doubts():
+    """Each is a line of the warnings; the gate of `publish` counts them."""
+    # The plane that is given lies below the true floor, where nothing was measured, and the object hangs.
+    around = OrientedBox((0, 0, 0.67), (0.5, 0.4, 0.5))
+    quality = plain().model(around, floor=(0, 0, 1, 0.4)).quality
+    assert quality.doubts is not None
+    for words in ("nothing that was measured lies on the plane of `floor`", "above the floor: what carries"):
+        assert warned(quality.doubts, words)
+    assert set(quality.doubts) < set(quality.warnings)
+    # A line in words that nobody has thought of is a doubt by its place.
+    chosen = replace(plain().segment(), doubts=("in words of its own",))
+    assert plain().witness_of(chosen).doubts == ("in words of its own",)
 
 
 def test_depth_of_the_object_that_is_out_of_range():
@@ -204,7 +219,7 @@ def test_depth_of_the_object_that_is_out_of_range():
     assert 0.1 < half.beyond_share < 0.5
     assert warned(half.warnings, f"{half.beyond_share:.0%} of the depth around the object lies beyond 1.4 m")
     quality = plain().model().quality
-    assert (quality.max_depth_m, quality.beyond_share) == (3.0, 0.0)
+    assert (quality.max_depth_m, quality.beyond_share, quality.doubts) == (3.0, 0.0, ())
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
