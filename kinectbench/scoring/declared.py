@@ -94,8 +94,11 @@ def method_lines(folder: Path, method: MethodFile | None, release: Release) -> l
 
 
 def _unknown_keys(method: MethodFile) -> Iterator[str]:
-    """One line that names the keys that nothing looks at."""
-    keys = [printable(key, 60) for key in method.model_extra or {}]
+    """One line that names the keys that nothing looks at, and known ones that are nearly the same."""
+    keys = [
+        printable(key, 60) + (f" (did you mean {meant}?)" if (meant := method.meant(key)) else "")
+        for key in method.model_extra or {}
+    ]
     if keys:
         more = f" and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
         yield f"not known, and not looked at: {', '.join(keys[:NAMED])}{more}"

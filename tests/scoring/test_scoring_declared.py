@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.release.release import Release
 from kinectbench.scoring.api import Scorer
-from kinectbench.scoring.declared import SUPPORTED
+from kinectbench.scoring.declared import SUPPORTED, _unknown_keys
 from kinectbench.scoring.prediction_file import blake3_of
 from kinectbench.scoring.predictions import check, find_predictions
 from kinectbench.scoring.recheck import recheck
@@ -88,6 +88,28 @@ def test_a_key_that_is_nobodys_is_named(release: Release, tmp_path: Path) -> Non
     table = scored(release, folder_of(release, tmp_path, content))
     line = "method.json: not known, and not looked at: paper, training_time_h, x?[2J"
     assert line in table.warnings and table.complete
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "meant"),
+    [("from", "ShapeNet", "form"), ("init", "random", "unit"), ("file", "net.py", "files"),
+     ("input", ["depth"], "inputs"), ("axis", 1, "axes"), ("settings2", {"lr": 1}, "settings"),
+     ("frames", 50, "frame"), ("scales", [32, 64], "scale"), ("names", ["a"], "name"),
+     ("uint", "8", "unit"), ("hardwares", "x", "hardware"), ("trainings", {}, "training")],
+)  # fmt: skip
+def test_an_honest_key_near_a_known_one_is_told_and_scored(key: str, value: object, meant: str) -> None:
+    method = MethodFile.parse(json.dumps({"name": "net", key: value}), "method.json")
+    assert list(_unknown_keys(method)) == [f"not known, and not looked at: {key} (did you mean {meant}?)"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("fram", "camera"), ("FRAME", 1), ("from", "mesh"), ("Unit", 5), ("unti", "mm"), ("axis", "opengl"),
+     ("scael", "free"), ("hypothesis", 5), ("treshold", 0.4), ("T_camera_predicton", {}), ("a_xes", 0)],
+)  # fmt: skip
+def test_a_key_that_is_meant_for_one_that_decides_the_score_is_refused(key: str, value: object) -> None:
+    with pytest.raises(PredictionError, match="no such key; did you mean"):
+        MethodFile.parse(json.dumps({"name": "net", key: value}), "method.json")
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,16 @@ PREDICTED = ".predicted.jsonl"
 MOST_UNKNOWN = 200
 # Characters of a key that are compared with the known ones, which have up to 19.
 LONGEST_NAME = 40
+# Keys that decide the score. A key that is nearly one of them is refused where it has this many letters: of
+# fewer, honest keys are near (`from`, `init`, `scales`), unless the value is a word of that key (own choices).
+DECIDING = ("frame", "form", "unit", "axes", "scale", "hypotheses", "threshold", "T_camera_prediction")
+LEAST_LETTERS = 6
 Blake3 = Annotated[str, Field(pattern="^blake3:[0-9a-f]{64}$")]
+
+
+def _letters(name: str) -> str:
+    """A key without capitals and what joins words."""
+    return re.sub(r"[\W_]", "", name[:LONGEST_NAME]).casefold()
 
 
 def is_misspelt(name: str, known: str) -> bool:
@@ -26,7 +35,7 @@ def is_misspelt(name: str, known: str) -> bool:
 
     A slip is a letter too many, too few, another, or two exchanged; capitals and what joins words are none.
     """
-    one, other = (re.sub(r"[\W_]", "", text).casefold() for text in (name[:LONGEST_NAME], known))
+    one, other = _letters(name), _letters(known)
     allowed = 1 if len(other) < 8 else 2
     if abs(len(one) - len(other)) > allowed:
         return False
@@ -98,15 +107,21 @@ class MethodFile(Stored):
 
     @model_validator(mode="after")
     def _no_misspelt_key(self) -> Self:
-        """Refuse a key that is nearly a known one; what it says would not be looked at."""
+        """Refuse a key that is meant for one that decides the score, and would not be looked at."""
         unknown = self.model_extra or {}
         if len(unknown) > MOST_UNKNOWN:
             raise ValueError(f"{len(unknown)} keys that are not known: at most {MOST_UNKNOWN} are read")
-        for key in unknown:
-            for known in type(self).model_fields:
-                if is_misspelt(key, known):
+        for key, value in unknown.items():
+            for known in DECIDING:
+                words = get_args(type(self).model_fields[known].annotation)
+                is_meant = len(known) >= LEAST_LETTERS or _letters(key) == _letters(known) or value in words
+                if is_meant and is_misspelt(key, known):
                     raise ValueError(f"'{key}': no such key; did you mean '{known}'?")
         return self
+
+    def meant(self, key: str) -> str | None:
+        """The known key that an unknown one is nearly; None if there is none."""
+        return next((known for known in type(self).model_fields if is_misspelt(key, known)), None)
 
 
 class UnfinishedFile(Stored):
