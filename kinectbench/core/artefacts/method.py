@@ -18,8 +18,8 @@ PREDICTED = ".predicted.jsonl"
 MOST_UNKNOWN = 200
 # Characters of a key that are compared with the known ones, which have up to 19.
 LONGEST_NAME = 40
-# Keys that decide the score. A key that is nearly one of them is refused where it has this many letters: of
-# fewer, honest keys are near (`from`, `init`, `scales`), unless the value is a word of that key (own choices).
+# Keys that decide the score. A key that is nearly one of them is refused where it has this many letters. Of
+# fewer, honest keys are near (`from`, `init`, `scales`): unless the value is a word of it (own choices).
 DECIDING = ("frame", "form", "unit", "axes", "scale", "hypotheses", "threshold", "T_camera_prediction")
 LEAST_LETTERS = 6
 Blake3 = Annotated[str, Field(pattern="^blake3:[0-9a-f]{64}$")]
