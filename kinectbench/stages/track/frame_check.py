@@ -24,6 +24,7 @@ from kinectbench.stages.track.disagreement import (
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import is_believable
 from kinectbench.stages.track.registration import Registration, measure, register, score, search
+from kinectbench.stages.track.standing_out import stand_out
 
 # Frames that others are compared with, evenly spread.
 COMPARED_FRAMES = 60
@@ -52,6 +53,7 @@ class FrameCheck:
         inlier_share: (n,) share of its points that agree once it has moved.
         degenerate: (n,) bool, the depth leaves a motion open.
         disagrees: (n,) bool.
+        stands_out: (n,) bool, does not disagree, but agrees far worse than nearly all.
         blind: (n,) bool, it measured nothing that could be compared.
         jumps: where the trajectory jumps: the frame behind it, and by how much, metres.
     """
@@ -64,6 +66,7 @@ class FrameCheck:
     inlier_share: Float64
     degenerate: Bools
     disagrees: Bools
+    stands_out: Bools
     blind: Bools
     jumps: tuple[tuple[int, float], ...]
 
@@ -125,13 +128,7 @@ class _Checker:
         if found is None:
             return
         self.found[frame] = found
-        residuals = np.concatenate(
-            [
-                residuals_m(self.maps[frame], self.maps[k][0], T, 2 * self.every)
-                for k, T in zip(near, self._starts(frame, near), strict=True)
-            ]
-        )
-        self.residual_m[frame] = np.median(residuals) if len(residuals) else np.nan
+        self.residual_m[frame] = self._residual_m(frame, near)
         # A residual is the difference of two measurements.
         self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame][0].points[:, 6])
 
@@ -166,13 +163,41 @@ class _Checker:
             if best is not None:
                 self.found[frame] = best
 
-    def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """What the agreeing frames next before it say, and those next after it; or those that look alike."""
+    def _residual_m(self, frame: int, others: list[int]) -> float:
+        """The median residual of a frame as given to some others together; NaN if they share nothing."""
+        residuals = np.concatenate(
+            [
+                residuals_m(self.maps[frame], self.maps[k][0], T, 2 * self.every)
+                for k, T in zip(others, self._starts(frame, others), strict=True)
+            ]
+        )
+        return float(np.median(residuals)) if len(residuals) else np.nan
+
+    def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
+        """The agreeing frames next before it, and those next after it; or those that look alike."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
-        asked = [self._ask(frame, side.tolist(), coarsest=2) for side in sides if len(side)]
+        return [side.tolist() for side in sides if len(side)]
+
+    def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
+        """What the agreeing frames say, on either side."""
+        asked = [self._ask(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in asked if each is not None]
+
+    def stands_out(self, disagrees: Bools) -> Bools:
+        """Which frames (n,) of those that do not disagree agree far worse than nearly all.
+
+        Those that seem to are measured again to the others before them and after them, and the better side
+        counts: a wrong frame makes its right neighbours look worse, and next to a jump one side agrees.
+        """
+        odd = stand_out(self.residual_m / self.noise_m, ~disagrees)
+        sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
+        for frame in np.flatnonzero(odd).tolist():
+            again_m = [self._residual_m(frame, side) for side in self._sides(frame, sound)]
+            known_m = [each for each in again_m if np.isfinite(each)]
+            self.residual_m[frame] = min(known_m, default=np.nan)
+        return odd & stand_out(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
         """Search around the given pose, and around that of the next frame; one that fits clearly better."""
@@ -238,6 +263,7 @@ class _Checker:
             shift_m[frame], turn_rad[frame] = found.shift_m, found.turn_rad
             inlier_share[frame] = found.registration.inlier_share
             degenerate[frame], disagrees[frame] = found.registration.degenerate, self._disagrees(found)
+        stands_out = self.stands_out(disagrees)
         return FrameCheck(
             compared=self.compared,
             shift_m=shift_m,
@@ -247,8 +273,9 @@ class _Checker:
             inlier_share=inlier_share,
             degenerate=degenerate,
             disagrees=disagrees,
+            stands_out=stands_out,
             blind=self.blind,
-            jumps=self.jumps(posed[~disagrees[posed]]),
+            jumps=self.jumps(posed[~(disagrees | stands_out)[posed]]),
         )
 
 

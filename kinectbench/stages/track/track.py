@@ -5,8 +5,6 @@ the frames that disagree (`check_given`); without one, or to refine it, `tracker
 every pose. Then the whole is judged (`health`).
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from kinectbench.core.artefacts.trajectory import Source
@@ -24,8 +22,9 @@ from kinectbench.stages.track.check_given import (
     warnings_of,
 )
 from kinectbench.stages.track.health import health
+from kinectbench.stages.track.standing_out import odd_frames
 from kinectbench.stages.track.tracked import Tracked
-from kinectbench.stages.track.tracker import STANDS_OUT, track_frames
+from kinectbench.stages.track.tracker import track_frames
 
 MIN_GOOD_FRAMES = 3
 
@@ -87,7 +86,7 @@ def _finished(
             f"only {posed} of {len(sequence)} frames can be used, and {MIN_GOOD_FRAMES} are needed"
             f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}"
         )
-    figures = health(sequence, source, tracked, [*warnings, *odd_frames(tracked.reasons)], check)
+    figures = health(sequence, source, tracked, [*warnings, *odd_frames(tracked.reasons, source)], check)
     return Trajectory(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,
@@ -97,19 +96,6 @@ def _finished(
         health=figures,
         depth_calibration=tracked.calibration,
     )
-
-
-def odd_frames(reasons: Mapping[int, str]) -> list[str]:
-    """A line for people about the frames that were left out because they stand out, if there are any.
-
-    Args:
-        reasons: why each lost frame has no pose, by frame.
-    """
-    frames = sorted(frame for frame, reason in reasons.items() if reason == STANDS_OUT)
-    if not frames:
-        return []
-    which = f"{len(frames)} frames ({frames[0]} to {frames[-1]})" if len(frames) > 1 else f"frame {frames[0]}"
-    return [f"left out: {which}: {STANDS_OUT}; turn and walk more slowly there"]
 
 
 def _too_few_poses(sequence: Sequence, posed: int) -> str:

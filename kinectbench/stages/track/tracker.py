@@ -18,7 +18,7 @@ from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
-from kinectbench.core.types import Bools, Float64, Progress
+from kinectbench.core.types import Float64, Progress
 from kinectbench.stages.track.covisibility import glimpse, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
@@ -35,6 +35,7 @@ from kinectbench.stages.track.odometry import (
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
 from kinectbench.stages.track.shutter_search import find_shutter
 from kinectbench.stages.track.smoothing import smoothed
+from kinectbench.stages.track.standing_out import STANDS_OUT, stand_out
 from kinectbench.stages.track.tracked import State, Tracked
 
 # Keyframes each frame is placed among: its own, and the others that see most of it.
@@ -43,12 +44,6 @@ NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
 # Information of a frame that no other is around: it stays where it is.
 HELD = 1e8 * np.eye(6)
 DISAGREES = "its depth does not agree with the keyframes around it"
-STANDS_OUT = "its depth lies farther from the keyframes around it than that of nearly all other frames"
-# A frame stands out by its modified z-score, 0.6745 times its distance from the median over the median of all
-# such distances (Iglewicz and Hoaglin 1993: above 3.5), and only if its residual is twice the median, too, as
-# most frames may agree to a hair (own choice: frames of a fast turn 3.6 to 4.5 times; of 300 frames of three
-# recordings without one 1.35 times at most).
-MODIFIED_Z, Z_OF_MEDIAN, STANDING_OUT = 3.5, 0.6745, 2.0
 
 
 def track_frames(
@@ -113,26 +108,6 @@ def _place(
         readout_s=maps.shutter.readout_s if maps.shutter else 0.0,
         color_delay_s=maps.shutter.color_delay_s if maps.shutter else 0.0,
     )
-
-
-def stand_out(residual: Float64, judged: Bools) -> Bools:
-    """Which frames agree far worse with the others than nearly all do (own rule): (n,).
-
-    A frame of a fast turn may be registered well enough to be believed, and centimetres off. What noise
-    explains is no sign of it.
-
-    Args:
-        residual: (n,) of each frame to keyframes around it, over what noise alone makes of it; NaN: unknown.
-        judged: (n,) which frames count.
-    """
-    known = judged & np.isfinite(residual)
-    if not known.any():
-        return known
-    usual = np.median(residual[known])
-    spread = np.median(np.abs(residual[known] - usual))
-    far = Z_OF_MEDIAN * (residual - usual) > MODIFIED_Z * spread
-    odd: Bools = known & far & (residual > np.maximum(STANDING_OUT * usual, 1.0))
-    return odd
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,17 @@ def test_wrong_frames_in_a_row_do_not_drag_others_along() -> None:
     np.testing.assert_array_equal(np.flatnonzero(checked(poses).frames.disagrees), wrong)
 
 
+def test_frames_that_are_off_by_less_than_disagrees_are_lost_and_told() -> None:
+    """30 mm and half a degree in a row, of which a registration finds 4 to 12 mm again."""
+    sequence, poses, wrong = couch().sequence, couch().simulation.T_world_camera.copy(), range(10, 14)
+    for k in wrong:
+        poses[k] = displaced(poses[k], (0.021, 0.015, 0.015), 0.5)
+    given = GivenTrajectory(sequence.stamps_ns, poses)
+    trajectory = track(replace(sequence, given_trajectory=given), "trust", SETTINGS)
+    np.testing.assert_array_equal(trajectory.good_frames, np.delete(np.arange(len(poses)), wrong))
+    assert any("left out: 4 frames (10 to 13): " in line for line in trajectory.health.warnings)
+
+
 @pytest.mark.parametrize("at", [8, 9])
 def test_a_jump_is_named_and_costs_nothing(at: int) -> None:
     """So short a walk that each frame is compared with some of the other side."""

@@ -18,8 +18,7 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.trajectory import read_trajectory, write_trajectory
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
-from kinectbench.stages.track.track import odd_frames
-from kinectbench.stages.track.tracker import STANDS_OUT, stand_out
+from kinectbench.stages.track.standing_out import STANDS_OUT, odd_frames, stand_out
 
 pytestmark = pytest.mark.xdist_group("tracking")
 SETTINGS = TrackingSettings()
@@ -201,6 +200,6 @@ def test_frames_that_agree_far_worse_than_nearly_all_are_left_out_and_told() -> 
     assert not stand_out(np.append(np.full(20, 0.15), 0.5), np.ones(21, bool)).any()
     assert not stand_out(np.full(3, np.nan), np.ones(3, bool)).any()
     reasons = dict.fromkeys(np.flatnonzero(odd).tolist(), STANDS_OUT) | {80: "another reason"}
-    (line,) = odd_frames(reasons)
+    (line,) = odd_frames(reasons, "tracked")
     assert line.startswith("left out: 13 frames (60 to 73): its depth lies farther")
-    assert odd_frames({80: "another reason"}) == []
+    assert odd_frames({80: "another reason"}, "trust") == []
