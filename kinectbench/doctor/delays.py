@@ -127,12 +127,17 @@ def check_color_delay(look: Look) -> Iterator[Finding]:
 def check_color_drift(look: Look) -> Iterator[Finding]:
     """Whether the delay of colour grows over the recording: its clock runs at another speed than depth's.
 
-    By the motion in runs of frames at the beginning, in the middle and at the end; that in the middle must
-    lie between the two others, so that none of the three is chance (own rule).
+    By the motion in runs of frames at the beginning, in the middle and at the end, or in the thirds of one
+    long run; that in the middle must lie between the two others, so that none of the three is chance (own
+    rule).
     """
     runs = [run for run in look.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
-        return
+        longest = max(runs, key=len, default=())
+        third = len(longest) // 3
+        if third < END_RUN:
+            return
+        runs = [longest[:third], longest[third : 2 * third], longest[2 * third :]]
     told: list[tuple[float, int]] = []
     for run in (runs[0], max(runs[1:-1], key=len), runs[-1]):
         stamps_ns = clock_ns(look, run)
