@@ -40,7 +40,7 @@ VERSIONS: dict[str, int] = {
     "publish": 26,
     "synthesize": 2,
     "score": 5,
-    "baselines": 1,
+    "baselines": 2,
 }
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import replaced_file, storage_errors
@@ -95,7 +97,9 @@ def write_baselines(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> tuple[str, ...]:
-    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair; same input, same bytes.
+    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json last.
+
+    The same input gives the same bytes. method.json names the release that was predicted.
 
     Args:
         release: what is predicted.
@@ -122,14 +126,29 @@ def write_baselines(
         raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
     tasks = baseline_tasks(release, chosen, base_rates(release, jobs))
     # Files of an earlier run, which may be of another release, must not stay where this one is stopped.
-    for task in tasks:
-        for name in chosen:
-            path = _path(out, name, task.target)
-            if path.is_file() or path.is_symlink():
-                with storage_errors(path):
-                    path.unlink()
+    for name in chosen:
+        _remove(out / name / MethodFile.FILE)
+        for task in tasks:
+            _remove(_path(out, name, task.target))
     run_tasks(partial(_write, out), tasks, jobs, progress)
+    for name in chosen:
+        with replaced_file(out / name / MethodFile.FILE) as temporary:
+            temporary.write_text(_method(name, release).text(), encoding="utf-8")
     return chosen
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a link, if there is one."""
+    if path.is_file() or path.is_symlink():
+        with storage_errors(path):
+            path.unlink()
+
+
+def _method(name: str, release: Release) -> MethodFile:
+    """What a baseline's method.json says."""
+    return MethodFile(
+        name=name, version=f"kinectbench {__version__}", benchmark_sha256=release.benchmark_sha256
+    )
 
 
 def check_names(names: Sequence[str]) -> None:

@@ -1,6 +1,7 @@
 """The baselines: hulls against every half-space, files that the scorer accepts, figures that can be known."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from scipy.spatial import ConvexHull
 from slow import slow
 from synthetic_release import ball, synthetic_pair
 
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import Pair, pack, read_pair, unpack
@@ -129,6 +132,23 @@ def test_same_bytes_with_any_number_of_workers(few: Release, tmp_path: Path) -> 
     assert len(files) == 2 * 4
     assert all((tmp_path / "a" / f).read_bytes() == (tmp_path / "b" / f).read_bytes() for f in files)
     assert load_prediction(tmp_path / "a" / files[0]).shape == (16, 16, 16)
+
+
+def test_baselines_say_which_release_they_are_for(few: Release, written: Path, tmp_path: Path) -> None:
+    """Those of another release are told where they are scored; a run that was stopped says nothing."""
+    for name in possible_baselines(few):
+        method = MethodFile.read(written / name)
+        assert (method.name, method.benchmark_sha256) == (name, few.benchmark_sha256)
+        assert method.version == f"kinectbench {__version__}"
+    assert check(few, written / "partial") == []
+    other = Release(few.folder, few.targets, few.metadata.model_copy(update={"benchmark_sha256": "0" * 64}))
+    shutil.copytree(written / "partial", tmp_path / "partial")
+    (line,) = check(other, tmp_path / "partial")
+    assert "the predictions are for another release" in line
+    missing = replace(few.targets[0], file="pairs/none.npz")
+    with pytest.raises(ReleaseError):
+        write_baselines(Release(few.folder, (missing, *few.targets[1:]), few.metadata), tmp_path, ["partial"])
+    assert not (tmp_path / "partial" / "method.json").exists()
 
 
 def test_unknown_baseline(release: Release, tmp_path: Path) -> None:
