@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 2,
     "suggest": 5,
-    "publish": 26,
+    "publish": 27,
     "synthesize": 2,
     "score": 5,
     "baselines": 2,

@@ -63,7 +63,7 @@ def test_wrong_picks(command: Command, one: Path) -> None:
     run = command(one, "segment", "chair", "--pick", "99")
     assert (run.status, "none of number 99" in run.err) == (2, True)
     # Fused anew with other settings, the old list does not count.
-    changed = command(one, "segment", "chair", "--pick", "1", "--set", "fusion.scene_voxel_size_m=0.03")
+    changed = command(one, "segment", "chair", "--pick", "1", "--set", "fusion.scene_voxel_size_m=0.04")
     assert (changed.status, "an old one" in changed.err) == (2, True)
     assert (one / "benchmark.yaml").read_text() == text
 

@@ -59,8 +59,8 @@ class FloorCandidate(Part):
     cameras_above_share: float = Field(description="of the cameras, that look down on it")
     below_share: float = Field(description="of the scene's surface, that lies lower")
     under_share: float = Field(
-        description="of that, what lies right below where the plane lies, by the surface on the plane; may "
-        "exceed 1"
+        description="points right below the plane's own area, divided by the points on the plane; may exceed "
+        "1"
     )
     tilt_rad: float = Field(
         description="between its normal and up by gravity, or else as the cameras were held, radians"

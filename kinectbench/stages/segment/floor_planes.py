@@ -82,7 +82,7 @@ class PlaneCandidate:
         inlier_share: of the surface, that lies on it.
         above_share: of the cameras, that look down on it.
         below_share: of the surface, that lies lower.
-        under_share: what of that lies right below where the plane lies, by the points on it.
+        under_share: points right below the plane's own area, divided by the points on it.
         tilt_rad: between its normal and up by gravity, or else as the cameras were held.
         way: by which way of holding the cameras (`facings`) its normal is up; 0: the usual one.
         reason: why it is not the floor; "": it is.

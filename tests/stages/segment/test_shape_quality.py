@@ -37,10 +37,9 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
     vertices = np.argwhere(solid) * 0.01
     shape = shape_of(solid, mesh=TriangleMesh(vertices, np.zeros((0, 3), np.int64)))
     shape = replace(shape, doubtful_share=0.2)
-    chosen = SimpleNamespace(floor=SimpleNamespace(found=True, T_floor_world=np.eye(4)))
     opening = Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), 0.001, 0.5, 1.0, 0.5)
     estimate = IouEstimate(0.7, 0.3, 0.9, ("an opening that nobody looked into",) * told)
-    lines = _warnings(chosen, shape, 0.95, estimate, (opening,) * told, 0.5)
+    lines = _warnings([], shape, 0.95, estimate, (opening,) * told, 0.5)
     assert len(lines) == 3 and lines[0].startswith(
         "estimated IoU of the solid to the truth: 0.70 only because of "
     )
