@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 5,
     "publish": 27,
     "synthesize": 2,
-    "score": 5,
+    "score": 6,
     "baselines": 2,
 }
 

@@ -178,8 +178,12 @@ def _of_sources(table: ScoreTable) -> Iterator[str]:
         yield f"its thresholds are from {printable(source, 17)}, but 'validation' says otherwise"
     if use is not None and not 0 <= use.predicted <= use.pairs:
         yield f"{use.predicted} of {use.pairs} validation pairs cannot have been predicted"
-    if table.threshold_objects is None and not source.startswith(FROM_FILE):
-        yield "'threshold_objects' names none, though its thresholds are from no file"
+    if (
+        table.threshold_objects is None
+        and not source.startswith(FROM_FILE)
+        and METHOD_SOURCE not in sources.values()
+    ):
+        yield "'threshold_objects' is null, though its thresholds are from no file and not the method's own"
 
 
 def _fit(source: str, by_category: set[str], version: int) -> bool:

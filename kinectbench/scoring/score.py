@@ -165,7 +165,7 @@ def score_methods(
         method: name of a single method; default: its folder's.
         protocols: default: all.
         thresholds_file: see `read_thresholds`.
-        save_thresholds: freeze what was found on validation in this file.
+        save_thresholds: freeze the thresholds in this file, if any was found on validation.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
@@ -292,21 +292,18 @@ def _methods(
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
-    """Write the thresholds that were found on validation to a file."""
+    """Write the thresholds of all categories to a file; some at least were found on validation."""
     if table.threshold_source not in SEARCHED:
         raise SettingsError(
             f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
         )
-    objects = {t.object for t in release.split("validation") if t.name in table.hashes}
+    # Without objects the file says that nobody can tell, as of the method's own thresholds.
+    objects = {} if table.threshold_objects is None else {"objects": table.threshold_objects}
     frozen = ThresholdsFile(
-        thresholds={
-            category: threshold
-            for category, threshold in table.thresholds.items()
-            if table.threshold_source_by_category[category] in SEARCHED
-        },
-        objects=tuple(sorted(objects)),
+        thresholds=table.thresholds,
         method=table.method,
         benchmark_sha256=release.benchmark_sha256,
+        **objects,
     )
     with replaced_file(path) as temporary:
         temporary.write_text(frozen.text(), encoding="utf-8")

@@ -38,7 +38,8 @@ class Thresholds:
         source: "file:<sha256 of the file>", or the first of `SOURCES` that a category's is.
         warnings: one line each.
         sources: of each category.
-        objects: those that the thresholds were found on; None if a file does not name them.
+        objects: those that the thresholds were found on; None if nobody can tell: a file does not name them,
+            or some are the method's own.
     """
 
     of: Mapping[str, float]
@@ -92,7 +93,7 @@ def searched_thresholds(
         next((word for word in SOURCES if word in sources.values()), FIXED_SOURCE),
         (_said_of(left, value, source, targets, tallies),) if left else (),
         {category: sources[category] for category in categories},
-        tuple(sorted(found_on)),
+        None if METHOD_SOURCE in sources.values() else tuple(sorted(found_on)),
     )
 
 

@@ -168,7 +168,8 @@ def test_a_methods_own_threshold_is_that_of_its_scores(
     for target in chairs if validation else ():
         (folder / target.recording).mkdir(exist_ok=True)
         np.save(folder / f"{target.name}.npy", np.full((4, 4, 4), 0.7, np.float32))
-    (table,) = score_methods(part, folder, tmp_path / "out", surface=False)
+    frozen = {"save_thresholds": tmp_path / "frozen.json"} if validation else {}
+    (table,) = score_methods(part, folder, tmp_path / "out", surface=False, **frozen)  # type: ignore[arg-type]
     searched = {"chair": "validation"} if validation else {"chair": "method"}
     assert table.threshold_source_by_category == searched | {"table": "method"}
     assert table.threshold_source == searched["chair"] and table.thresholds["table"] == 0.35
@@ -176,7 +177,14 @@ def test_a_methods_own_threshold_is_that_of_its_scores(
     assert [mark.words for mark in table.marks] == [words]
     assert any("is the method's own, 0.35" in line for line in table.warnings)
     assert not recheck(part, tmp_path / "out" / "scores.json", folder)
-    if not validation:
+    assert table.threshold_objects is None  # nobody can tell on which the method's own was found
+    if validation:
+        # The file serves for the same release, and says as little of the objects.
+        again = score(part, folder, method="mine", thresholds_file=frozen["save_thresholds"], surface=False)
+        assert again.rows == table.rows and again.threshold_objects is None
+        assert [mark.kind for mark in again.marks] == ["thresholds-unchecked"]
+        assert set(json.loads(frozen["save_thresholds"].read_text())["thresholds"]) == {"chair", "table"}
+    else:
         for target in release.split("test"):
             scorer.update(target.name, np.load(folder / f"{target.name}.npy"))
         assert scorer.result().marks == table.marks

@@ -65,12 +65,12 @@ def test_a_methods_own_threshold_wins_where_there_is_no_validation() -> None:
     found = searched_thresholds([*tested, *tallies], tallies, 0.25)
     assert found.of == {"chair": 0.45, "lamp": 0.25, "table": 0.25}
     assert found.sources == {"chair": "validation", "lamp": "method", "table": "method"}
-    assert (found.source, found.objects) == ("validation", ("a",))
+    assert (found.source, found.objects) == ("validation", None)
     assert found.warnings == (
         "threshold of lamp, table is the method's own, 0.25: no validation prediction of it",
     )
     alone = searched_thresholds(tested, {}, 0.25)
-    assert (set(alone.of.values()), alone.source, alone.objects) == ({0.25}, "method", ())
+    assert (set(alone.of.values()), alone.source, alone.objects) == ({0.25}, "method", None)
     assert "threshold is the method's own, 0.25: the benchmark has no validation split" in alone.warnings[0]
 
 

@@ -208,7 +208,9 @@ class ScoreTable(Stored):
         description="category -> where its threshold is from, in the words of threshold_source",
     )
     threshold_objects: Lines | None = Field(
-        None, description="objects that the thresholds were found on; null if their file does not name them"
+        None,
+        description="objects that the thresholds were found on; null where nobody can tell: their file does "
+        "not name them, or some are the method's own",
     )
     validation: ValidationUse | None = Field(
         None, description="how much of the validation split was predicted; null if it chose no threshold"
