@@ -22,7 +22,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 OUR_FOLDERS = ("baselines",)
 OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".glb", ".html", ".lock", ".part", ".old")
 
-# The temporary folders that this process fills at present.
+# The temporary folders and files that this process fills at present.
 _half_filled: set[Path] = set()
 
 
@@ -135,8 +135,10 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 
 def remove_half_filled() -> None:
-    """Remove the temporary folders that are being filled, as the process ends before their blocks do."""
+    """Remove the temporary folders and files being filled, as the process ends before their blocks do."""
     for temporary in tuple(_half_filled):
+        with contextlib.suppress(OSError):  # there is none, or it is a folder
+            temporary.unlink()
         shutil.rmtree(temporary, ignore_errors=True)
 
 
@@ -151,6 +153,7 @@ def replaced_file(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     if path.exists() and not path.is_file():
         raise StorageError(f"{path}: is no file that could be replaced; name another")
+    _half_filled.add(temporary)
     try:
         with storage_errors(path):
             with _reachable(path):
@@ -162,3 +165,4 @@ def replaced_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # there is none, or the disk is read-only
             temporary.unlink()
+        _half_filled.discard(temporary)

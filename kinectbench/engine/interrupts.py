@@ -5,6 +5,7 @@ ImportError; whoever runs for long asks here from time to time.
 """
 
 import os
+import select
 import signal
 import sys
 import threading
@@ -19,9 +20,11 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # Python answers no signal while a library computes: so many seconds after one the process is ended all the
 # same (own choice: with what the end takes, two seconds).
 ANSWER_S = 1.5
+# So often the watch looks whether Python has seen a signal that it did not wait for; bytes read at once.
+LOOK_EVERY_S, MANY = 0.5, 4096
 
 _asked: list[int] = []
-# Those that Python has seen, those that are held, too.
+# Those that Python has seen, those that are held, too, in the order in which it did.
 _seen: list[int] = []
 
 
@@ -60,8 +63,9 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
     # The system writes each signal's number there at once, whatever Python does.
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
+    seen = len(_seen)
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    thread = threading.Thread(target=_see_to_answers, args=(reading, unanswered), daemon=True)
+    thread = threading.Thread(target=_see_to_answers, args=(reading, unanswered, seen), daemon=True)
     thread.start()
     try:
         yield
@@ -72,14 +76,28 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
         os.close(reading)
 
 
-def _see_to_answers(reading: int, unanswered: Callable[[int], None]) -> None:
-    while came := os.read(reading, 1):
-        if came[0] in STOP_SIGNALS:
-            end = time.monotonic() + ANSWER_S
-            while not _seen and (left_s := end - time.monotonic()) > 0:
-                time.sleep(min(left_s, 0.05))
-            if not _seen:
-                unanswered(came[0])
+def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
+    """Wait for each signal until Python has seen one more than before it came: at first, so many."""
+    while True:
+        # Counted before the pipe is looked at: what Python sees from here on may be the answer to what comes.
+        counted = len(_seen)
+        if not select.select([reading], [], [], LOOK_EVERY_S)[0]:
+            before = counted
+            continue
+        read = os.read(reading, MANY)
+        if not read:
+            return
+        came = [number for number in read if number in STOP_SIGNALS]
+        end = time.monotonic() + ANSWER_S
+        while came and len(_seen) == before and (left_s := end - time.monotonic()) > 0:
+            time.sleep(min(left_s, 0.05))
+        if came and len(_seen) == before:
+            unanswered(came[0])
+        # One answer is for all that came while Python saw none.
+        counted = len(_seen)
+        if select.select([reading], [], [], 0)[0] and not os.read(reading, MANY):
+            return
+        before = counted
 
 
 def ignore_interrupts() -> None:

@@ -1,8 +1,10 @@
 """Ctrl-C that comes where nothing can be raised is remembered, without a traceback."""
 
+import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -67,11 +69,14 @@ COMPUTES = """
 import ctypes, threading, sys
 from pathlib import Path
 from kinectbench.cli.main import _end_unanswered
-from kinectbench.core.storage import replaced_folder
+from kinectbench.core.storage import replaced_file, replaced_folder
 from kinectbench.engine import interrupts
 
 interrupts.ANSWER_S = 0.2
-with interrupts.interrupts_remembered(_end_unanswered), replaced_folder(Path(sys.argv[1])):
+folder = Path(sys.argv[1])
+with interrupts.interrupts_remembered(_end_unanswered), replaced_folder(folder), \
+        replaced_file(folder.with_name("scores.json")) as half:
+    half.write_text("half")
     mutex = ctypes.create_string_buffer(64)
     lock = ctypes.CDLL(None).pthread_mutex_lock
     # By another thread, once this one is where no signal is seen.
@@ -93,13 +98,41 @@ def test_a_library_that_computes_does_not_keep_the_process(
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "computes\n"
-    assert len([*tmp_path.iterdir()]) == 1
+    assert len([*tmp_path.iterdir()]) == 2
     asked = time.monotonic()
     process.send_signal(number)
     assert process.communicate(timeout=10)[1] == f"error: {STOPPED}\n"
     assert process.returncode == status
     assert time.monotonic() - asked < 2
     assert [*tmp_path.iterdir()] == []
+
+
+def test_a_signal_before_is_no_answer_to_one_after(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that was held, or that somebody swallowed, was seen; the next one is not by that."""
+    monkeypatch.setattr(interrupts, "_asked", [])
+    monkeypatch.setattr(interrupts, "_seen", [])
+    monkeypatch.setattr(interrupts, "ANSWER_S", 0.05)
+    monkeypatch.setattr(interrupts, "LOOK_EVERY_S", 0.01)
+    ended = list[int]()
+    reading, writing = os.pipe()
+    watch = threading.Thread(target=interrupts._see_to_answers, args=(reading, ended.append, 0))
+    watch.start()
+    for _ in range(2):  # Python sees it: the system writes its number, and the handler is called
+        os.write(writing, bytes([signal.SIGINT]))
+        interrupts._seen.append(signal.SIGINT)
+        time.sleep(0.3)
+        assert ended == []
+    os.write(writing, bytes([signal.SIGINT]))  # a library computes: the handler is not called
+    time.sleep(0.3)
+    assert ended == [signal.SIGINT]
+    os.write(writing, bytes([signal.SIGTERM, signal.SIGTERM]))  # two that one call answers
+    interrupts._seen.append(signal.SIGTERM)
+    time.sleep(0.3)
+    assert ended == [signal.SIGINT]
+    os.close(writing)
+    watch.join(timeout=5)
+    assert not watch.is_alive()
+    os.close(reading)
 
 
 def test_an_answered_interrupt_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
