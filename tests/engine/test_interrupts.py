@@ -111,7 +111,7 @@ def test_a_signal_before_is_no_answer_to_one_after(monkeypatch: pytest.MonkeyPat
     """One that was held, or that somebody swallowed, was seen; the next one is not by that."""
     monkeypatch.setattr(interrupts, "_asked", [])
     monkeypatch.setattr(interrupts, "_seen", [])
-    monkeypatch.setattr(interrupts, "ANSWER_S", 0.05)
+    monkeypatch.setattr(interrupts, "ANSWER_S", 0.4)
     monkeypatch.setattr(interrupts, "LOOK_EVERY_S", 0.01)
     ended = list[int]()
     reading, writing = os.pipe()
@@ -120,14 +120,14 @@ def test_a_signal_before_is_no_answer_to_one_after(monkeypatch: pytest.MonkeyPat
     for _ in range(2):  # Python sees it: the system writes its number, and the handler is called
         os.write(writing, bytes([signal.SIGINT]))
         interrupts._seen.append(signal.SIGINT)
-        time.sleep(0.3)
+        time.sleep(0.8)
         assert ended == []
     os.write(writing, bytes([signal.SIGINT]))  # a library computes: the handler is not called
-    time.sleep(0.3)
+    time.sleep(0.8)
     assert ended == [signal.SIGINT]
     os.write(writing, bytes([signal.SIGTERM, signal.SIGTERM]))  # two that one call answers
     interrupts._seen.append(signal.SIGTERM)
-    time.sleep(0.3)
+    time.sleep(0.8)
     assert ended == [signal.SIGINT]
     os.close(writing)
     watch.join(timeout=5)
