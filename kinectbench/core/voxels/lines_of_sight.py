@@ -4,6 +4,7 @@ A sweep walks all lines of one direction at once, slice by slice from the camera
 the distance of the farthest camera behind it that nothing hides. So a direction costs one look at each voxel.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numba
@@ -24,6 +25,30 @@ _NONE, _FAR = np.float32(-1e9), np.float32(1e9)
 _LEVEL = 1e-9
 
 
+@dataclass(frozen=True)
+class Space:
+    """Where lines pass and where cameras can be, on an upright grid.
+
+    Attributes:
+        state: (nx, ny, nz) uint8, its last axis up: PASSABLE, PLACE or BLOCKED.
+        heights_m: (nz,) float32, of the layers' middles above the floor; infinite without one.
+        voxel_size_m: edge of a voxel.
+        near_m: a camera is at least so far from what it sees.
+        least_height_m: a camera beyond the grid is at least so high.
+    """
+
+    state: NDArray[np.uint8]
+    heights_m: Float32
+    voxel_size_m: float
+    near_m: float
+    least_height_m: float
+
+    @property
+    def lengths_m(self) -> tuple[np.float32, np.float32, np.float32]:
+        """Edge, least distance and least height, as the kernels take them."""
+        return np.float32(self.voxel_size_m), np.float32(self.near_m), np.float32(self.least_height_m)
+
+
 def directions(count: int) -> Float64:
     """Unit vectors (n, 3), from a point to a camera: a Fibonacci lattice, and level and upright ones.
 
@@ -41,33 +66,22 @@ def directions(count: int) -> Float64:
     return np.concatenate([ball, ring, [[0, 0, 1], [0, 0, -1]]])
 
 
-def seen_along(
-    state: NDArray[np.uint8],
-    heights_m: Float32,
-    voxel_size_m: float,
-    near_m: float,
-    least_height_m: float,
-    to_camera: Float64,
-) -> NDArray[np.uint8]:
+def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     """How each voxel is seen along these directions, by a camera in some PLACE, or beyond the grid.
 
     Beyond the grid nothing hides a camera, and it can be wherever it is high enough. Lines are walked from
     voxel to voxel: one slice of the grid along their main axis a step.
 
     Args:
-        state: (nx, ny, nz), its last axis up: PASSABLE, PLACE or BLOCKED.
-        heights_m: (nz,) of the layers' middles above the floor; infinite without one.
-        voxel_size_m: edge of a voxel.
-        near_m: a camera is at least so far from what it sees.
-        least_height_m: a camera beyond the grid is at least so high.
-        to_camera: (n, 3) unit vectors.
+        space: the voxels.
+        to_camera: (n, 3) unit vectors, from a point to a camera.
 
     Returns:
-        (nx, ny, nz): FROM_ABOVE, FROM_BELOW, both (3) or 0.
+        (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both (3) or 0.
     """
+    state = space.state
     seen = np.zeros(state.shape, np.uint8)
     main = np.argmax(np.abs(to_camera), axis=1)
-    lengths = np.float32(voxel_size_m), np.float32(near_m), np.float32(least_height_m)
     for axis in range(3):
         # So that a slice lies in one piece, with the axis that varies fastest at its end.
         order = (axis, *(other for other in range(3) if other != axis))
@@ -75,7 +89,7 @@ def seen_along(
         found = np.zeros(turned.shape, np.uint8)
         for direction in to_camera[main == axis]:
             flat = turned.reshape(-1), found.reshape(-1), turned.shape
-            _sweep(*flat, direction[list(order)], order.index(2), heights_m, *lengths)
+            _sweep(*flat, direction[list(order)], order.index(2), space.heights_m, *space.lengths_m)
         seen |= found.transpose(np.argsort(order))
     return seen
 
@@ -143,34 +157,22 @@ def _look(state, seen, begin, far_m, to, count, near_m, bit):  # type: ignore[no
         seen[at] |= bit if far >= near_m else np.uint8(0)
 
 
-def seen_around_corners(
-    seen: NDArray[np.uint8],
-    state: NDArray[np.uint8],
-    heights_m: Float32,
-    voxel_size_m: float,
-    near_m: float,
-    least_height_m: float,
-    to_camera: Float64,
-) -> NDArray[np.uint8]:
+def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
     """Add what is seen along further directions, asked only at the edge of what is seen already.
 
     Through a narrow gap few directions lead. All points of a line up to its camera are seen, too: so what is
     added grows from what is seen. Asked voxel by voxel, from the edge on.
 
     Args:
+        space: the voxels.
         seen: by `seen_along`.
-        state: as there; and all that follows.
-        heights_m: (nz,).
-        voxel_size_m: edge of a voxel.
-        near_m: a camera is at least so far from what it sees.
-        least_height_m: a camera beyond the grid is at least so high.
         to_camera: (n, 3) unit vectors, more of them.
 
     Returns:
         As `seen_along`.
     """
+    state = space.state
     more = seen.copy()
-    lengths = np.float32(voxel_size_m), np.float32(near_m), np.float32(least_height_m)
     up = to_camera[:, 2] >= -_LEVEL
     # Whether a voxel that is seen from above is seen from below as well decides nothing.
     for bit, enough, ways in (
@@ -180,7 +182,7 @@ def seen_around_corners(
         # Each is asked once at most.
         stack = np.empty(np.count_nonzero((state != BLOCKED) & (more & enough == 0)), np.int64)
         bits = np.uint8(bit), np.uint8(enough)
-        _grow(more, state, bits, np.ascontiguousarray(ways), stack, heights_m, *lengths)
+        _grow(more, state, bits, np.ascontiguousarray(ways), stack, space.heights_m, *space.lengths_m)
     return more
 
 

@@ -21,6 +21,7 @@ from kinectbench.core.voxels.lines_of_sight import (
     FROM_ABOVE,
     PASSABLE,
     PLACE,
+    Space,
     directions,
     seen_along,
     seen_around_corners,
@@ -53,7 +54,9 @@ class SensorLimits:
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
 
 
-# Directions of the sweeps over all voxels, and of those asked at the edge of what these found.
+# Directions of the sweeps over all voxels, and of those asked at the edge of what these found: 2.5 degrees
+# apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
+# 6,400 twice as much of a helmet with slits was closed (voxels of 10 mm).
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
 # Distances from voxel to voxel are exact but for rounding.
 ROUNDING_M = 1e-6
@@ -92,9 +95,9 @@ def seen_from_outside(
     place = _from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
     blocked = (gap_m < half_m - ROUNDING_M) | (heights < half_m - ROUNDING_M)
     state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
-    how = heights, voxel_size_m, limits.near_m, limits.camera_height_m
-    first = seen_along(state, *how, directions(COARSE_DIRECTIONS)) if seen is None else seen * ~blocked
-    reached = seen_around_corners(first, state, *how, directions(FINE_DIRECTIONS))
+    space = Space(state, heights, voxel_size_m, limits.near_m, limits.camera_height_m)
+    first = seen_along(space, directions(COARSE_DIRECTIONS)) if seen is None else seen * ~blocked
+    reached = seen_around_corners(space, first, directions(FINE_DIRECTIONS))
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
     grown = np.asarray(_grown_back(reached, obstacle, half_m / voxel_size_m + 0.5))
     return grown if seen is None else grown | seen

@@ -168,7 +168,7 @@ def _solid(figures: SolidFigures) -> Iterator[Row]:
     yield _row("known, but wrong by over 10 mm, of the true volume", figures.known_gross_share, "%")
     yield _row("the same: solid called air", figures.solid_called_air, "%")
     yield _row("the same: air called solid", figures.air_called_solid, "%")
-    yield _row("the same, of the exact solid", figures.exact_known_gross_share, "%")
+    yield _row("known, but wrong by over 10 mm, exact solid", figures.exact_known_gross_share, "%")
     near, bias = figures.unknown_near_measured, figures.face_bias_m
     yield _row("unknown within 10 mm of measured surface, solid", near.solid, "%")
     yield _row("unknown within 10 mm of measured surface, air", near.air, "%")

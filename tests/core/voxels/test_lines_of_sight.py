@@ -9,6 +9,7 @@ from kinectbench.core.voxels.lines_of_sight import (
     FROM_BELOW,
     PASSABLE,
     PLACE,
+    Space,
     directions,
     seen_along,
     seen_around_corners,
@@ -81,7 +82,7 @@ def plainly(state: np.ndarray, heights_m: np.ndarray, ways: np.ndarray, slices: 
 def test_sweeps_see_what_walks_see(seed: int) -> None:
     state, heights_m = scene(seed)
     ways = directions(30)
-    seen = seen_along(state, heights_m, VOXEL_M, NEAR_M, LEAST_M, ways)
+    seen = seen_along(Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M), ways)
     np.testing.assert_array_equal(seen, plainly(state, heights_m, ways, slices=True))
     assert {0, FROM_ABOVE, FROM_ABOVE | FROM_BELOW} <= {*np.unique(seen).tolist()}
 
@@ -89,8 +90,9 @@ def test_sweeps_see_what_walks_see(seed: int) -> None:
 def test_what_is_seen_grows_until_no_neighbour_sees() -> None:
     state, heights_m = scene(5)
     few, many = directions(8), directions(60)
-    first = seen_along(state, heights_m, VOXEL_M, NEAR_M, LEAST_M, few)
-    grown = seen_around_corners(first, state, heights_m, VOXEL_M, NEAR_M, LEAST_M, many)
+    space = Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M)
+    first = seen_along(space, few)
+    grown = seen_around_corners(space, first, many)
     possible = plainly(state, heights_m, many, slices=False)
     added = (grown > 0) & (first == 0)
     assert added.any() and not (added & (possible == 0)).any()
