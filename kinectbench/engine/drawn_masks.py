@@ -1,7 +1,8 @@
 """What a person's masks were drawn on: masks.json says it, and a mask is applied to that image or refused.
 
 A mask without an entry was drawn on what lies in `build/` when it is first seen, before anything is made
-again; without a build, on the frame of its number. A view's number alone says nothing: views change.
+again; without a build, on the frame of its number. A view's number alone says nothing: views change. Nor does
+the frame alone: its pictures among the views change with the poses and the corrections of its depth.
 """
 
 import contextlib
@@ -12,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from kinectbench.core.artefacts.views import MasksFile, ViewsFile
-from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile, ViewsFile
+from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.untrusted import listed
@@ -22,10 +23,22 @@ from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import Job
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 from kinectbench.stages.sample_views.masks import MaskName, first_of, mask_name
+from kinectbench.stages.sample_views.views import picture_digest, pictures_of, read_pictures
 
 UNKNOWN = "nobody knows which image it was drawn on"
+OTHERS_DRAWN = (
+    "drawn on other pictures than the views of these frames are now, by other poses or another correction"
+)
+VIEWS_DRAWN = "`segment_by: masks` takes masks of frames as they were recorded, and these were drawn on views"
 # While masks change names each has one of its own: its old name between these.
 CARRIED = (".", ".carried")
+
+
+class Shown(NamedTuple):
+    """A view, and the frame that it shows."""
+
+    name: str
+    frame: int
 
 
 class Carried(NamedTuple):
@@ -48,13 +61,15 @@ class DrawnMasks:
         recording: its id.
         folder: where they lie.
         names: what each file's name says.
-        entries: by file name, the digest of the image that it was drawn on, of those where that is known.
+        entries: by file name, what it was drawn on, of those where that is known.
+        of_recorded: they are of frames as they were recorded, not of the pictures of views.
     """
 
     recording: str
     folder: Path
     names: Mapping[str, MaskName]
-    entries: Mapping[str, str]
+    entries: Mapping[str, DrawnOn]
+    of_recorded: bool = False
 
     @classmethod
     def of(cls, job: Job) -> Self | None:
@@ -77,10 +92,10 @@ class DrawnMasks:
         found = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed(folder))
         names = {file: name for file, name in sorted(found) if name is not None}
         stored = MasksFile.read_if_there(folder)
-        return cls(job.recording.id, folder, names, {} if stored is None else stored.drawn_on)
+        return cls(job.recording.id, folder, names, {} if stored is None else stored.drawn_on, by_frames)
 
     def tied_to_build(self, build: Path) -> tuple[Self, tuple[str, ...]]:
-        """Write down which images in `build/<recording>/` masks without an entry were drawn on.
+        """Write down which images and pictures in `build/<recording>/` masks without an entry were drawn on.
 
         It comes before anything is made again: what lies there is what the person saw.
 
@@ -91,20 +106,27 @@ class DrawnMasks:
         manifest = whole_manifest(build / "sequence") if new else None
         if manifest is None:
             return self, ()
-        entries, told = dict(self.entries), []
+        found, told = dict[str, DrawnOn](), list[str]()
         with contextlib.suppress(KinectBenchError):  # a damaged build says nothing of a mask
             sequence = read_sequence(build / "sequence")
-            frames = _frames_of_views(build / "views", manifest.fingerprint)
+            shown = _shown_of(build / "views", manifest.fingerprint)
             for file in new:
                 number, of_frame, _ = self.names[file]
-                frame = number if of_frame else frames.get(number)
+                view = shown.get((number, of_frame))
+                frame = view.frame if view else number if of_frame else None
                 if frame is not None and frame < len(sequence):
-                    entries[file] = image_digest(sequence, frame)
+                    picture = RECORDED if self.of_recorded else self._picture(build / "views", view)
+                    found[file] = DrawnOn(image=image_digest(sequence, frame), picture=picture)
                     told += [] if of_frame else [f"{file} on frame {frame}"]
-        if len(entries) > len(self.entries):
-            self._write(entries)
         lines = (f"{self.folder}: taken as drawn on views of the build: {first_of(told)}",) if told else ()
-        return replace(self, entries=entries), lines
+        return self._with(found), lines
+
+    @staticmethod
+    def _picture(views: Path, view: Shown | None) -> str | None:
+        """The digest of a view's pictures in a build; None: there are none, or they are damaged."""
+        with contextlib.suppress(StorageError):
+            return None if view is None else picture_digest(read_pictures(views, view.name))
+        return None
 
     def check_known(self) -> None:
         """Refuse masks named by views if nobody knows the images that they were drawn on.
@@ -119,45 +141,93 @@ class DrawnMasks:
                     f"frame_<index>{name.kind}.png (views.json has the frames of views)"
                 )
 
-    def check_frames(self, sequence: Sequence) -> None:
-        """Refuse masks of frames that are other images now.
+    def check_frames(self, sequence: Sequence) -> Self:
+        """Refuse masks of frames that are other images now, or were drawn on other pictures of them.
 
         Those without an entry get one: no build was there when they were drawn.
 
+        Returns:
+            The masks with what was written.
+
         Raises:
-            SettingsError: there are some; the line says how to carry them over.
+            SettingsError: there are some; the line says what to do.
         """
-        found, wrong = dict[str, str](), list[str]()
+        found, wrong = dict[str, DrawnOn](), list[str]()
         for file, (number, of_frame, _) in self.names.items():
             if of_frame and number >= len(sequence):
                 wrong.append(f"{file} (the last frame is {len(sequence) - 1})")
-            elif of_frame:
-                found[file] = image_digest(sequence, number)
-                wrong += [] if self.entries.get(file, found[file]) == found[file] else [file]
+            elif of_frame and file not in self.entries:
+                found[file] = DrawnOn(image=image_digest(sequence, number))
+            elif of_frame and not self._is(file, sequence, number):
+                wrong.append(file)
         if wrong:
             raise self._refusal(f"not drawn on what these frames are now: {first_of(wrong)}")
-        if found.keys() - self.entries.keys():
-            self._write({**self.entries, **found})
+        drawn = self._with(found)
+        if not self.of_recorded:
+            return drawn
+        frames = {file: (name.number, RECORDED) for file, name in self.names.items()}
+        return drawn._on_pictures(
+            sequence, frames, VIEWS_DRAWN, "look at each mask on the recording's own image"
+        )
 
-    def check_views(self, sequence: Sequence, views: Path) -> None:
-        """Refuse masks named by views that are other images than they were drawn on.
+    def check_views(self, sequence: Sequence, views: Path) -> Self:
+        """Refuse masks of views that are other images, or other pictures, than they were drawn on.
+
+        Of those whose picture nobody knows, this is it from now on.
 
         Args:
             sequence: the recording.
             views: the folder of its views, just made.
 
+        Returns:
+            The masks with what was written.
+
         Raises:
-            SettingsError: there are some; the line says how to carry them over.
+            SettingsError: there are some; the line says what to do.
         """
-        frames, wrong = _frames(views), []
+        if self.of_recorded:
+            return self
+        shown, wrong = _shown(views), list[str]()
         for file, (number, of_frame, _) in self.names.items():
-            frame = frames.get(number)
-            if of_frame or (frame is not None and self._is(file, sequence, frame)):
+            view = shown.get((number, of_frame))
+            if of_frame or (view is not None and self._is(file, sequence, view.frame)):
                 continue
-            now = "no view" if frame is None else f"frame {frame}"
+            now = "no view" if view is None else f"frame {view.frame}"
             wrong.append(f"{file} ({number:03d} is {now} now)")
         if wrong:
             raise self._refusal(f"not drawn on what these views are now: {first_of(wrong)}")
+        frames = dict[str, tuple[int, str]]()
+        for file, name in self.names.items():
+            if view := shown.get((name.number, name.of_frame)):  # else its frame is no view
+                frames[file] = view.frame, picture_digest(read_pictures(views, view.name))
+        again = f"`kinectbench sample-views {self.recording} --set recordings.{self.recording}.masks=null`"
+        look = f"{again} makes the views without masks: look at each mask on its view there"
+        return self._on_pictures(sequence, frames, OTHERS_DRAWN, look)
+
+    def _on_pictures(
+        self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
+    ) -> Self:
+        """Refuse masks of other pictures; these are the pictures of those of which nobody knows it.
+
+        Args:
+            sequence: the recording.
+            frames: of each mask that is used its frame, and the picture of it that it is used on.
+            drawn: what the line says of masks that are refused.
+            look: how to look at them again.
+        """
+        found, other = dict[str, DrawnOn](), list[str]()
+        for file, (frame, now) in frames.items():
+            image, was = self.entries[file].image, self.entries[file].picture
+            if was is None:
+                found[file] = DrawnOn(image=image, picture=now)
+            elif was != now and not (RECORDED in (was, now) and _as_recorded(sequence, frame) in (was, now)):
+                other.append(file)
+        if other:
+            raise SettingsError(
+                f"{self.folder}: {drawn}: {first_of(other)}; {look}, draw it again where it does not fit, "
+                f"and remove its entry from {MasksFile.FILE}"
+            )
+        return self._with(found)
 
     def carry(self, sequence: Sequence) -> Carried:
         """Name each mask by the frame of the recording that is the image it was drawn on."""
@@ -169,8 +239,8 @@ class DrawnMasks:
             stays = of_frame and number < len(sequence) and self._is(file, sequence, number)
             if file not in self.entries:
                 left.append(f"{self.folder}/{file}: {UNKNOWN}; look at it, and name it by its frame")
-            elif stays or self.entries[file] in frames:
-                frame = number if stays else frames[self.entries[file]]
+            elif stays or self.entries[file].image in frames:
+                frame = number if stays else frames[self.entries[file].image]
                 wanted[file] = f"frame_{frame:06d}{kind}.png"
             else:
                 left.append(
@@ -196,22 +266,31 @@ class DrawnMasks:
             (self.folder / file).rename(self.folder / file.join(CARRIED))
         for file, new in moves.items():
             (self.folder / file.join(CARRIED)).rename(self.folder / new)
-        self._write({moves.get(file, file): digest for file, digest in self.entries.items()}, moves)
+        self._write({moves.get(file, file): on for file, on in self.entries.items()}, moves)
 
     def _is(self, file: str, sequence: Sequence, frame: int) -> bool:
-        return self.entries.get(file) == image_digest(sequence, frame)
+        on = self.entries.get(file)
+        return on is not None and on.image == image_digest(sequence, frame)
 
-    def _write(self, entries: Mapping[str, str], renamed: Mapping[str, str] | None = None) -> None:
+    def _with(self, found: Mapping[str, DrawnOn]) -> Self:
+        """The same with these entries, written down if there are any."""
+        if not found:
+            return self
+        entries = {**self.entries, **found}
+        self._write(entries)
+        return replace(self, entries=entries)
+
+    def _write(self, entries: Mapping[str, DrawnOn], renamed: Mapping[str, str] | None = None) -> None:
         """Write masks.json, without masks that are gone."""
         there = {(renamed or {}).get(file, file) for file in self.names}
-        kept = MasksFile.model_validate({file: entries[file] for file in sorted(there & entries.keys())})
+        kept = MasksFile.of({file: entries[file] for file in sorted(there & entries.keys())})
         with replaced_file(self.folder / MasksFile.FILE) as temporary:
             temporary.write_text(kept.text(), encoding="utf-8")
 
     def _refusal(self, what: str) -> SettingsError:
         return SettingsError(
             f"{self.folder}: {what}; `kinectbench segment {self.recording} --carry-masks` names masks by the "
-            f"frames that they were drawn on (drawn again since? remove their lines from {MasksFile.FILE})"
+            f"frames that they were drawn on (drawn again since? remove their entries from {MasksFile.FILE})"
         )
 
 
@@ -247,12 +326,18 @@ def image_digest(sequence: Sequence, frame: int) -> str:
     return hashlib.sha256(f"{depth.shape}".encode() + depth.astype("<u2").tobytes()).hexdigest()
 
 
-def _frames_of_views(views: Path, sequence: str) -> Mapping[int, int]:
-    """The frames of views by the views' numbers, if they are of the sequence with that fingerprint."""
+def _as_recorded(sequence: Sequence, frame: int) -> str:
+    """The digest of a frame's pictures as a view of it would show them, if nothing were corrected."""
+    return picture_digest(pictures_of(sequence, frame))
+
+
+def _shown_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
+    """`_shown`, if the views are of the sequence with that fingerprint."""
     manifest = whole_manifest(views)
-    return {} if manifest is None or manifest.inputs.get("ingest") != sequence else _frames(views)
+    return {} if manifest is None or manifest.inputs.get("ingest") != sequence else _shown(views)
 
 
-def _frames(views: Path) -> Mapping[int, int]:
-    rows = ViewsFile.read(views).views
-    return {int(row.view): row.frame for row in rows if row.frame is not None}
+def _shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
+    """The views by what the name of a mask says: (view's number, False), and (frame, True)."""
+    found = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
+    return {key: view for view in found for key in ((int(view.name), False), (view.frame, True))}

@@ -242,7 +242,7 @@ def _make(
             (job.build / OVERTAKEN[stage.name]).unlink(missing_ok=True)
 
 
-def _checked_masks(job: Job) -> Callable[[Path], None] | None:
+def _checked_masks(job: Job) -> Callable[[Path], object] | None:
     """Refuse masks of frames that are other images now; what checks those of views in the folder of views.
 
     It can only refuse, and changes nothing that a step makes: so masks.json is in no fingerprint, and the
@@ -254,8 +254,7 @@ def _checked_masks(job: Job) -> Callable[[Path], None] | None:
     drawn, sequence = DrawnMasks.of(job), read_sequence(job.build / FOLDERS["ingest"])
     if drawn is None:
         return None
-    drawn.check_frames(sequence)
-    return partial(drawn.check_views, sequence)
+    return partial(drawn.check_frames(sequence).check_views, sequence)
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:

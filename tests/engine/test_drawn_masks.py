@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,21 +14,52 @@ import numpy as np
 import pytest
 from small_benchmark import YAML, Run, copied
 
-from kinectbench.core.artefacts.views import MasksFile, ViewsFile
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.trajectory import StoredDepthCalibration
+from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile, ViewRow, ViewsFile
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry.depth import TERMS
+from kinectbench.core.geometry.rigid import rigid_from_twist
+from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.upright import upright
 from kinectbench.engine.drawn_masks import DrawnMasks, image_digest
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark
 from kinectbench.stages.sample_views.masks import mask_name
+from kinectbench.stages.sample_views.views import pictures_of
 
 Command = Callable[..., Run]
 MASKS = ("--set", "recordings.chair.masks=masks/chair")
 
 
 def sequence(*images: int) -> Any:
-    """Frames whose depth is one number each."""
-    frames = SimpleNamespace(depth_native=lambda index: np.full((4, 6), images[index], np.uint16))
-    return type("Frames", (), {"__len__": lambda _: len(images), "frames": frames})()
+    """Frames whose depth is one number each, in mm, and whose colour is one file."""
+
+    def depth_mm(index: int) -> Any:
+        return np.full((4, 6), images[index], np.uint16)
+
+    frames = SimpleNamespace(depth_native=depth_mm, color_encoded=lambda index: (".jpg", b"colour"))
+    found = type("Frames", (), {"__len__": lambda _: len(images), "frames": frames})()
+    found.depth_m = lambda index: depth_mm(index).astype(np.float32) / 1000
+    return found
+
+
+def on_image(image: int, picture: str | None = None) -> DrawnOn:
+    return DrawnOn(image=image_digest(sequence(image), 0), picture=picture)
+
+
+def drawn_views(folder: Path, *views: tuple[int, int], color: bytes = b"") -> Path:
+    """Views of these frames, whose depth is one number each, in mm, and whose colour is in this file."""
+    folder.mkdir()
+    for index, (_, depth_mm) in enumerate(views):
+        assert cv2.imwrite(str(folder / f"{index:03d}.depth.png"), np.full((4, 6), depth_mm, np.uint16))
+        if color:
+            (folder / f"{index:03d}.color.jpg").write_bytes(color)
+    rows = tuple(ViewRow(view=f"{index:03d}", frame=frame) for index, (frame, _) in enumerate(views))
+    ViewsFile(views=rows, refused=()).write(folder)
+    return folder
 
 
 def drawn(folder: Path, on: dict[str, int | None]) -> DrawnMasks:
@@ -35,7 +67,7 @@ def drawn(folder: Path, on: dict[str, int | None]) -> DrawnMasks:
     folder.mkdir(exist_ok=True)
     for file in on:
         (folder / file).write_text(file)
-    entries = {file: image_digest(sequence(image), 0) for file, image in on.items() if image is not None}
+    entries = {file: on_image(image) for file, image in on.items() if image is not None}
     return DrawnMasks("chair", folder, {file: mask_name(file) for file in on}, entries)  # type: ignore[misc]
 
 
@@ -59,7 +91,7 @@ def test_a_mask_of_a_frame_without_a_build_is_that_frames_from_then_on(tmp_path:
     unknown = drawn(tmp_path / "masks", {"frame_1.png": None})
     unknown.check_frames(sequence(10, 11))
     stored = MasksFile.read(tmp_path / "masks").drawn_on
-    assert stored == {"frame_1.png": image_digest(sequence(11), 0)}
+    assert stored == {"frame_1.png": on_image(11)}
     again = replace(unknown, entries=stored)
     with pytest.raises(SettingsError, match="not drawn on what these frames are now"):
         again.check_frames(sequence(11, 10))
@@ -78,6 +110,89 @@ def test_masks_whose_renaming_was_killed_are_not_dropped(tmp_path: Path) -> None
     (tmp_path / "masks" / ".frame_000001.png.carried").touch()
     with pytest.raises(SettingsError, match=r"renamed 1 masks; .* frame_000001.png to .frame_000001.png.car"):
         DrawnMasks.of(job)
+
+
+@pytest.mark.parametrize("file", ["frame_000001.png", "frame_1.exclude.png", "000.png"])
+@pytest.mark.parametrize("other", [{"views": [(1, 902)]}, {"color": b"moved"}, {"color": b""}])
+def test_a_mask_is_not_applied_to_another_picture_of_its_frame(
+    file: str, other: dict[str, Any], tmp_path: Path
+) -> None:
+    """The frame is the same, as it was recorded; its view has other depth, other colour, or no colour."""
+
+    def views(name: str, views: Any = ((1, 901),), color: bytes = b"colour") -> Path:
+        return drawn_views(tmp_path / name, *views, color=color)
+
+    frames = sequence(10, 11)
+    first = drawn(tmp_path / "masks", {file: 11}).check_views(frames, views("first"))
+    stored = MasksFile.read(tmp_path / "masks").drawn_on
+    assert stored == first.entries and stored[file].picture
+    again = replace(first, entries=stored)
+    again.check_views(frames, views("same"))
+    # Where its frame is no view the mask is not used; a frame's mask follows it to a view of another number.
+    if file != "000.png":
+        again.check_views(frames, views("none", views=[(0, 900)]))
+        again.check_views(frames, views("later", views=[(0, 900), (1, 901)]))
+    with pytest.raises(
+        SettingsError, match=r"drawn on other pictures .* --set recordings.chair.masks=null` "
+    ):
+        again.check_views(frames, views("other", **other))
+    assert MasksFile.read(tmp_path / "masks").drawn_on == stored
+
+
+def test_other_poses_make_another_picture_of_the_same_frame(tmp_path: Path) -> None:
+    """A rolling shutter is undone by how the camera moves: a near half plane before a far one."""
+    depth = np.where(np.arange(160) < 90, np.uint16(1000), np.uint16(3000)) * np.ones((120, 1), np.uint16)
+    store = SimpleNamespace(depth_native=lambda index: depth, color_encoded=lambda index: None)
+    camera, stamps_ns = Camera(160, 120, 140.0, 140.0, 79.5, 59.5), (np.arange(3) * 1e9 / 30).astype(np.int64)
+    frames = Sequence(camera, 1000.0, stamps_ns, False, None, store)
+
+    def views(name: str, yaw_rate: float) -> Path:
+        """View 000 of frame 1 after the camera turned so fast, in rad/s."""
+        folder = drawn_views(tmp_path / name, (1, 0))
+        poses = np.array([rigid_from_twist(np.array([0, yaw_rate * k / 30, 0, 0, 0, 0])) for k in range(3)])
+        shutter = RollingShutter(0.03, 0.0, motions(poses, np.zeros(3, np.int64), stamps_ns / 1e9))
+        (folder / "000.depth.png").write_bytes(pictures_of(upright(frames, shutter), 1)["depth.png"])
+        return folder
+
+    masks = drawn(tmp_path / "masks", {"frame_1.png": None}).check_frames(frames)
+    masks = masks.check_views(frames, views("first", 1.0))
+    assert masks.check_views(frames, views("again", 1.0)) == masks
+    with pytest.raises(SettingsError, match="drawn on other pictures"):
+        masks.check_views(frames, views("faster", 1.5))
+
+
+def test_an_older_masks_file_is_used_as_it_was(tmp_path: Path) -> None:
+    """Its entries are images alone; what they are used on is their picture from then on."""
+    masks = drawn(tmp_path / "masks", {"frame_000001.png": 11, "frame_000000.png": 10})
+    older = json.dumps({file: on.image for file, on in masks.entries.items()})
+    assert MasksFile.parse(older, "").drawn_on == masks.entries
+    assert json.loads(MasksFile.of(masks.entries).text()) == json.loads(older)
+    used = masks.check_views(sequence(10, 11), drawn_views(tmp_path / "views", (1, 901)))
+    assert used.entries["frame_000001.png"].image == masks.entries["frame_000001.png"].image
+    written = json.loads((tmp_path / "masks" / "masks.json").read_text())
+    assert set(written["frame_000001.png"]) == {"image", "picture"}
+    assert written["frame_000000.png"] == masks.entries["frame_000000.png"].image
+
+
+@pytest.mark.parametrize("shown_mm", [11, 12])
+def test_a_mask_of_a_frame_as_it_was_recorded_is_none_of_a_corrected_view(
+    shown_mm: int, tmp_path: Path
+) -> None:
+    """Nor one of the view a mask of the frame; where nothing was corrected, both are the same picture."""
+    frames, views = sequence(10, 11), drawn_views(tmp_path / "views", (1, shown_mm), color=b"colour")
+    fits = (
+        nullcontext() if shown_mm == 11 else pytest.raises(SettingsError, match=r"its entry from masks\.json")
+    )
+    of_view = drawn(tmp_path / "of_view", {"frame_000001.png": 11}).check_views(frames, views)
+    with fits:
+        replace(of_view, of_recorded=True).check_frames(frames)
+    unknown = drawn(tmp_path / "of_frame", {"frame_000001.png": None})
+    of_frame = replace(unknown, of_recorded=True).check_frames(frames)
+    assert of_frame.entries == {"frame_000001.png": on_image(11, RECORDED)}
+    assert of_frame.check_views(frames, tmp_path / "none") == of_frame.check_frames(frames) == of_frame
+    assert MasksFile.read(tmp_path / "of_frame").drawn_on == of_frame.entries
+    with fits:
+        replace(of_frame, of_recorded=False).check_frames(frames).check_views(frames, views)
 
 
 X1 = "frame_000001.exclude.png"
@@ -113,7 +228,7 @@ def test_masks_are_carried_to_the_frames_that_are_their_images(
     assert kept(tmp_path / "masks") == {moved.get(file, file): file for file in on}
     assert {Path(line.split(": ")[0]).name for line in done.left} == set(left)
     stored = MasksFile.read(tmp_path / "masks").drawn_on
-    assert stored == {moved.get(file, file): digest for file, digest in masks.entries.items()}
+    assert stored == {moved.get(file, file): on for file, on in masks.entries.items()}
 
 
 # --- of a build
@@ -158,7 +273,7 @@ def test_a_mask_named_by_a_view_stays_with_its_image(command: Command, one: Path
     assert pixels(one) == before
     # It is tried again, not told from memory: masks.json is no part of what the stage is made from.
     entry = (one / "masks" / "chair" / "masks.json").read_text()
-    assert set(json.loads(entry)) == {"000.exclude.png"}
+    assert [*json.loads(entry)["000.exclude.png"]] == ["image", "picture"]
     assert command(one, "build", *MASKS).status == 0
     assert pixels(one) == {**before, first: 0}
     carried = command(one, "segment", "--carry-masks", *MASKS)
@@ -190,6 +305,28 @@ def test_a_mask_does_not_move_to_another_recording(command: Command, one: Path) 
     (row,) = json.loads(carried.out)
     assert row == {"recording": "chair", "moved": {"frame_000004.png": "frame_000003.png"}, "left": []}
     assert command(one, "build", *MASKS).status == 0
+
+
+def test_a_mask_does_not_move_to_another_picture_of_its_frame(command: Command, one: Path) -> None:
+    """The depth has another correction than when it was drawn; what the line says mends it."""
+    before = pixels(one)
+    first = next(iter(before))
+    draw(one, f"frame_{first}.exclude.png")
+    assert command(one, "sample-views", *MASKS).status == 0
+    trajectory = one / "build" / "chair" / "trajectory"
+    StoredDepthCalibration(coefficients_per_m=[0.001, *[0.0] * (len(TERMS) - 1)]).write(trajectory)
+    manifest = Manifest.read(trajectory)
+    file = StoredDepthCalibration.FILE
+    sizes = {**manifest.files, file: (trajectory / file).stat().st_size}
+    manifest.model_copy(update={"files": sizes}).write(trajectory)
+    refused = command(one, "sample-views", "--force", *MASKS)
+    assert refused.status == 1 and "drawn on other pictures" in refused.err
+    assert pixels(one)[first] == 0
+    without = ("--set", "recordings.chair.masks=null")
+    assert " ".join(without) in refused.err and command(one, "sample-views", "chair", *without).status == 0
+    (one / "masks" / "chair" / "masks.json").unlink()
+    assert command(one, "sample-views", *MASKS).status == 0
+    assert pixels(one)[first] == 0
 
 
 def test_a_mask_of_a_view_without_a_build_is_refused_before_anything_is_made(

@@ -1,6 +1,7 @@
 """views.json and pairs.json: the views of a recording with their figures, and the pairs made of them."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, StringConstraints
 
@@ -11,8 +12,10 @@ from kinectbench.core.untrusted import MOST_SIDE_PX
 UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
 
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
-# SHA-256 of an image's size and depth.
+# SHA-256 of an image.
 Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+# Of a mask that was drawn on a frame as it was recorded, not on a view's pictures.
+RECORDED: Literal["recorded"] = "recorded"
 Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
 
@@ -131,14 +134,32 @@ class PairsFile(Stored):
     refused: tuple[Refused, ...] = Field(description="views of which no pair was made")
 
 
+class DrawnOn(Part):
+    """What a person's mask was drawn on."""
+
+    image: Digest = Field(description="SHA-256 of the frame's depth as it was recorded")
+    picture: Digest | Literal["recorded"] | None = Field(
+        None,
+        description="SHA-256 of the view's pictures as the person saw them; recorded: none of a view, but of "
+        "the frame as it was recorded; None: not known",
+    )
+
+
 class MasksFile(Stored):
     """masks.json beside a person's masks: which image each was drawn on, by the masks' file names."""
 
     FILE = "masks.json"
     ADVICE = "correct it, or remove it and look at every mask again"
-    __pydantic_extra__: dict[str, Digest]
+    # Where no picture is known, and in files of older versions, the image alone.
+    __pydantic_extra__: dict[str, Digest | DrawnOn]
+
+    @classmethod
+    def of(cls, drawn_on: Mapping[str, DrawnOn]) -> Self:
+        """The file that holds these, by file name."""
+        return cls.model_validate({file: on if on.picture else on.image for file, on in drawn_on.items()})
 
     @property
-    def drawn_on(self) -> dict[str, Digest]:
-        """By file name, SHA-256 of the depth image: its size and native units, as the recording has it."""
-        return self.__pydantic_extra__
+    def drawn_on(self) -> dict[str, DrawnOn]:
+        """What each mask was drawn on, by file name."""
+        entries = self.__pydantic_extra__.items()
+        return {file: DrawnOn(image=on) if isinstance(on, str) else on for file, on in entries}

@@ -3,6 +3,8 @@
 On disk they are views.json with depth, colour and mask images.
 """
 
+import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -196,11 +198,8 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
     """Write views.json and, for each view, depth (uint16 mm), mask (255 = object) and colour (JPEG)."""
 
     def images(view: View) -> dict[str, bytes]:
-        depth_mm = depth_in_mm(sequence.depth_m(view.frame))
-        encoded = sequence.frames.color_encoded(view.frame)
-        color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
         mask = view.mask.astype(np.uint8) * 255
-        return {"depth.png": _encode(".png", depth_mm), "mask.png": _encode(".png", mask), **color}
+        return {**pictures_of(sequence, view.frame), "mask.png": _encode(".png", mask)}
 
     for view, files in zip(views.views, ahead(images, views.views), strict=True):
         for name, data in files.items():
@@ -211,6 +210,13 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
         refused=tuple(Refused(frame=frame, reason=reason) for frame, reason in views.refused),
         warnings=tuple(views.warnings),
     ).write(folder)
+
+
+def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
+    """What a view shows of a frame, by the ends of its files: depth (uint16 mm), colour if there is one."""
+    encoded = sequence.frames.color_encoded(frame)
+    color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
+    return {"depth.png": _encode(".png", depth_in_mm(sequence.depth_m(frame))), **color}
 
 
 def _row(view: View) -> ViewRow:
@@ -261,6 +267,44 @@ def _view(row: ViewRow, folder: Path) -> View:
         blur=row.blur,
         pose_residual_m=row.pose_residual_m,
     )
+
+
+def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
+    """What `pictures_of` gave of a view, as it lies in the folder of views.
+
+    Raises:
+        StorageError: a picture is missing or cannot be read.
+    """
+    paths = {end: folder / f"{view}.{end}" for end in ("depth.png", "color.jpg")}
+    try:
+        color = ("color.jpg",) if paths["color.jpg"].exists() else ()
+        return {end: read_plain(paths[end], IMAGE_BYTES) for end in ("depth.png", *color)}
+    except OSError as error:
+        raise StorageError(
+            f"{error.filename}: cannot be read ({error.strerror}); {ViewsFile.ADVICE}"
+        ) from error
+
+
+def picture_digest(pictures: Mapping[str, bytes]) -> str:
+    """SHA-256 of what a view shows: every pixel of its depth image, in mm, and its colour file if it has one.
+
+    Another zlib packs the same depth into other bytes; colour is kept as it was recorded where it can be.
+
+    Args:
+        pictures: as `pictures_of` gives them.
+
+    Raises:
+        StorageError: the depth image is damaged.
+    """
+    import cv2
+
+    try:
+        image_head(pictures["depth.png"])
+        depth = decoded(pictures["depth.png"], cv2.IMREAD_UNCHANGED)
+    except ValueError as error:
+        raise StorageError(f"the depth image of a view is damaged ({error}); {ViewsFile.ADVICE}") from error
+    of_depth = f"{depth.shape}".encode() + depth.astype("<u2").tobytes()
+    return hashlib.sha256(of_depth + pictures.get("color.jpg", b"")).hexdigest()
 
 
 def read_masks(folder: Path) -> GivenMasks:
