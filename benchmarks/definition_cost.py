@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinectbench.core.voxels.seeable import SensorLimits, seeable_solid
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.voxels.seeable import seeable_solid
 from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.lab.simulate.objects import FAMILIES, make_object
 

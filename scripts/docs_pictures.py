@@ -32,7 +32,7 @@ name: my_chairs
 license: CC-BY-4.0
 source: recorded by us at home
 recordings:
-  - {{id: {NAME}, path: recordings/{NAME}, category: chair, split: test}}
+  - {{id: {NAME}, path: recordings/{NAME}, category: chair, underside: closed, split: test}}
 """
 METHODS = ("partial", "hull", "mirror")
 QUALITY = 80

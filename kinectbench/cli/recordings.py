@@ -48,7 +48,8 @@ def init(
     with replaced_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     count = f"{len(found)} recording{'s' * (len(found) != 1)}"
-    advice = f"{count}: fill in category and object of each, license and source, then run `kinectbench build`"
+    what = "category, object and underside of each, license and source"
+    advice = f"{count}: fill in {what}, then run `kinectbench build`"
     notes = [
         f"{path}: left out: no recording of a known format; `kinectbench inspect` says more"
         for path in left_out

@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 2,
     "suggest": 5,
-    "publish": 27,
+    "publish": 28,
     "synthesize": 2,
     "score": 6,
     "baselines": 2,

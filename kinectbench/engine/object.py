@@ -8,9 +8,10 @@ import numpy as np
 
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Bools, Float64, Progress
+from kinectbench.core.types import Bools, Float64, Progress, Underside
 from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.settings.models import FloorCuts, FusionSettings, Vector4
 from kinectbench.stages.fuse import observe
@@ -37,7 +38,7 @@ from kinectbench.stages.segment.resolution import (
 )
 from kinectbench.stages.segment.seen_floor import other_floor
 from kinectbench.stages.segment.solid import SolidShape, make_solid, solidify
-from kinectbench.stages.segment.up import floor_hint
+from kinectbench.stages.segment.up import FloorHint, floor_hint
 from kinectbench.stages.segment.whole import NO_LAYERS, segment_whole
 from kinectbench.stages.segment.witness import witness
 
@@ -51,6 +52,8 @@ def build_object(
     fusion: FusionSettings,
     progress: Progress | None = None,
     floor: Vector4 | None = None,
+    underside: Underside = "unseen",
+    limits: SensorLimits = DEFAULT_LIMITS,
 ) -> ObjectModel:
     """Find the object in the fused scene and make it solid.
 
@@ -66,16 +69,15 @@ def build_object(
         fusion: voxel size, and the range of depth that a person gives, if any.
         progress: called with (done, total).
         floor: a person's plane (a, b, c, d) in the world of the trajectory, metres, or None.
+        underside: what a person says of the object's underside.
+        limits: what a camera can see.
 
     Raises:
         SegmentationError: no floor, no object, or a box with nothing in it.
         ShapeError: no solid can be made.
     """
     hint = floor_hint(sequence, trajectory, floor)
-    if sequence.beside_m is not None:
-        chosen = segment_whole(scene, trajectory, given_box, hint)
-    else:
-        chosen = segment(scene, trajectory, given_box, segmentation, hint)
+    chosen = _chosen(sequence, trajectory, scene, given_box, segmentation, hint)
     frames = trajectory.good_frames
     voxel_size_m, scale = _resolution(chosen, sequence, trajectory, fusion)
     grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
@@ -101,6 +103,20 @@ def build_object(
     shapes, pose_error = (solid, of_odd, of_even), usual_pose_error(trajectory)
     frontiers = tuple(restored_frontier(each, scale) for each in made.frontiers)
     return object_model(chosen, shapes, made.sigma_m, seen, surround, pose_error, frontiers)
+
+
+def _chosen(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    scene: TriangleMesh,
+    given_box: OrientedBox | None,
+    segmentation: FloorCuts,
+    hint: FloorHint,
+) -> Segmentation:
+    """What of the scene is the object: all of it, where only the object's own depth was fused."""
+    if sequence.beside_m is not None:
+        return segment_whole(scene, trajectory, given_box, hint)
+    return segment(scene, trajectory, given_box, segmentation, hint)
 
 
 class _Made(NamedTuple):

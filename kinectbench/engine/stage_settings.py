@@ -8,6 +8,7 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import Field
 
+from kinectbench.core.types import Underside
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import (
     BoxSettings,
@@ -15,8 +16,9 @@ from kinectbench.settings.models import (
     FitLimits,
     FloorCuts,
     FusionSettings,
+    MaskCuts,
+    ObjectCuts,
     PairSettings,
-    SegmentationSettings,
     SegmentBy,
     TrackingSettings,
     TrajectoryMode,
@@ -110,12 +112,17 @@ class SuggestSettings(StageSettings):
 class SegmentSettings(StageSettings):
     """Of `segment`."""
 
-    ADDED = ("segment_by", "floor")
+    ADDED = (
+        *("segment_by", "floor", "underside"),
+        *("segmentation.line_width_m", "segmentation.near_m"),
+        *("segmentation.camera_size_m", "segmentation.camera_height_m"),
+    )
 
     segment_by: SegmentBy | None = None
     box: BoxSettings | None
     floor: Vector4 | None = None
-    segmentation: FloorCuts
+    underside: Underside = "unseen"
+    segmentation: ObjectCuts
     fusion: ObjectFusion
 
 
@@ -126,7 +133,7 @@ class SampleSettings(StageSettings):
 
     segment_by: SegmentBy | None = None
     views: ViewSettings
-    segmentation: SegmentationSettings
+    segmentation: MaskCuts
     pairs: FitLimits
 
 

@@ -22,7 +22,14 @@ from kinectbench.engine.stage_settings import (
     part_of,
 )
 from kinectbench.engine.work import MASKS, Source
-from kinectbench.settings.models import BenchmarkSettings, FitLimits, FloorCuts, RecordingSettings
+from kinectbench.settings.models import (
+    BenchmarkSettings,
+    FitLimits,
+    FloorCuts,
+    MaskCuts,
+    ObjectCuts,
+    RecordingSettings,
+)
 
 
 @dataclass(frozen=True)
@@ -123,7 +130,8 @@ def _segment(job: Job) -> StageSettings:
         segment_by=own.segment_by,
         box=own.box,
         floor=own.plane_world,
-        segmentation=part_of(FloorCuts, settings.segmentation),
+        underside=settings.underside_of(own),
+        segmentation=part_of(ObjectCuts, settings.segmentation),
         fusion=part_of(ObjectFusion, settings.fusion),
     )
 
@@ -133,7 +141,7 @@ def _sample_views(job: Job) -> StageSettings:
     return SampleSettings(
         segment_by=job.recording.segment_by,
         views=settings.views,
-        segmentation=settings.segmentation,
+        segmentation=part_of(MaskCuts, settings.segmentation),
         pairs=part_of(FitLimits, settings.pairs),
     )
 

@@ -121,10 +121,20 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 def _segment(work: Work[SegmentSettings]) -> None:
     settings, (sequence, trajectory) = work.settings, _own(work)
     box = settings.box.box() if settings.box else None
-    wanted = settings.segmentation, settings.fusion
     floor = plane_given(sequence, trajectory, settings.segment_by, settings.floor)
     scene = _scene(work.stages)
-    model = build_object(sequence, trajectory, scene, box, *wanted, work.progress, floor)
+    model = build_object(
+        sequence,
+        trajectory,
+        scene,
+        box,
+        settings.segmentation,
+        settings.fusion,
+        work.progress,
+        floor,
+        underside=settings.underside,
+        limits=settings.segmentation.limits(),
+    )
     write_object(model, work.folder)
 
 

@@ -18,6 +18,8 @@ NAMES: Mapping[str, str] = {
     "unknown_share": "never seen, share of the solid",
     "unknown_air_share": "never seen and taken for air, by the solid's volume",
     "doubtful_share": "perhaps a hollow, share of the solid",
+    "underside": "underside, as stated by a person",
+    "underside_share": "seen from below only, share of the solid: the word about the underside decides it",
 }
 # The colour of each grade of health.json; warnings turn "good" into "warn".
 TONES: Mapping[Grade, str] = {"good": "good", "fair": "good", "not good": "bad"}

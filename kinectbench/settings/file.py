@@ -169,9 +169,10 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
 
 def _location(error: ErrorDetails) -> Location:
     """Where the node of one of pydantic's errors is to be found."""
-    location, kind = error["loc"], error["type"]
+    # Of a mapping's key that is no name pydantic says so by one part more.
+    location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     if kind == "value_error":
-        return location or ("recordings", error["ctx"]["index"])
+        return location or tuple(error["ctx"]["at"])
     used = field_at(location)[2]
     whole = kind == "extra_forbidden" or (kind == "missing" and used == len(location))
     return location if whole else location[:used]
@@ -191,6 +192,8 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
         if "earlier" in error.get("ctx", {}):
             earlier = yaml_nodes.find(root, ("recordings", error["ctx"]["earlier"]), known)[0]
             what += f" (the other is at {yaml_nodes.place(earlier)})"
+        if "valid" in error.get("ctx", {}):
+            what += f"; {suggestion(str(location[-1]), error['ctx']['valid'])}"
         what = f"found {_found(value)}; {what}" if isinstance(value, yaml.ScalarNode) else what
     else:
         what = f"found {_found(value)}; wanted {wanted(annotation, constraints)}"

@@ -15,7 +15,8 @@ from pydantic_core import PydanticCustomError
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.names import Category, Name, Named, first_clash
-from kinectbench.core.types import Framing, PartialRule, Split
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.types import Framing, PartialRule, Split, Underside
 from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.settings.base import Settings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings
@@ -32,6 +33,10 @@ FARTHEST_M, LEAST_TURN = 1e6, 1e-6
 # Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
 # (the rules for solids were chosen with it).
 LEAST_RANGE_M = 3.0
+UNDERSIDE = (
+    "closed: no space behind the underside that is open to the air (aprons make a chair open below); "
+    "open: there is; unseen: nobody looked"
+)
 
 
 class CameraSettings(Settings):
@@ -135,6 +140,7 @@ class RecordingSettings(Settings):
     object: Name | None = Field(None, description="the thing itself, where it is recorded more than once")
     split: Split = Field("test", description="train, validation or test")
     trajectory: TrajectoryMode | None = Field(None, description="default: trust if the recording has one")
+    underside: Underside | None = Field(None, description=f"{UNDERSIDE}; default: its category's")
     camera: CameraSettings | None = Field(None, description="only what the recording does not say")
     box: BoxSettings | None = Field(None, description="only where objects touch")
     floor: FloorSettings | None = Field(None, description="only where the plane it stands on is not found")
@@ -167,6 +173,12 @@ class RecordingSettings(Settings):
     def object_name(self) -> str:
         """The object recorded: `object`, or else the recording's id."""
         return self.object or self.id
+
+
+class CategorySettings(Settings):
+    """What holds for all recordings of a category, unless one says it itself."""
+
+    underside: Underside = Field("unseen", description=UNDERSIDE)
 
 
 class TrackingSettings(Settings):
@@ -224,10 +236,43 @@ class FloorCuts(Settings):
     )
 
 
-class SegmentationSettings(FloorCuts):
-    """Floor plane and object selection."""
+class MaskCuts(FloorCuts):
+    """What of a view is the object."""
 
     mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
+
+
+class ObjectCuts(FloorCuts):
+    """What is floor, and what of the space around the object some camera could see; the rest is the object.
+
+    One value for a whole benchmark: of what was never measured these lengths decide what is solid.
+    """
+
+    # Own choices: a line of less than two voxels of 5 mm is lost in their rounding, and one of 10 cm closes a
+    # shelf; cameras see from 5 cm to 2 m on, are as large as a fingertip or a helmet, and lie on the floor.
+    line_width_m: float = Field(
+        SensorLimits.line_width_m,
+        ge=0.01,
+        le=0.1,
+        description="a gap narrower than a line of sight is solid (0.02 where objects are under 0.4 m)",
+    )
+    near_m: float = Field(
+        SensorLimits.near_m, ge=0.05, le=2, description="a camera is at least so far from what it sees"
+    )
+    camera_size_m: float = Field(
+        SensorLimits.camera_size_m, ge=0.02, le=0.5, description="a camera gets through no narrower gap"
+    )
+    camera_height_m: float = Field(
+        SensorLimits.camera_height_m, ge=0, le=0.5, description="a camera is at least so high above the floor"
+    )
+
+    def limits(self) -> SensorLimits:
+        """The lengths as a value."""
+        return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
+
+
+class SegmentationSettings(MaskCuts, ObjectCuts):
+    """Floor plane and object selection."""
 
 
 class ViewSettings(Settings):
@@ -263,7 +308,7 @@ class PairSettings(FitLimits, PairForm):  # fields of the last base come first
 
 def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
     """An error about a recording that does not go with one before it."""
-    context = {"problem": problem, "index": index, "earlier": earlier}
+    context = {"problem": problem, "at": ("recordings", index), "earlier": earlier}
     return PydanticCustomError("value_error", "{problem}", context)
 
 
@@ -274,6 +319,9 @@ class BenchmarkSettings(Settings):
     license: Line = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     source: Line = Field("unspecified", description="who recorded the data, or where it is from")
     recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
+    categories: dict[Category, CategorySettings] = Field(
+        {}, description="by a category's name what holds for its recordings, unless one says it itself"
+    )
     # Once read, the recordings of those files stand in `recordings`.
     include: list[str] | None = Field(
         None, min_length=1, exclude=True, description="files with more recordings: YAML, CSV or Parquet"
@@ -307,9 +355,23 @@ class BenchmarkSettings(Settings):
             raise _clash(clash.row, clash.earlier, clash.problem)
         return self
 
+    @model_validator(mode="after")
+    def _used_categories(self) -> "BenchmarkSettings":
+        used = {recording.category for recording in self.recordings}
+        for category in self.categories:
+            if category not in used:
+                context = {"problem": "no recording has this category", "at": ("categories", category)}
+                raise PydanticCustomError("value_error", "{problem}", context | {"valid": sorted(used)})
+        return self
+
     def by_id(self) -> dict[str, RecordingSettings]:
         """The recordings by their ids; made anew at each call, so keep it for many look-ups."""
         return {recording.id: recording for recording in self.recordings}
+
+    def underside_of(self, recording: RecordingSettings) -> Underside:
+        """What a person says of a recording's underside: its own word, or else its category's."""
+        of_category = self.categories.get(recording.category, CategorySettings())
+        return recording.underside or of_category.underside
 
     def license_of(self, recording: RecordingSettings) -> str:
         """The licence of a recording: its own, or else the benchmark's; "unspecified" if nobody said."""

@@ -12,13 +12,15 @@ import yaml
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
 from kinectbench.settings.base import Settings
-from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
+from kinectbench.settings.models import BenchmarkSettings, CategorySettings, RecordingSettings
 from kinectbench.settings.words import field_range, model_of
 
 # What `category` is until a person says it; `build` and `publish` warn of it.
 UNKNOWN_CATEGORY = "unknown"
 ASK_CATEGORY = "fill in what it is, such as chair or table"
 ASK_OBJECT = "fill in the same name wherever the same thing is recorded again"
+# Keys that each recording has a line for, filled in or asked for.
+OF_EACH = ("split", "object", "underside")
 
 HEADER = """\
 # What this benchmark is built from, and with which settings.
@@ -46,6 +48,7 @@ def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Seq
     for number, ((path, kind), name) in enumerate(zip(found, names, strict=True)):
         lines += _recording(name, path, kind)
         lines += _recording_options() if number == 0 else []
+    lines += ["", *_categories()]
     for section, field in BenchmarkSettings.model_fields.items():
         if isinstance(field.default, Settings):
             lines += ["", *_section(section, field.default)]
@@ -63,11 +66,13 @@ def _top_level(folder_name: str) -> list[str]:
 def _recording(name: str, path: str, kind: str) -> list[str]:
     """The lines of one recording; what only a person knows is asked for."""
     fields = RecordingSettings.model_fields
+    underside = CategorySettings.model_fields["underside"]
     return [
         f"  - id: {_text(name)}",
         _commented(f"    path: {_text(path)}", kind),
         _commented(f"    category: {UNKNOWN_CATEGORY}", ASK_CATEGORY),
         _commented("    # object: …", ASK_OBJECT),
+        _commented(f"    # underside: {underside.default}", f"say what you know; {underside.description}"),
         _commented(f"    split: {fields['split'].default}", fields["split"].description),
     ]
 
@@ -76,13 +81,22 @@ def _recording_options() -> list[str]:
     """The optional keys of a recording as comments, below the first one."""
     lines = ["    # each recording may also have:"]
     for key, field in RecordingSettings.model_fields.items():
-        if field.is_required() or key in ("split", "object"):
+        if field.is_required() or key in OF_EACH:
             continue
         model = model_of(field.annotation)
         value = f"{{{', '.join(f'{name}: …' for name in model.model_fields)}}}" if model else "…"
         words = "; ".join(part for part in (field_range(field), field.description) if part)
         lines.append(_commented(f"    # {key}: {value}", words))
     return lines
+
+
+def _categories() -> list[str]:
+    """What may be said of a category, as comments: one that no recording has would be refused."""
+    about = (CategorySettings.__doc__ or "").splitlines()[0]
+    inner = ", ".join(
+        f"{key}: {_text(field.default)}" for key, field in CategorySettings.model_fields.items()
+    )
+    return [_commented("# categories:", about), f"#   chair: {{{inner}}}"]
 
 
 def _section(name: str, defaults: Settings) -> list[str]:

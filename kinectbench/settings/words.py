@@ -49,6 +49,8 @@ def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tu
         if isinstance(part, str) and model is not None and part in model.model_fields:
             field = model.model_fields[part]
             annotation, constraints = field.annotation, field.metadata
+        elif isinstance(part, str) and get_origin(annotation) is dict:
+            annotation, constraints = get_args(annotation)[1], ()
         elif isinstance(part, int) and get_origin(annotation) is list:
             annotation, constraints = get_args(annotation)[0], ()
         else:
@@ -69,6 +71,8 @@ def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
         if entries[-1] is Ellipsis:
             return f"a list, each entry {wanted(entries[0], ())}"
         return f"a list of {len(entries)} numbers"
+    if get_origin(inner) is dict:
+        return f"a mapping from names to {wanted(get_args(inner)[1], ())}"
     if get_origin(inner) is list:
         (entry,) = get_args(inner)
         return f"a list with at least one entry, each {'a mapping' if model_of(entry) else 'a text'}"

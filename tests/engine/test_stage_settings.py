@@ -9,6 +9,8 @@ from typing import Any, get_args, get_type_hints
 import pytest
 from pydantic import ValidationError
 
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.engine import steps
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage
 from kinectbench.engine.steps import STEPS
 from kinectbench.engine.work import Source, Work
@@ -52,7 +54,7 @@ def others(value: Any) -> tuple[Any, ...]:
         return (value + 1, value - 1, value + 0.01, value - 0.01)
     if isinstance(value, list):
         return ([number + 0.1 for number in value],)
-    words = ("majority", "view", "coverage", "refine", "x")
+    words = ("majority", "view", "coverage", "refine", "closed", "x")
     return words if isinstance(value, str) else FILLED
 
 
@@ -104,9 +106,40 @@ def test_a_step_takes_the_work_of_its_own_stage(stage: Stage) -> None:
     assert hint.__origin__ is Work and get_args(hint) == (type(stage.needs(full())),)
 
 
+def test_segment_hands_on_the_word_and_the_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    for name in ("_own", "_scene", "plane_given", "write_object"):
+        monkeypatch.setattr(steps, name, lambda *_: (None, None))
+    monkeypatch.setattr(steps, "build_object", lambda *_, **words: given.update(words))
+    own = {"id": "chair", "path": "chair", "category": "chair"}
+    said = {"categories": {"chair": {"underside": "closed"}}, "segmentation": {"line_width_m": 0.02}}
+    settings = BenchmarkSettings.model_validate({"name": "small", "recordings": [own], **said})
+    needs = STAGES[3].needs(Job(settings, settings.recordings[0], Path("root")))
+    STEPS["segment"](Work(needs, {}, {}, Path("object"), lambda *_: None))
+    assert given == {"underside": "closed", "limits": SensorLimits(line_width_m=0.02)}
+
+
 def test_no_way_leads_from_the_work_to_the_job() -> None:
     assert set(get_type_hints(Work)) == {"settings", "stages", "sources", "folder", "progress"}
     assert get_type_hints(Source) == {"path": Path, "sha256": str}
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"segmentation": {"line_width_m": 0.02}},
+        {"segmentation": {"near_m": 0.5}},
+        {"segmentation": {"camera_size_m": 0.1}},
+        {"segmentation": {"camera_height_m": 0.1}},
+        {"categories": {"chair": {"underside": "closed"}}},
+    ],
+)
+def test_what_decides_between_solid_and_air_is_of_segment_alone(said: dict[str, Any]) -> None:
+    own = {"id": "chair", "path": "chair", "category": "chair"}
+    settings = BenchmarkSettings.model_validate({"name": "small", "recordings": [own], **said})
+    changed = Job(settings, settings.recordings[0], Path("root"))
+    assert [s.name for s in EVERY if s.settings(changed) != s.settings(job())] == ["segment"]
+    assert STAGES[3].settings(job(underside="unseen")) == STAGES[3].settings(job())
 
 
 def test_what_was_made_before_a_setting_came_stays_current() -> None:

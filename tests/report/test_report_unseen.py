@@ -209,6 +209,16 @@ def test_advice_is_no_warning_beside_itself() -> None:
     assert shown.rows == (("volume m3", "0.1"),)
 
 
+def test_the_word_about_the_underside_and_what_it_decides_are_shown() -> None:
+    shown = figures.quality_figures(QualityFile(underside="closed", underside_share=0.125, volume_m3=0.1))
+    assert shown.rows[:2] == (
+        ("underside, as stated by a person", "closed"),
+        ("seen from below only, share of the solid: the word about the underside decides it", "0.125"),
+    )
+    older = figures.quality_figures(QualityFile(volume_m3=0.1, frontiers=(frontier(),)))
+    assert older.rows == (("volume m3", "0.1"),)
+
+
 @pytest.fixture(scope="module")
 def part(settings: BenchmarkSettings, build: Path) -> RecordingPart:
     return collect(Job(settings, settings.recordings[0], build.parent), build / "chair_01")

@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.solid_method import SolidMethod
 from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored, Vector4
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import BoxAnchor, Pose
-from kinectbench.core.types import Split
+from kinectbench.core.types import Split, Underside
 
 Triple = tuple[float, float, float]
 # What the ends of the estimate's interval are, wherever they are told; docs/ground-truth.md has the rule, and
@@ -161,6 +161,9 @@ class FrontierPart(Part):
     volume_m3: float = Field(description="of the unseen region behind it, cubic metres")
     inside_share: float = Field(description="of that region, expected to be inside the object")
     solid_share: float = Field(description="of that region, what the solid takes for inside")
+    underside: bool | None = Field(
+        None, description="only lines of sight that look up reach it: a word about the underside decides it"
+    )
 
 
 class QualityFile(Stored):
@@ -192,6 +195,14 @@ class QualityFile(Stored):
         None, description="never seen and taken for air beside the solid, by the solid's volume; may exceed 1"
     )
     doubtful_share: float | None = Field(None, description="of the solid: perhaps a hollow")
+    underside: Underside | None = Field(
+        None, description="what a person says of its underside, as `underside` in benchmark.yaml: no evidence"
+    )
+    underside_share: float | None = Field(
+        None,
+        description="of the solid: nobody saw it, and only lines of sight that look up reach it: a word "
+        "about the underside decides it",
+    )
     volume_m3: float | None = Field(None, description="of the solid, cubic metres")
     labels: LabelCounts | None = Field(None, description="voxels of each label")
     box: BoxPart | None = Field(None, description="around the object, floor frame")

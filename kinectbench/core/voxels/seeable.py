@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, transform_points
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
@@ -26,33 +27,6 @@ from kinectbench.core.voxels.lines_of_sight import (
     seen_along,
     seen_around_corners,
 )
-
-# Things so small stand on a table and are recorded from 0.5 to 1 m, where ten pixels are 10 to 20 mm.
-SMALL_M, NEAR_LINE_M = 0.4, 0.02
-
-
-@dataclass(frozen=True)
-class SensorLimits:
-    """What a sensor is, and where it can be brought to; all lengths in metres.
-
-    Attributes:
-        line_width_m: a line of sight is as wide. Through less no depth camera measures: 30 mm are ten pixels
-            of a Kinect at 1.6 m, and as many as its matching window has.
-        near_m: it is at least so far from what it sees: the least range of a Kinect v1 in near mode.
-        camera_size_m: diameter of the ball that is moved without crossing the object: a camera in a hand.
-        camera_height_m: its centre is at least so high above the plane that the object stands on.
-    """
-
-    line_width_m: float = 0.03
-    near_m: float = 0.4
-    camera_size_m: float = 0.15
-    camera_height_m: float = 0.05
-
-    @classmethod
-    def of_size(cls, longest_m: float) -> "SensorLimits":
-        """Lines of 30 mm; of 20 mm for things shorter than 0.4 m, which are recorded from near."""
-        return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
-
 
 # Directions of the sweeps over all voxels, and of those asked at the edge of what these found: 2.5 degrees
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for

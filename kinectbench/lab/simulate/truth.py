@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from kinectbench._version import __version__
 from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Bools
-from kinectbench.core.voxels.seeable import SeeableSolid, SensorLimits, seeable_solid
+from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 
 FORMAT_VERSION = 2
 # Noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.

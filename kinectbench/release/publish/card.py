@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 
 from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
+from kinectbench.core.types import Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown
@@ -25,9 +26,12 @@ QUALITY = {
     "unknown_share": ("never seen, of the solid", "{:.1f} %", 100.0),
     "unknown_air_share": ("never seen, taken for air, by its volume", "{:.1f} %", 100.0),
     "doubtful_share": ("perhaps a hollow, of the solid", "{:.1f} %", 100.0),
+    "underside_share": ("seen from below only, of the solid", "{:.1f} %", 100.0),
     "volume_m3": ("volume", "{:.1f} l", 1000.0),
     "good_frames": ("frames fused", "{:.0f}", 1.0),
 }
+# What is no figure: the word of a person.
+UNDERSIDE = "underside, as stated"
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
 TRUTH_LINES = """\
 full = np.unpackbits(pair["full"], axis=-1).astype(bool)  # (256, 256, 256), the truth
@@ -41,7 +45,7 @@ NO_TRUTH = "# No pair of this part has its truth."
 
 
 def quality_words(quality: QualityFile) -> dict[str, str]:
-    """What each known figure is called → its value with its unit, in a fixed order.
+    """What each known figure is called → its value with its unit, in a fixed order; last what a person says.
 
     Args:
         quality: quality.json; without a figure where it is held back or the pairs come from elsewhere.
@@ -53,7 +57,28 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
     }
     estimate = quality.estimated_iou_words(3)
     # With its interval, in the same place.
-    return words | ({QUALITY["estimated_iou"][0]: estimate} if estimate else {})
+    words |= {QUALITY["estimated_iou"][0]: estimate} if estimate else {}
+    return words | ({UNDERSIDE: quality.underside} if quality.underside else {})
+
+
+def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
+    """By whose word undersides are closed or open, in one line; empty if no recording is known to say.
+
+    Args:
+        recordings: by id; held-back ones have no quality, and synthetic ones no word.
+    """
+    said = Counter(info.quality.underside for info in recordings.values() if info.quality.underside)
+    if not said:
+        return ""
+    counts = ", ".join(f"{word} {said[word]}" for word in get_args(Underside))
+    line = f"Underside, as stated of {said.total()} recording{'s' * (said.total() > 1)}: {counts}."
+    if said["closed"]:
+        line += (
+            " `closed` (no space behind the underside that is open to the air) is the word of whoever "
+            "recorded it, no measurement, and the ground truth rests on it: what could be seen from below "
+            "only counts as known and solid."
+        )
+    return line
 
 
 @dataclass(frozen=True)
@@ -169,15 +194,17 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def _quality(info: ReleaseInfo) -> str:
-    """The figures of each recording's quality.json, in words."""
+    """The figures of each recording's quality.json, in words, and by whose word undersides are closed."""
     words = {name: quality_words(recording.quality) for name, recording in info.recordings.items()}
-    labels = [label for label, _, _ in QUALITY.values() if any(label in row for row in words.values())]
+    every = [*(label for label, _, _ in QUALITY.values()), UNDERSIDE]
+    labels = [label for label in every if any(label in row for row in words.values())]
     rows = [
         [name, recording.object, str(recording.pairs), str(recording.refused)]
         + [words[name].get(label, "") for label in labels]
         for name, recording in sorted(info.recordings.items())
     ]
-    return _markdown(["recording", "object", "pairs", "refused", *labels], rows)
+    table = _markdown(["recording", "object", "pairs", "refused", *labels], rows)
+    return "\n\n".join(filter(None, (table, underside_line(info.recordings))))
 
 
 def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:

@@ -16,7 +16,7 @@ from kinectbench.release.publish.attribution import (
     reasons_against_distribution,
     without_tags,
 )
-from kinectbench.release.publish.card import counts_table
+from kinectbench.release.publish.card import counts_table, underside_line
 from kinectbench.settings.models import BenchmarkSettings
 
 TEMPLATE = Path(__file__).with_name("datasheet.md")
@@ -31,6 +31,7 @@ FIGURES = {
     "unknown_share": ("share of the solid that no frame saw", " %", 100.0),
     "unknown_air_share": ("space beside it that no frame saw, taken for air, by its volume", " %", 100.0),
     "doubtful_share": ("share of the solid that may be a hollow", " %", 100.0),
+    "underside_share": ("share of the solid that could be seen from below only", " %", 100.0),
 }
 
 
@@ -100,7 +101,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
 
 
 def _figures(infos: Mapping[str, RecordingInfo]) -> str:
-    """Median and range of what was measured, one line each."""
+    """Median and range of what was measured, one line each; and by whose word undersides are closed."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():
         found = [getattr(info.quality, key) for info in infos.values()]
@@ -110,6 +111,7 @@ def _figures(infos: Mapping[str, RecordingInfo]) -> str:
             spread = f" ({low} to {high})" if len(values) > 1 else ""
             count = f"{len(values)} recording{'s' * (len(values) > 1)}"
             lines.append(f"{text}: {middle}{spread}{unit}, of {count}")
+    lines += filter(None, [underside_line(infos)])
     return _listed(lines) if lines else "- nothing"
 
 

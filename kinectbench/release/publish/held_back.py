@@ -7,6 +7,9 @@ from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 
+# What a person says of a recording, and with it of its truth: the object's size, what to think of it, what of
+# it is solid.
+SAID_OF_TRUTH = ("box", "review", "underside")
 VIEW_KEYS = ("view", "K", "width", "height", "pair")
 STEEP = 1e-6
 # Matrices are rounded: the last bits of a product differ between processors.

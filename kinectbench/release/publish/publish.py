@@ -23,6 +23,7 @@ from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, gate
+from kinectbench.release.publish.held_back import SAID_OF_TRUTH
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
@@ -325,15 +326,16 @@ def _public_settings(
 ) -> dict[str, Any]:
     """The settings without the paths of the machine they were used on; without what tells of a hidden truth.
 
-    A box tells its size, a review what a person thinks of it.
+    Each recording has the word about its underside itself: not all of a category need be published.
     """
-    public = settings.model_dump(mode="json", exclude={"name", "license", "publish"})
-    for recording in public["recordings"]:
+    public = settings.model_dump(mode="json", exclude={"name", "license", "publish", "categories"})
+    for recording, own in zip(public["recordings"], settings.recordings, strict=True):
         recording.pop("path")
         recording.pop("masks")
+        recording["underside"] = settings.underside_of(own)
         if recording["split"] in hold_back:
-            recording.pop("box")
-            recording.pop("review")
+            for key in SAID_OF_TRUTH:
+                recording.pop(key)
     clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found, settings)
     # What people say of themselves here is meant to be read.
     return clean | {"publish": settings.publish.model_dump(mode="json")}

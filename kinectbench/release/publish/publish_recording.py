@@ -34,7 +34,7 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
-from kinectbench.release.publish.held_back import own_floor, own_views, without_truth
+from kinectbench.release.publish.held_back import SAID_OF_TRUTH, own_floor, own_views, without_truth
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
@@ -261,12 +261,14 @@ def _frame(row: ViewRow) -> LineageView:
 
 
 def _stage(folder: Path, hidden: bool) -> LineageStage:
-    """What a stage's manifest says; without a given box, which tells the object's size, if it is hidden."""
+    """What a stage's manifest says; without what a person says of the object, if it is hidden."""
     manifest = Manifest.read(folder)
     return LineageStage(
         package_version=manifest.package_version,
         stage_version=manifest.stage_version,
-        settings={key: value for key, value in manifest.settings.items() if not (hidden and key == "box")},
+        settings={
+            key: value for key, value in manifest.settings.items() if not (hidden and key in SAID_OF_TRUTH)
+        },
         fingerprint=manifest.fingerprint,
     )
 

@@ -10,7 +10,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
-from kinectbench.settings.models import SegmentationSettings, ViewSettings
+from kinectbench.settings.models import MaskCuts, ViewSettings
 from kinectbench.stages.sample_views.masks import agreement_mask
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -28,7 +28,7 @@ def frame_order(
     model: ObjectModel,
     renderer: DepthRenderer,
     settings: ViewSettings,
-    segmentation: SegmentationSettings,
+    segmentation: MaskCuts,
 ) -> list[tuple[int, str]]:
     """All good frames in the order in which they are tried, each with the reason.
 
@@ -63,7 +63,7 @@ def visible_share(
     frame: int,
     T_world_camera: Float64,
     renderer: DepthRenderer,
-    segmentation: SegmentationSettings,
+    segmentation: MaskCuts,
 ) -> float:
     """The visible share of a view (`ViewFit`), estimated at every 8th pixel before the pose is corrected."""
     depth_m = sequence.depth_m(frame)[::STRIDE_PX, ::STRIDE_PX]

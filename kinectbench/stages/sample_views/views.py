@@ -25,7 +25,7 @@ from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
 from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
-from kinectbench.settings.models import FitLimits, SegmentationSettings, ViewSettings
+from kinectbench.settings.models import FitLimits, MaskCuts, ViewSettings
 from kinectbench.stages.sample_views.alignment import Alignment, align_view
 from kinectbench.stages.sample_views.masks import (
     GivenMasks,
@@ -87,7 +87,7 @@ def sample_views(
     trajectory: Trajectory,
     model: ObjectModel,
     settings: ViewSettings,
-    segmentation: SegmentationSettings,
+    segmentation: MaskCuts,
     pairs: FitLimits,
     masks: GivenMasks | None = None,
     progress: Progress | None = None,
@@ -148,7 +148,7 @@ def _look(
     model: ObjectModel,
     renderer: DepthRenderer,
     settings: ViewSettings,
-    segmentation: SegmentationSettings,
+    segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> tuple[int, str, Alignment, Bools, ViewFit, float]:
     """A chosen frame, why, its corrected pose, the object's mask, how its depth fits, how much is too far."""

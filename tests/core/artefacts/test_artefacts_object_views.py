@@ -85,6 +85,15 @@ def test_what_is_unknown_is_written_and_what_is_absent_is_not() -> None:
     assert ViewRow(view="000", blur=None).json_value() == {"view": "000", "blur": None}
 
 
+def test_the_word_about_the_underside_is_one_of_three_and_older_files_have_none() -> None:
+    older = QualityFile.parse(json.dumps(QUALITY), "quality.json")
+    assert (older.underside, older.underside_share) == (None, None)
+    said = QUALITY | {"underside": "closed", "underside_share": 0.25}
+    assert QualityFile.parse(json.dumps(said), "quality.json").json_value() == said
+    with pytest.raises(StorageError, match=r"^quality\.json: 'underside': "):
+        QualityFile.parse(json.dumps(QUALITY | {"underside": "shut"}), "quality.json")
+
+
 def test_degrees_of_the_file_are_radians_in_memory() -> None:
     side = QualityFile.parse(json.dumps(QUALITY), "quality.json").unseen_side
     assert side is not None

@@ -14,9 +14,10 @@ from kinectbench.core.geometry import (
     rotation_from_quaternion_xyzw,
     transform_points,
 )
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE
-from kinectbench.core.voxels.seeable import SeeableSolid, SensorLimits, seeable_solid, seen_from_outside
+from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
 
 # Voxels are 10 mm for these: eight times as fast as for lines of 30 mm.
 LIMITS = SensorLimits(line_width_m=0.06)

@@ -5,7 +5,8 @@ import pytest
 from object_checks import check_solid, check_variety, drawn
 from slow import slow
 
-from kinectbench.core.voxels.seeable import SensorLimits, seeable_solid
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.voxels.seeable import seeable_solid
 
 SEEDS = range(6)
 SIZES_M = {
