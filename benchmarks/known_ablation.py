@@ -22,34 +22,13 @@ from rich.table import Table
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.types import Bools
 from kinectbench.lab.evaluate.known import CALIBRATED_M, GROSS_M, calibration_error, equal_bins
-from kinectbench.stages.segment import enclosure, evidence, openings, probability, solid
+from kinectbench.stages.segment import evidence, guess, sight, solid
 
 COLUMNS = ("IoU", "IoU on known", "gross %", "worst %", "not known %", "calibration")
 
 
-def _nothing(*grids: Any) -> Bools:
-    return np.zeros_like(grids[0], dtype=bool)
-
-
-def _no_openings(state: Any, *others: Any) -> tuple[Any, ...]:
-    none, no_rays = _nothing(state), np.zeros(state.shape, np.uint8)
-    return openings.Openings(none, no_rays, no_rays, no_rays, none, none, none)
-
-
-def _no_shadow(state: Any, tally: Any) -> enclosure.Shadow:
-    return enclosure.Shadow(_nothing(state), _nothing(state))
-
-
-def _no_hollows(state: Any, tally: Any, voxel_size_m: float) -> enclosure.Hollows:
-    return enclosure.Hollows(_nothing(state), _nothing(state))
-
-
 def _no_plate(signed_m: Any, *others: Any) -> Bools:
-    return _nothing(signed_m[:, :, 0])
-
-
-def _none_right_below(weighed: evidence.Evidence, voxel_m: float) -> Bools:
-    return _nothing(weighed.openings.open)
+    return np.zeros(signed_m.shape[:2], bool)
 
 
 def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:
@@ -64,27 +43,11 @@ def _deep_by_distance(behind: Bools, in_front: Bools, tsdf_m: Any, voxel_m: floa
 # What stands in a rule's place when it is left out: module, name, value.
 RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "all rules": (),
-    "what is open is unknown": ((evidence, "find_openings", _no_openings),),
-    "an opening is wider than 30 mm": ((openings, "OPENING_M", 1e-4),),
+    "slits are unknown": ((sight, "NARROWER", 1.0),),
     "deep behind a surface nothing is told": ((evidence, "SHELL_M", 1.0),),
-    "cavities are empty, and what lies beside open": ((openings, "_cavity", _nothing),),
-    "what lies beside a cavity is open": (
-        (openings, "_beside_cavity", lambda state, cavity, _: _nothing(cavity)),
-    ),
-    "what lies around the corner of a doorway is open": (
-        (openings, "_around", lambda state, room, _: _nothing(room)),
-    ),
-    "what hangs high may be a shade": ((openings, "HUNG_M", 1e6),),
-    "narrower for a sensor that is near": ((openings, "OPENING_RAYS", 1e6),),
-    "a hollow reaches its aprons": ((evidence, "_to_the_apron", _as_it_is),),
     "the way to the surface tells depth": ((evidence, "_deep", _deep_by_distance),),
-    "things may stand on their edges": ((openings, "STAND_M", 0.0),),
-    "streaks in a body are inside": ((probability, "AMONG_SHARE", np.array([2.0, 3.0, 4.0], np.float32)),),
     "a plate just above the floor is the object's": ((evidence, "_raised", _no_plate),),
-    "what leans in is no hollow": ((enclosure, "MAX_LEAN", 1e6),),
-    "a board goes on right below what was measured": ((probability, "_right_below", _none_right_below),),
-    "hollows behind aprons": ((evidence, "hollows", _no_hollows),),
-    "shadows under the object": ((evidence, "shadow", _no_shadow),),
+    "right under the object it goes on": ((guess, "rim_voxels", lambda limits, voxel_m: 0),),
     "hidden legs are carried up": ((solid, "carried_up", _as_it_is),),
 }
 
@@ -115,7 +78,7 @@ def without(rule: str) -> Iterator[None]:
 
 def shares(one: Observed) -> Shares:
     """What the rules make of one object."""
-    shape = solid.solidify(one.whole, one.excluded, one.layers, one.ray_width_m)
+    shape = solid.solidify(one.whole, one.excluded, evidence.Rules(one.layers, one.ray_width_m))
     true, built, known = one.true, shape.solid, shape.labels != Label.UNKNOWN
     volume = int(true.sum())
     wrong = known & (built != true) & (one.distance_m > GROSS_M)

@@ -8,8 +8,7 @@ from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.lab.simulate.truth import mesh_occupancy
-from kinectbench.stages.segment.enclosure import ENCLOSED
-from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, UNSEEN, tally_rays
+from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, UNSEEN, walk_out
 
 POISSON_DEPTH = 8
 # Frames that saw through, so many times as many as measured a surface there, carve a voxel.
@@ -41,7 +40,7 @@ def winding(observation: Observation) -> Bools:
     state = np.full(observation.grid.shape, UNSEEN, np.uint8)
     state[(observation.weight > 0) & (observation.tsdf <= 0)] = INSIDE
     state[((observation.weight > 0) & (observation.tsdf > 0)) | _seen_through(observation)] = OUTSIDE
-    return np.asarray((state == INSIDE) | (tally_rays(state).enclosed >= ENCLOSED))
+    return np.asarray((state == INSIDE) | (walk_out(state).enclosed > 0.5))
 
 
 RECIPES: dict[str, Callable[[Observation], Bools]] = {

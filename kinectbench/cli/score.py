@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from kinectbench.release.release import Release
 
 
+PROTOCOLS = "paper, known, occluded, measured, known-unsaid"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
 # Options that say what `--recheck` takes from the table, or write what it does not.
@@ -37,7 +38,7 @@ def score(
         ),
     ] = None,
     method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
-    protocol: Annotated[list[str] | None, typer.Option(help="paper, known, occluded; default: all")] = None,
+    protocol: Annotated[list[str] | None, typer.Option(help=f"{PROTOCOLS}; default: all there are")] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
     save_thresholds: Annotated[
         Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
@@ -256,7 +257,7 @@ def compare(
     common: Common,
     scores: Annotated[list[Path], typer.Argument(help="scores.json files, or folders that hold them")],
     metric: Annotated[str, typer.Option(help="such as iou, ce, f1, chamfer_mm, surface_dice")] = "iou",
-    protocol: Annotated[str, typer.Option(help="paper, known, occluded")] = "known",
+    protocol: Annotated[str, typer.Option(help=PROTOCOLS)] = "known",
 ) -> None:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console

@@ -7,7 +7,7 @@ from kinectbench.core.artefacts.score_figures import SHARES
 from kinectbench.core.artefacts.score_marks import BASELINE, REPORTED
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.scoring.compare import GROUPS_NOTE, Comparison
-from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.published import CATEGORIES, LABEL, PublishedTable, published_beside
 
 if TYPE_CHECKING:

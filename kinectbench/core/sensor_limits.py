@@ -4,7 +4,7 @@
 no heavy library.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 # Things so small stand on a table and are recorded from 0.5 to 1 m, where ten pixels are 10 to 20 mm.
 SMALL_M, NEAR_LINE_M = 0.4, 0.02
@@ -31,6 +31,10 @@ class SensorLimits:
     def of_size(cls, longest_m: float) -> "SensorLimits":
         """Lines of 30 mm; of 20 mm for things shorter than 0.4 m, which are recorded from near."""
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
+
+    def enlarged(self, scale: float) -> "SensorLimits":
+        """The same in a world that is 1 / scale times as large."""
+        return SensorLimits(*(length_m / scale for length_m in astuple(self)))
 
 
 DEFAULT_LIMITS = SensorLimits()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinectbench.core.errors import ShapeError
-from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -17,7 +17,7 @@ from kinectbench.settings.models import FloorCuts, FusionSettings, Vector4
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m
 from kinectbench.stages.segment.choose import Segmentation, segment
-from kinectbench.stages.segment.evidence import FloorLayers, weigh
+from kinectbench.stages.segment.evidence import Rules, weigh
 from kinectbench.stages.segment.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.grids import (
     floor_layers,
@@ -83,26 +83,26 @@ def build_object(
     grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
-    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
-    width_m = usual_ray_width_m(sequence.camera, trajectory, middle_world)
-    layers = NO_LAYERS if chosen.hangs else floor_layers(chosen.floor, segmentation, voxel_size_m)
     T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
-    if chosen.how != "masks":
-        lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
-        chosen = replace(chosen, doubts=(*lines, *chosen.doubts))
+    chosen = _floor_doubted(chosen, sequence, trajectory, hint, max_depth_m)
+    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
+    rules = Rules(
+        NO_LAYERS if chosen.hangs else floor_layers(chosen.floor, segmentation, voxel_size_m),
+        usual_ray_width_m(sequence.camera, trajectory, middle_world),
+        *(limits, underside, not chosen.hangs),
+    )
     made = _solids(
         lambda half: observe(sequence, trajectory, frames[half::2], grid, fusion, progress),
-        (chosen.excluded(grid), layers, width_m / scale),
+        chosen.excluded(grid),
+        rules.enlarged(scale),
         T_floor_grid,
         scale,
-    )
+    ).restored(grid, scale)
     around = surround_grid(grid, chosen.floor)
     surround = observe(sequence, trajectory, surround_frames(frames), around, fusion)
     seen = witness(sequence, trajectory, scene, chosen, grid, max_depth_m)
-    solid, of_odd, of_even = (restored_shape(shape, grid, scale) for shape in made.shapes)
-    shapes, pose_error = (solid, of_odd, of_even), usual_pose_error(trajectory)
-    frontiers = tuple(restored_frontier(each, scale) for each in made.frontiers)
-    return object_model(chosen, shapes, made.sigma_m, seen, surround, pose_error, frontiers)
+    pose_error = usual_pose_error(trajectory)
+    return object_model(chosen, made.shapes, made.sigma_m, seen, surround, pose_error, made.frontiers, rules)
 
 
 def _chosen(
@@ -119,6 +119,16 @@ def _chosen(
     return segment(scene, trajectory, given_box, segmentation, hint)
 
 
+def _floor_doubted(
+    chosen: Segmentation, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
+) -> Segmentation:
+    """With what the frames by themselves have to say against the floor."""
+    if chosen.how == "masks":
+        return chosen
+    lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
+    return replace(chosen, doubts=(*lines, *chosen.doubts))
+
+
 class _Made(NamedTuple):
     """Solids from all, from odd and from even frames, and their frontiers, enlarged; the surface's sigma."""
 
@@ -126,10 +136,17 @@ class _Made(NamedTuple):
     frontiers: tuple[Frontier, ...]
     sigma_m: float
 
+    def restored(self, grid: Grid, scale: float) -> "_Made":
+        """The same in this world, on its grid."""
+        whole, odd, even = (restored_shape(shape, grid, scale) for shape in self.shapes)
+        frontiers = tuple(restored_frontier(each, scale) for each in self.frontiers)
+        return _Made((whole, odd, even), frontiers, self.sigma_m)
+
 
 def _solids(
     observed: Callable[[int], Observation],
-    rules: tuple[Bools, FloorLayers, float],
+    excluded: Bools,
+    rules: Rules,
     T_floor_grid: Float64,
     scale: float,
 ) -> _Made:
@@ -137,22 +154,26 @@ def _solids(
 
     Args:
         observed: what the odd (0) or the even frames (1) say.
-        rules: what `solidify` asks for beside that.
+        excluded: bool, voxels that cannot be the object.
+        rules: what a solid is made by, in the larger world.
         T_floor_grid: (4, 4), in the larger world.
         scale: this world is 1 / scale times as large.
     """
     odd, even = observed(0), observed(1)
     try:
-        of_odd, of_even = (solidify(enlarged_observation(half, scale), *rules) for half in (odd, even))
+        of_odd, of_even = (
+            solidify(enlarged_observation(half, scale), excluded, rules) for half in (odd, even)
+        )
     except ShapeError as error:
         raise ShapeError(f"odd or even frames alone: {error}") from error
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), scale)
     # Of a large object each of them is a gigabyte.
     del odd, even
-    evidence = weigh(together, *rules)
-    whole = make_solid(together, evidence, rules[1])
-    return _Made((whole, of_odd, of_even), find_frontiers(whole, evidence, T_floor_grid), sigma_m)
+    evidence = weigh(together, excluded, rules)
+    whole = make_solid(together, evidence, rules)
+    frontiers = find_frontiers(whole, evidence, rules.limits, T_floor_grid)
+    return _Made((whole, of_odd, of_even), frontiers, sigma_m)
 
 
 def _resolution(

@@ -36,11 +36,11 @@ LINK = "a link; in an archive only plain files are read"
 MAX_READ_BYTES = 64 << 20
 # Files and folders of a release: 95,000 pairs of 1,900 recordings (own choice); listing them takes 300 MB.
 MOST_FILES = 300_000
-# A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to 1
-# GiB, and shrinks to a tenth or less (own choice).
+# A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to
+# 1.25 GiB, and shrinks to a tenth or less (own choice).
 MOST_FILE_BYTES = 256 << 20
-# What an object's volume may unpack to: 4 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm (own choice).
-VOLUME_BYTES = 1 << 30
+# What an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm (own choice).
+VOLUME_BYTES = 5 << 28
 # By how a name ends, what is written, checked and made again. A mesh of 128 MB has 3 million vertices, 6
 # million triangles, and takes 320 MB to be checked (own choice; measured).
 MOST_BYTES = {

@@ -24,10 +24,11 @@ from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.baselines.predict import BaselineTask, predicted
-from kinectbench.scoring.counts import PRIMARY, Prediction, occupied
+from kinectbench.scoring.counts import Prediction, occupied
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import find_predictions
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 from kinectbench.scoring.workers import run_tasks
 

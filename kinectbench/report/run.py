@@ -15,12 +15,14 @@ from kinectbench.report.page import Beside, Groups, write_report
 from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, too_small
 from kinectbench.scoring.of_release import not_of_release
 from kinectbench.scoring.predictions import split_methods
+from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.uncertainty import smallest_p
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
 INDEX = "index.html"
 COMPARED = ("known", "paper", "occluded")
+NOT_EVERYWHERE = tuple(name for name, of in PROTOCOLS.items() if of.distrusts)
 
 
 @dataclass(frozen=True)
@@ -264,7 +266,9 @@ def _scores(
         targets = {target.name: target for target in release.split("test")}
         wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
-    return tables, Beside(grouped(tables, COMPARED), [file.gallery for file in files], truths), warnings
+    scored = {row.protocol for table in tables for row in table.rows}
+    groups = grouped(tables, [*COMPARED, *(name for name in NOT_EVERYWHERE if name in scored)])
+    return tables, Beside(groups, [file.gallery for file in files], truths), warnings
 
 
 def _of_release(

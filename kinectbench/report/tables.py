@@ -22,6 +22,8 @@ PROTOCOL_NOTES = {
     "known": "the primary protocol: voxels where the truth is trusted; mean over objects",
     "paper": "the paper's protocol: all voxels; plain mean over pairs",
     "occluded": "known voxels that the input view does not see; mean over objects",
+    "measured": "known voxels that were measured, for who trusts nothing else; mean over objects",
+    "known-unsaid": "known voxels but those that are so by a person's word alone; mean over objects",
 }
 CEILING = "ceiling"
 DECIMALS, LENGTH_DECIMALS = 3, 2

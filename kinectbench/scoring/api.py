@@ -14,15 +14,14 @@ from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.dataset import Dataset as Dataset
 from kinectbench.scoring.dataset import load as load
-from kinectbench.scoring.pair_result import Counting, Job, count, count_job
+from kinectbench.scoring.pair_result import Job, count, count_job
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.score import check_missing, check_words
+from kinectbench.scoring.score import check_missing, check_words, counting_of
 from kinectbench.scoring.shards import decode_sample as decode_sample
 from kinectbench.scoring.thresholds import (
     STEPS_IN_WORDS,
@@ -45,7 +44,7 @@ class Scorer:
         dataset: Dataset | str | Path,
         *,
         method: str = "method",
-        protocols: Sequence[str] = tuple(PROTOCOLS),
+        protocols: Sequence[str] | None = None,
         thresholds_file: Path | None = None,
         missing: str = "error",
         upsampling: str = HALF_PIXEL,
@@ -57,7 +56,8 @@ class Scorer:
         Args:
             dataset: of the release, or its path.
             method: name in the result.
-            protocols: some of "paper", "known", "occluded".
+            protocols: some of "paper", "known", "occluded", "measured", "known-unsaid"; default: all that the
+                pairs allow.
             thresholds_file: see docs/scoring.md.
             missing: what a pair without a prediction is: "error" a failure, "empty" an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
@@ -79,7 +79,6 @@ class Scorer:
         check_names(release.targets, str(release.folder))
         self._release, self._method = release, method
         self._targets = {target.name: target for target in release.targets if target.split != "train"}
-        self._counting = Counting(tuple(protocols), upsampling, surface)
         self._results: dict[Target, PairResult] = {}
         self._empty: dict[Target, PairResult] = {}
         self._thresholds: Thresholds | None = None
@@ -88,6 +87,7 @@ class Scorer:
         if own_threshold is not None and self._own is None:
             raise SettingsError(f"own_threshold is {own_threshold!r}: it must be one of {STEPS_IN_WORDS}")
         test = pairs_to_score(release, thresholds_file)
+        self._counting = counting_of(release, protocols, upsampling, surface)
         if thresholds_file is not None:
             self._thresholds = thresholds_for(thresholds_file, test)
 
@@ -111,7 +111,7 @@ class Scorer:
         if target.split == "test":
             threshold = self._fixed().of[target.category]
         values = checked(np.asarray(prediction), pair_id)
-        truth = read_truth(self._release.pair_path(target), target.sha256)
+        truth = read_truth(self._release.pair_path(target), target.sha256, self._counting.distrusted)
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:

@@ -14,7 +14,6 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import (
     CE_CLIP,
-    PRIMARY,
     THRESHOLDS,
     is_all_unknown,
     protocol_counts,
@@ -25,6 +24,7 @@ from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.pair_result import Counting
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
 from kinectbench.scoring.thresholds import SEARCHED, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
@@ -135,9 +135,10 @@ def rows_of(
 
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
     """One pair under one protocol."""
-    counts, everything = (protocol_counts(result.tally, name) for name in (protocol, "paper"))
+    tally = result.tally_under(protocol)
+    counts, everything = (protocol_counts(tally, name) for name in (protocol, "paper"))
     figures, surface, base_rate_ce, curve = VoxelMetrics(), SurfaceMetrics(), None, None
-    if not is_all_unknown(result.tally, protocol):
+    if not is_all_unknown(tally, protocol):
         figures = metrics(counts, THRESHOLDS.index(threshold))
         surface = result.surface.get(protocol, SurfaceMetrics())
         base_rate_ce = constant_cross_entropy(counts.occupied, counts.voxels, rate)

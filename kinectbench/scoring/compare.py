@@ -11,8 +11,8 @@ from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES, 
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans, object_means
-from kinectbench.scoring.counts import PRIMARY
 from kinectbench.scoring.letters import MOST_GROUPS, letters
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.uncertainty import MAX_EXACT, holm, samples, sign_flip_ps, smallest_p
 
 ALPHA = 0.05
@@ -89,7 +89,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     Args:
         tables: at least two, complete.
         metric: one of those that are averaged.
-        protocol: "paper", "known" or "occluded".
+        protocol: one of those that they were scored under.
 
     Raises:
         SettingsError: fewer than two tables, another truth, version or upsampling, an incomplete table, pairs

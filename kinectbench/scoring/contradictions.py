@@ -15,6 +15,7 @@ from kinectbench.core.storage import name_problem
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.counts import CE_CLIP, THRESHOLDS
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.table_bounds import ROUNDING, out_of_bounds
 from kinectbench.scoring.thresholds import (
     FIXED,
@@ -87,6 +88,7 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
     thing: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[int, float | None]] = {}
     pairs: dict[str, set[str]] = {}
+    most = {row.pair: row for row in table.rows if row.protocol == PRIMARY}
     for row in table.rows:
         of, here = f"the row of {row.pair} under {row.protocol}", pairs.setdefault(row.protocol, set())
         if row.pair in here:
@@ -97,11 +99,20 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
         if whole.setdefault(row.pair, (row.cells, row.unknown_share)) != (row.cells, row.unknown_share):
             yield f"{of} has other cells, or another share of unknown, than under another protocol"
         yield from (f"{of} {words}" for words in _in_row(row, table.score_version))
+        if row.protocol != "paper" and (known := most.get(row.pair)) is not None and _counts_more(row, known):
+            yield f"{of} counts more than the protocol {PRIMARY} does"
     if any(of != pairs[table.rows[0].protocol] for of in pairs.values()):
         yield "its protocols are of different pairs"
     protocols = table.settings.protocols
     if pairs and protocols and sorted(pairs) != sorted(protocols):
         yield f"its rows are under {_listed(sorted(pairs))}, its settings name {_listed(protocols)}"
+
+
+def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
+    """Whether a row of a pair covers more than another; what is not told covers nothing."""
+    return (row.coverage_voxels or 0.0) > (known.coverage_voxels or 0.0) + ROUNDING or (
+        (row.coverage_shape or 0.0) > (known.coverage_shape or 0.0) + ROUNDING
+    )
 
 
 def _in_row(row: ScoreRow, version: int) -> Iterator[str]:

@@ -3,7 +3,7 @@
 Likewise what a prediction says is occupied, and what the truth itself counts at a coarser resolution.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
@@ -15,6 +15,7 @@ from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
+from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.truth import Truth
 
 Prediction = NDArray[np.bool_] | NDArray[np.float16] | NDArray[np.float32]
@@ -23,14 +24,6 @@ STEPS = 20
 THRESHOLD_STEPS = tuple(range(2, 19))
 THRESHOLDS = tuple(k / STEPS for k in THRESHOLD_STEPS)
 CE_CLIP = 1e-7
-
-# The codes (see kernels.py) that a protocol counts.
-PROTOCOLS = {
-    "paper": tuple(range(8)),
-    "known": tuple(code for code in range(8) if code & 2),
-    "occluded": tuple(code for code in range(8) if code & 2 and not code & 4),
-}
-PRIMARY = "known"
 
 
 @dataclass(frozen=True)
@@ -76,6 +69,15 @@ def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) ->
     return _tally_parts([prediction.view(np.float32)], ([grid] for grid in grids))
 
 
+def tallies(
+    prediction: Prediction, truth: Truth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
+) -> tuple[Tally, dict[str, Tally]]:
+    """The tally of a prediction, and {protocol: its tally} where a protocol trusts less of the truth."""
+    less = {name: truth.distrusting(PROTOCOLS[name].distrusts) for name in protocols}
+    others = {name: tally(prediction, of, upsampling) for name, of in less.items() if of is not truth}
+    return tally(prediction, truth, upsampling), others
+
+
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
     """Tally of a histogram: `values` (m,) ascending, `counts` (m, 8)."""
     not_above = np.searchsorted(values, THRESHOLDS, side="right")
@@ -99,7 +101,7 @@ def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable
 
 def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
     """Sum a tally over the voxels that a protocol counts."""
-    codes = list(PROTOCOLS[protocol])
+    codes = list(PROTOCOLS[protocol].codes)
     occupied = [code for code in codes if code & 1]
     return ProtocolCounts(
         voxels=int(tally.voxels[codes].sum()),
@@ -124,10 +126,9 @@ def is_all_unknown(tally: Tally, protocol: str) -> bool:
     shape. Under `paper`, which counts every voxel, neither can be. Source: own rule.
     """
     voxels: list[int] = tally.voxels.tolist()
-    counted = PROTOCOLS[protocol]
-    looked_at = {*counted, *(code ^ 2 for code in counted)}  # the same voxels, were they known or not
-    shape, known_shape = (sum(voxels[code] for code in codes if code & 1) for codes in (looked_at, counted))
-    return not any(voxels[code] for code in counted) or (shape > 0 and known_shape == 0)
+    of = PROTOCOLS[protocol]
+    shape, known_shape = (sum(voxels[c] for c in codes if c & 1) for codes in (of.looked_at, of.codes))
+    return not any(voxels[code] for code in of.codes) or (shape > 0 and known_shape == 0)
 
 
 def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:
@@ -152,8 +153,10 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
     return np.packbits(prediction > cut, axis=-1)
 
 
-def ceiling(truth: Truth, side: int, upsampling: str) -> Tally:
-    """Count the truth, each cell of `side`^3 the occupied share of its volume, as if it were a prediction.
+def ceiling(
+    truth: Truth, side: int, protocols: Sequence[str], upsampling: str
+) -> tuple[Tally, Mapping[str, Tally]]:
+    """The tallies of the truth, each cell of `side`^3 the occupied share of its volume, as of a prediction.
 
     The best IoU among the thresholds is what a method of that resolution reaches that knows the truth and
     reduces it as usual. One that chooses its values with the upsampling in mind may reach a little more.
@@ -161,9 +164,10 @@ def ceiling(truth: Truth, side: int, upsampling: str) -> Tally:
     Args:
         truth: the packed truth.
         side: below 256.
+        protocols: see `tallies`.
         upsampling: see `upsampled_planes`.
     """
-    return tally(reduced(unpack(truth.full), side), truth, upsampling)
+    return tallies(reduced(unpack(truth.full), side), truth, protocols, upsampling)
 
 
 def reduced(full: NDArray[np.bool_], side: int) -> Float32:

@@ -16,6 +16,7 @@ from kinectbench.core.voxels.pair_file import (
     PACKED_SHAPES,
     TEXTS,
     Pair,
+    keys_there,
     pair_parts,
     unknown_share,
     unpack,
@@ -153,12 +154,12 @@ def load(
     Args:
         path: its folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md), which are read in place.
         keys: what an item holds beside `pair_id`; nothing else is unpacked. Grids: `partial` (64, 64, 64),
-            `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool. Matrices, float64, metres
-            and pixels: `T_world_grid`, `T_world_camera` (4, 4), `K` (3, 3). Numbers: `voxel_size_m`,
-            `surface_sigma_m`. Texts: `framing`, `partial_rule`, `occupancy_rule`. Images of the view: `depth`
-            (height, width) float32, metres, 0 = none; `mask` (height, width) bool; `color` (height, width, 3)
-            uint8 RGB. And `meta`. Default: `partial`, `full`, `known`, `meta`. Keys of the truth are missing
-            in items whose truth is held back.
+            `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool; of pairs that have them
+            `interior` and `said`. Matrices, float64, metres and pixels: `T_world_grid`, `T_world_camera`
+            (4, 4), `K` (3, 3). Numbers: `voxel_size_m`, `surface_sigma_m`. Texts: `framing`, `partial_rule`,
+            `occupancy_rule`. Images of the view: `depth` (height, width) float32, metres, 0 = none; `mask`
+            (height, width) bool; `color` (height, width, 3) uint8 RGB. And `meta`. Default: `partial`,
+            `full`, `known`, `meta`. Keys of the truth are missing in items whose truth is held back.
         transform: called with each item; what it returns is the item. It must be picklable where worker
             processes are spawned.
         packed: leave the grids as they are stored, uint8 with 8 cells a byte along the last axis:
@@ -197,7 +198,8 @@ def _read(release: Release, target: Target, names: Sequence[str]) -> dict[str, A
     """
     content, where = release.pair_content(target), release.pair_path(target)
     try:
-        return dict(zip(names, pair_parts(content, names), strict=True))
+        there = keys_there(names, content)
+        return dict(zip(there, pair_parts(content, there), strict=True))
     except UNREADABLE as error:
         raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
 

@@ -18,10 +18,11 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import Prediction, ceiling, occupied, protocol_counts, tally
+from kinectbench.scoring.counts import Prediction, ceiling, occupied, protocol_counts, tallies
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.prediction_file import load_hashed
+from kinectbench.scoring.protocols import distrusted
 from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
 
@@ -35,7 +36,7 @@ class Counting:
     """How pairs are counted; the same for all pairs of a run.
 
     Attributes:
-        protocols: some of "paper", "known", "occluded".
+        protocols: names of `PROTOCOLS`.
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
     """
@@ -43,6 +44,11 @@ class Counting:
     protocols: tuple[str, ...]
     upsampling: str = HALF_PIXEL
     surface: bool = True
+
+    @property
+    def distrusted(self) -> tuple[str, ...]:
+        """The grids of a pair file that are read for these protocols beside those that every pair has."""
+        return distrusted(self.protocols)
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,7 @@ def count_job(job: Job) -> PairResult | str:
         return str(error)
     if job.earlier is not None and job.earlier.key == job.key(digest):
         return job.earlier.result
-    truth = read_truth(job.truth, job.target.sha256)
+    truth = read_truth(job.truth, job.target.sha256, job.counting.distrusted)
     result = count(prediction, truth, job.counting, job.threshold)
     cells = 0 if job.file is None else result.cells
     return replace(result, digest=digest, cells=cells, outside_share=outside)
@@ -99,7 +105,8 @@ def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: f
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface = surfaces(prediction, truth, counting, threshold)
-    return PairResult(tally(prediction, truth, counting.upsampling), side, reached, surface, None)
+    counted, others = tallies(prediction, truth, counting.protocols, counting.upsampling)
+    return PairResult(counted, side, reached, surface, None, tallies=others)
 
 
 def surfaces(
@@ -116,8 +123,9 @@ def ceilings(truth: Truth, side: int, counting: Counting) -> Mapping[str, float]
     """{protocol: the IoU that a prediction of this side can reach}; 1 from 256 on."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
-    best = ceiling(truth, side, counting.upsampling)
-    return {name: float(ious(protocol_counts(best, name)).max()) for name in counting.protocols}
+    best, others = ceiling(truth, side, counting.protocols, counting.upsampling)
+    of = {name: protocol_counts(others.get(name, best), name) for name in counting.protocols}
+    return {name: float(ious(counts).max()) for name, counts in of.items()}
 
 
 class Journal:

@@ -16,10 +16,10 @@ from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.declared import changed_files, changed_line, method_lines, read_method
 from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
+from kinectbench.scoring.protocols import check_protocols, protocols_of
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
 from kinectbench.scoring.thresholds import SEARCHED, read_thresholds
@@ -33,7 +33,7 @@ def score(
     predictions: Path,
     *,
     method: str,
-    protocols: Sequence[str] = tuple(PROTOCOLS),
+    protocols: Sequence[str] | None = None,
     thresholds_file: Path | None = None,
     missing: Missing = "error",
     upsampling: str = HALF_PIXEL,
@@ -48,7 +48,7 @@ def score(
         release: what the predictions are for.
         predictions: one method's folder, `<recording>/<view>.npy` or `.npz`; untrusted.
         method: its name.
-        protocols: some of "paper", "known", "occluded".
+        protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`; it wins over the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
@@ -65,12 +65,12 @@ def score(
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
             is held back.
-        SettingsError: an unknown protocol or an unusable threshold file.
+        SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
     check_words(protocols, upsampling)
     asked = plan(release, predictions, thresholds_file, missing)
-    _refuse_many_rows(len(release.split("test")), protocols)
-    counting, journal = Counting(tuple(protocols), upsampling, surface), Journal(resume_in)
+    counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
+    _refuse_many_rows(len(release.split("test")), counting.protocols)
     rounds = Rounds(release, counting, journal, jobs, progress)
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     reasons = {target: result for target, result in outcomes.items() if isinstance(result, str)}
@@ -128,15 +128,20 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
         )
 
 
-def check_words(protocols: Sequence[str], upsampling: str) -> None:
+def counting_of(
+    release: Release, protocols: Sequence[str] | None, upsampling: str, surface: bool
+) -> Counting:
+    """How the pairs of a release are counted; arguments and errors as of `score`."""
+    return Counting(protocols_of(release, protocols), upsampling, surface)
+
+
+def check_words(protocols: Sequence[str] | None, upsampling: str) -> None:
     """Refuse names of protocols and of upsampling that are not known.
 
     Raises:
         SettingsError: one that is not.
     """
-    unknown = [name for name in protocols if name not in PROTOCOLS]
-    if unknown or not protocols:
-        raise SettingsError(f"no protocol '{', '.join(unknown)}': choose among {', '.join(PROTOCOLS)}")
+    check_protocols(protocols)
     if upsampling not in CONVENTIONS:
         raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
 
@@ -163,7 +168,7 @@ def score_methods(
         predictions: one method's folder (its subfolders are recordings), or a folder of methods.
         out: folder for the results.
         method: name of a single method; default: its folder's.
-        protocols: default: all.
+        protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`.
         save_thresholds: freeze the thresholds in this file, if any was found on validation.
         missing: "error" or "empty".
@@ -186,7 +191,7 @@ def score_methods(
             release,
             folder,
             method=name,
-            protocols=tuple(protocols or PROTOCOLS),
+            protocols=protocols,
             thresholds_file=thresholds_file,
             missing=rule,
             upsampling=upsampling,
@@ -229,9 +234,9 @@ def count_methods(
     methods = _methods(release, predictions, method, None)
     failed = 0
     for name, folder in methods.items():
-        _refuse_many_rows(len(release.split("test")), protocols or tuple(PROTOCOLS))
         asked = plan(release, folder, thresholds_file, rule)
-        counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
+        counting = counting_of(release, protocols, upsampling, surface)
+        _refuse_many_rows(len(release.split("test")), counting.protocols)
         journal = Journal(out if len(methods) == 1 else out / name, shard)
         rounds = Rounds(release, counting, journal, jobs, progress)
         outcomes, _ = rounds.count(asked.part(shard, surface=surface), asked.fixed, asked.own)
@@ -255,7 +260,7 @@ def check_request(
         What is to be done with a missing prediction.
     """
     rule = check_missing(missing)
-    check_words(protocols or tuple(PROTOCOLS), upsampling)
+    check_words(protocols, upsampling)
     if predictions is not None:
         check_folder(predictions)
     if thresholds_file is not None:

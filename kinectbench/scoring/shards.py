@@ -12,7 +12,14 @@ from kinectbench.core.untrusted import printable
 from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import read_npy
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.core.voxels.pair_file import MAX_BYTES, PACKED_SHAPES, checked_parts, pair_keys, pair_parts
+from kinectbench.core.voxels.pair_file import (
+    MAX_BYTES,
+    OPTIONAL,
+    PACKED_SHAPES,
+    checked_parts,
+    pair_keys,
+    pair_parts,
+)
 from kinectbench.scoring.dataset import (
     IMAGES,
     TARGET_KEYS,
@@ -64,7 +71,7 @@ def _parts(sample: Mapping[str, Any], row: Mapping[str, Any], keys: Sequence[str
         UNREADABLE: damaged, or one of them is missing.
     """
     here = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
-    names = wanted_parts(keys, hidden="full" not in here)
+    names = [n for n in wanted_parts(keys, hidden="full" not in here) if n in here or n not in OPTIONAL]
     if NPZ in sample:
         return dict(zip(names, pair_parts(sample[NPZ], names), strict=True))
     return checked_parts({name: _earlier(sample, row, name) for name in names}, names)

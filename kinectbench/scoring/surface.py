@@ -1,8 +1,9 @@
 """Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
 
 A set's surface is its cells with an empty 6-neighbour (outside the grid is empty). Distances are exact, and
-between cell centres: from the cells that the protocol counts to the nearest known cell of the other surface
-(under `paper` to any). So under `occluded` a hidden cell may have its nearest where the view saw.
+between cell centres: from the cells that the protocol counts to the nearest cell of the other surface that
+it takes for known (under `paper` to any). So under `occluded` a hidden cell may have its nearest where the
+view saw.
 """
 
 import math
@@ -15,6 +16,7 @@ import numpy as np
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed
+from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.truth import Truth
 
 if TYPE_CHECKING:  # numba is slow to load
@@ -61,25 +63,26 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
     Args:
         predicted: (256, 256, 32) uint8, packed: what is predicted occupied.
         truth: the packed truth.
-        protocols: some of "paper", "known", "occluded".
+        protocols: names of `PROTOCOLS`.
 
     Returns:
         By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
         is the grid's diagonal.
     """
-    from kinectbench.scoring.surface_kernels import matched, surface_of
+    from kinectbench.scoring.surface_kernels import Matched, matched, surface_of
 
     ours, theirs = surface_of(predicted), surface_of(truth.full)
-    found: dict[str, SurfaceMetrics] = {}
-    if "paper" in protocols:
-        found["paper"] = _metrics(matched(ours, theirs), matched(theirs, ours), truth)
-    if set(protocols) - {"paper"}:  # both measure to the known cells
-        ours, theirs = ours.within(truth.known), theirs.within(truth.known)
-        there, back = matched(ours, theirs), matched(theirs, ours)
-        found["known"] = _metrics(there, back, truth)
-        hidden = ~truth.seen
-        found["occluded"] = _metrics(there.within(hidden), back.within(hidden), truth)
-    return {name: found[name] for name in protocols}
+    found, matches = dict[str, SurfaceMetrics](), dict[tuple[bool, str | None], tuple[Matched, Matched]]()
+    for name in protocols:
+        of = PROTOCOLS[name]
+        trusted = truth.distrusting(of.distrusts)
+        key = of.known, None if trusted is truth else of.distrusts
+        if key not in matches:  # one of several protocols that measure to the same cells
+            near, far = (each.within(trusted.known) if of.known else each for each in (ours, theirs))
+            matches[key] = matched(near, far), matched(far, near)
+        there, back = (each.within(~truth.seen) if of.hidden else each for each in matches[key])
+        found[name] = _metrics(there, back, truth)
+    return found
 
 
 def _metrics(there: "Matched", back: "Matched", truth: Truth) -> SurfaceMetrics:

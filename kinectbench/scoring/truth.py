@@ -1,7 +1,7 @@
-"""The truth of a pair as scoring reads it: three of the pair file's grids, still packed."""
+"""The truth of a pair as scoring reads it: some of the pair file's grids, still packed."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ class Truth:
         seen: what the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
+        others: by name the grids that some protocols do not trust.
     """
 
     full: Packed
@@ -32,24 +33,34 @@ class Truth:
     seen: Packed
     voxel_size_m: float
     surface_sigma_m: float
+    others: Mapping[str, Packed] = field(default_factory=dict)
 
     def flat(self) -> tuple[Packed, Packed, Packed]:
         """`full`, `known` and `seen` as (v / 8,) bytes."""
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
+    def distrusting(self, name: str | None) -> "Truth":
+        """The same without the cells of another grid in `known`; itself where those are none."""
+        if name is None or not self.others[name].any():
+            return self
+        return replace(self, known=self.known & ~self.others[name])
 
-def read_truth(path: Path, sha256: str) -> Truth:
+
+def read_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Truth:
     """Read the truth of one pair of a release.
 
     Args:
         path: the pair file.
         sha256: what its bytes must hash to.
+        others: grids that not every pair has, which are read, too (`protocols.distrusted`).
 
     Raises:
         ReleaseError: the file is missing, or not the published one.
     """
-    full, known, seen, voxel_size_m, surface_sigma_m = read_parts(path, sha256, (*GRIDS, *NUMBERS))
-    return Truth(full, known, seen, float(voxel_size_m), float(surface_sigma_m))
+    names = (*GRIDS, *NUMBERS, *others)
+    full, known, seen, voxel_size_m, surface_sigma_m, *more = read_parts(path, sha256, names)
+    further = dict(zip(others, more, strict=True))
+    return Truth(full, known, seen, float(voxel_size_m), float(surface_sigma_m), further)
 
 
 def read_voxel_size(path: Path, sha256: str) -> float:

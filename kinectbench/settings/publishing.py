@@ -80,7 +80,9 @@ class GateSettings(Settings):
     )
     min_grade: Grade = Field("not good", description="of the trajectory: not good, fair or good")
     # Own choice: beyond a half most of the truth is a guess. Sound ones: 0.08 to 0.3.
-    max_unknown_share: float = Field(0.5, ge=0, le=1, description="of the solid: never seen nor enclosed")
+    max_unknown_share: float = Field(
+        0.5, ge=0, le=1, description="of the solid: never seen, and some camera could see it"
+    )
     max_doubts: int = Field(
         0,
         ge=0,

@@ -24,6 +24,9 @@ from kinectbench.settings.models import PairSettings
 from kinectbench.stages.sample_views.views import View
 from kinectbench.stages.segment.object_model import ObjectModel
 
+# On the fine grid around the object, and on the coarse one around that.
+KnownGrids = tuple[KnownGrid, KnownGrid]
+
 
 @dataclass(frozen=True)
 class MadePair:
@@ -48,21 +51,33 @@ class FullShape:
         mesh: closed.
         volume_m3: of the mesh.
         known: where its truth is trusted: not labelled UNKNOWN, on the fine grid and the coarse one around.
+        interior: of these the voxels labelled INTERIOR, which are not measured.
+        said: of the known ones what is so by a person's word alone, an underside that nobody saw.
         surface_sigma_m: standard deviation of its surface, metres.
     """
 
     mesh: TriangleMesh
     volume_m3: float
-    known: tuple[KnownGrid, KnownGrid]
+    known: KnownGrids
+    interior: KnownGrids
+    said: KnownGrids
     surface_sigma_m: float
 
 
 def full_shape(model: ObjectModel) -> FullShape:
     """What the pairs need of an object."""
     mesh = model.shape.mesh
-    fine, coarse = model.shape.labels != Label.UNKNOWN, model.surround_labels != Label.UNKNOWN
-    grids = known_grid(model.shape.grid, fine), known_grid(model.surround, coarse)
-    return FullShape(mesh, mesh.volume_m3, grids, model.surface_sigma_m)
+    shape, coarse = model.shape, model.surround_labels != Label.UNKNOWN
+    known, interior = shape.labels != Label.UNKNOWN, shape.labels == Label.INTERIOR
+    around, nowhere = known_grid(model.surround, coarse), known_grid(model.surround, np.zeros_like(coarse))
+    return FullShape(
+        mesh,
+        mesh.volume_m3,
+        known=(known_grid(shape.grid, known), around),
+        interior=(known_grid(shape.grid, interior), nowhere),
+        said=(known_grid(shape.grid, known & shape.underside), nowhere),
+        surface_sigma_m=model.surface_sigma_m,
+    )
 
 
 def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSettings) -> MadePair:
@@ -110,6 +125,8 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
         surface_sigma_m=shape.surface_sigma_m,
         framing=settings.framing,
         partial_rule=settings.partial_rule,
+        interior=known_in(*shape.interior, grid),
+        said=known_in(*shape.said, grid),
     )
     return MadePair(pair, cut_share, None)
 

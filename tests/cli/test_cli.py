@@ -300,7 +300,7 @@ def test_baselines_are_scored_without_predictions(command: Command, scored: Path
     assert "silhouette" in page
     # What holds for all of them stands once, above each table.
     above = [line for line in page.splitlines() if '<p class="note">Every row:' in line]
-    assert len(above) == 3  # protocols
+    assert len(above) == 5  # protocols
     assert all('Every row:  <span class="badge plain">baseline</span>' in line for line in above)
     assert all(f'{name} <span class="badge plain">baseline</span>' not in page for name in METHODS)
 

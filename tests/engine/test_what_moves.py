@@ -69,7 +69,9 @@ def job(root: Path, name: str, by: str = "masks") -> Job:
     settings = BenchmarkSettings.model_validate(
         {
             "name": "moving",
-            "recordings": [{"id": name, "path": name, "category": "toy", "segment_by": by}],
+            "recordings": [
+                {"id": name, "path": name, "category": "toy", "segment_by": by, "underside": "closed"}
+            ],
             "fusion": {"voxel_size_m": 0.006, "scene_voxel_size_m": 0.02},
             "views": {"count": 3, "min_pixels": 200},
         }

@@ -221,6 +221,10 @@ WRONG: dict[str, tuple[Pair, list[str]]] = {
         replace(GOOD, known=np.zeros_like(GOOD.known)),
         [f"only 0 of the {int(np.unpackbits(GOOD.partial_256).sum())} cells of 'partial_256' are 'known'"],
     ),
+    "told by what, beyond what is known": (
+        replace(GOOD, known=GOOD.known & ~pack(CORNER), interior=pack(CORNER), said=pack(CORNER)),
+        ["1 cells of 'interior' are not 'known'", "1 cells of 'said' are not 'known'"],
+    ),
     "nothing seen": (
         replace(GOOD, seen=np.zeros_like(GOOD.seen)),
         [f"only 0 of the {int(np.unpackbits(GOOD.partial_256).sum())} cells of 'partial_256' are 'seen'"],

@@ -101,7 +101,7 @@ def write_volume(folder: Path) -> None:
     top = solid & ~np.roll(solid, -1, axis=2)
     labels = np.where(top, Label.SURFACE, np.where(solid, Label.INTERIOR, Label.FREE)).astype(np.uint8)
     grid = Grid(shape, edge_m, invert_rigid(T_FLOOR_WORLD) @ T_floor_grid)
-    ObjectVolume(grid, solid, labels, solid.astype(np.float16)).write(folder)
+    ObjectVolume(grid, solid, labels, solid.astype(np.float16), np.zeros_like(solid)).write(folder)
 
 
 def write_object(folder: Path) -> None:

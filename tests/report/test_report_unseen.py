@@ -40,7 +40,13 @@ def cube_volume(measured: tuple[slice | int, ...]) -> ObjectVolume:
     solid[CUBE, CUBE, CUBE] = True
     labels = np.where(solid, Label.INTERIOR, Label.FREE).astype(np.uint8)
     labels[measured] = Label.SURFACE
-    return ObjectVolume(Grid(solid.shape, VOXEL_M, T_WORLD_GRID), solid, labels, solid.astype(np.float16))
+    return ObjectVolume(
+        Grid(solid.shape, VOXEL_M, T_WORLD_GRID),
+        solid,
+        labels,
+        solid.astype(np.float16),
+        np.zeros_like(solid),
+    )
 
 
 def cube_mesh() -> TriangleMesh:
@@ -75,7 +81,13 @@ def test_the_far_side_of_a_thin_wall_was_not_seen() -> None:
     labels[:, :, 4:6] = Label.SURFACE
     labels[5:, :, :4] = Label.UNKNOWN
     grid = Grid(labels.shape, VOXEL_M, T_WORLD_GRID)
-    volume = ObjectVolume(grid, labels == Label.SURFACE, labels, np.zeros(labels.shape, np.float16))
+    volume = ObjectVolume(
+        grid,
+        labels == Label.SURFACE,
+        labels,
+        np.zeros(labels.shape, np.float16),
+        np.zeros(labels.shape, bool),
+    )
     upward = np.array([[0.0, 0, 0], [0.06, 0, 0], [0, 0.06, 0]])
     corners = []
     for x in (0.22, 0.72):

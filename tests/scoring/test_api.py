@@ -20,7 +20,7 @@ from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.compare import compare as compare_tables
-from kinectbench.scoring.counts import PRIMARY
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.score import score, score_methods
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from references import upsample
 
 from kinectbench.core.voxels.pair_file import pack
-from kinectbench.scoring.counts import PROTOCOLS, THRESHOLDS, protocol_counts, reduced, tally
+from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, reduced, tallies, tally
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
+from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.truth import Truth
 
 Bools = NDArray[np.bool_]
@@ -26,8 +27,8 @@ def grids() -> tuple[Bools, Bools, Bools]:
     return full, known, seen
 
 
-def truth_of(full: Bools, known: Bools, seen: Bools) -> Truth:
-    return Truth(pack(full), pack(known), pack(seen), 0.004, 0.005)
+def truth_of(full: Bools, known: Bools, seen: Bools, **others: Bools) -> Truth:
+    return Truth(pack(full), pack(known), pack(seen), 0.004, 0.005, {n: pack(of) for n, of in others.items()})
 
 
 def plain_metrics(y: NDArray[np.float64], full: Bools, mask: Bools, p: float) -> dict[str, float]:
@@ -69,18 +70,20 @@ PREDICTIONS: dict[str, Callable[[], NDArray[Any]]] = {
 def test_same_as_plain_numpy(name: str, grids: tuple[Bools, Bools, Bools]) -> None:
     full, known, seen = grids
     prediction = PREDICTIONS[name]()
-    counted = tally(prediction, truth_of(*grids))
+    interior, said = (np.broadcast_to(np.arange(SIDE) % step == 0, known.shape) for step in (3, 7))
+    counted, less = tallies(prediction, truth_of(*grids, interior=interior, said=said), [*PROTOCOLS])
     y = prediction.astype(np.float64) if len(prediction) == SIDE else upsample(prediction)
     masks = {"paper": np.ones_like(known), "known": known, "occluded": known & ~seen}
-    assert set(masks) == set(PROTOCOLS)
+    masks |= {"measured": known & ~interior, "known-unsaid": known & ~said}
+    assert set(masks) == set(PROTOCOLS) and set(less) == {"measured", "known-unsaid"}
     for protocol, mask in masks.items():
-        counts = protocol_counts(counted, protocol)
+        counts = protocol_counts(less.get(protocol, counted), protocol)
         assert (counts.voxels, counts.occupied) == (mask.sum(), (full & mask).sum())
-        for step in {"paper": (0, 16), "known": (5,), "occluded": (4, 9)}[protocol]:
+        for step in {"paper": (0, 16), "occluded": (4, 9)}.get(protocol, (5,)):
             above = (y > THRESHOLDS[step]) & mask
             assert counts.predicted[step] == above.sum()
             assert counts.hit[step] == (above & full).sum()
-        if protocol == "paper":
+        if protocol not in ("known", "occluded"):
             continue
         expected = plain_metrics(y, full, mask, THRESHOLDS[8])
         found = asdict(metrics(counts, 8))

@@ -1,7 +1,7 @@
 """Surface metrics against brute force, by hand, and in every edge case."""
 
 import math
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -139,12 +139,14 @@ def test_against_plain_numpy_and_a_tree(seed: int) -> None:
     predicted = np.roll(full, 3 - seed, axis=seed) & ~box(120, 120, 120, 125, 140, 150)
     predicted |= rng.random(CUBE, dtype=np.float32) < 3e-6
     known, seen = rng.random(CUBE, dtype=np.float32) < 0.9, np.arange(256) < np.full(CUBE, 125)
-    truth = truth_of(full, known, seen)
+    said = np.broadcast_to(np.arange(256) > 128, CUBE)
+    truth = replace(truth_of(full, known, seen), others={"said": pack(said), "interior": pack(NOTHING)})
     masks = {"paper": EVERYTHING, "known": known, "occluded": known & ~seen}
+    masks |= {"known-unsaid": known & ~said, "measured": known}
     found = surface_metrics(pack(predicted), truth, list(masks))
     surfaces = surface_of(predicted), surface_of(full)
     for protocol, mask in masks.items():
-        trusted = EVERYTHING if protocol == "paper" else known
+        trusted = known if protocol == "occluded" else mask
         lengths = truth.voxel_size_m, truth.surface_sigma_m
         expected = surface_reference(*surfaces, mask, trusted, *lengths)
         assert vars(found[protocol]) == pytest.approx(expected, abs=1e-9, rel=1e-9)

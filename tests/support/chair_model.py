@@ -28,5 +28,7 @@ def chair() -> Chair:
     recorded = furniture(small_spec("chair:seed=9", 24, world="random"))
     trajectory = track(recorded.sequence, "trust", TrackingSettings())
     scene = fuse(recorded.sequence, trajectory, FUSION).mesh
-    model = build_object(recorded.sequence, trajectory, scene, None, SegmentationSettings(), FUSION)
+    model = build_object(
+        recorded.sequence, trajectory, scene, None, SegmentationSettings(), FUSION, underside="closed"
+    )
     return Chair(recorded, trajectory, model)

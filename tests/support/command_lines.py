@@ -9,7 +9,7 @@ Command = Callable[..., Run]
 ONE = """\
 name: one
 recordings:
-  - {id: chair, path: recordings/chair, category: chair}
+  - {id: chair, path: recordings/chair, category: chair, underside: closed}
 fusion: {voxel_size_m: 0.015, scene_voxel_size_m: 0.03}
 views: {count: 3, min_pixels: 100}
 tracking: {check_stride_px: 4}

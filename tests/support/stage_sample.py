@@ -33,7 +33,7 @@ SETTINGS = {
     "license": "CC0-1.0",
     "source": "simulated",
     "recordings": [
-        {"id": "given", "path": str(RECORDING), "category": "chair"},
+        {"id": "given", "path": str(RECORDING), "category": "chair", "underside": "closed"},
         {"id": "tracked", "path": "half", "category": "chair", "trajectory": "ignore"},
         {"id": "refined", "path": "half", "category": "chair", "trajectory": "refine"},
         {

@@ -1,6 +1,8 @@
 """A small release of simple shapes, made as the stages would make it: a build folder, then publish."""
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +15,13 @@ from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.geometry.mesh import TriangleMesh, write_ply
 from kinectbench.core.storage import sha256_file
-from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes
+from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.settings.models import BenchmarkSettings
 
 Bools = NDArray[np.bool_]
+PairOf = Callable[[int, str], Pair]
 
 Recordings = tuple[tuple[str, str, str, str, int], ...]
 RECORDINGS: Recordings = (
@@ -83,6 +86,13 @@ def synthetic_pair(number: int, category: str) -> Pair:
     )
 
 
+def told_pair(number: int, category: str) -> Pair:
+    """The same, told by what it is known: what lies deep inside is not measured, a part of that was said."""
+    pair = synthetic_pair(number, category)
+    deep = unpack(pair.full) & ~unpack(pair.shell) & unpack(pair.known) & (np.arange(256) > 60)
+    return replace(pair, interior=pack(deep), said=pack(deep & (np.arange(256) > 160)))
+
+
 def synthetic_settings(wanted: Recordings = RECORDINGS, **more: Any) -> BenchmarkSettings:
     """Settings of the benchmark that the synthetic release is published from."""
     recordings = [
@@ -93,8 +103,8 @@ def synthetic_settings(wanted: Recordings = RECORDINGS, **more: Any) -> Benchmar
     return BenchmarkSettings.model_validate(content | more)
 
 
-def write_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
-    """Write what publish reads of every recording."""
+def write_build(build: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = synthetic_pair) -> None:
+    """Write what publish reads of every recording; `pair_of` gives a pair by its number and category."""
     for index, (name, category, _, _, count) in enumerate(wanted):
         views = [f"{view:03d}" for view in range(count)]
         for folder in ("sequence", "trajectory", "reconstruction", "object", "views", "pairs"):
@@ -111,7 +121,7 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
             write_json(build / name / folder / "manifest.json", manifest)
         rows = []
         for view in views:
-            pair = synthetic_pair(index + int(view), category)
+            pair = pair_of(index + int(view), category)
             (build / name / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
             write_images(build / name / "views", view)
             pose = pair.T_world_camera.tolist()
@@ -135,7 +145,8 @@ def write_object(folder: Path, index: int) -> None:
     solid = np.zeros(shape, dtype=bool)
     solid[1, 1, 1 : 2 + index % 4] = True
     labels = np.where(solid, Label.SURFACE, Label.FREE).astype(np.uint8)
-    ObjectVolume(Grid(shape, 0.01, np.eye(4)), solid, labels, solid.astype(np.float16)).write(folder)
+    grid, probability = Grid(shape, 0.01, np.eye(4)), solid.astype(np.float16)
+    ObjectVolume(grid, solid, labels, probability, np.zeros_like(solid)).write(folder)
 
 
 def write_images(views: Path, view: str) -> None:
@@ -152,9 +163,11 @@ def write_json(path: Path, content: Any) -> None:
     path.write_text(json.dumps(content), encoding="utf-8")
 
 
-def publish_synthetic(root: Path, wanted: Recordings = RECORDINGS) -> PublishSummary:
+def publish_synthetic(
+    root: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = synthetic_pair
+) -> PublishSummary:
     """Build and publish below `root`."""
-    write_build(root / "build", wanted)
+    write_build(root / "build", wanted, pair_of)
     names = [recording[0] for recording in wanted]
     return publish(synthetic_settings(wanted), root / "build", root / "benchmark", names)
 

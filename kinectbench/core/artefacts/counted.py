@@ -1,7 +1,7 @@
 """What is counted of a pair, and .counted.jsonl, where it lies until a method is scored: one pair a line."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -42,6 +42,7 @@ class PairResult:
         surface: {protocol: surface metrics}; empty if they were not asked for.
         digest: BLAKE3 of the prediction's file, as "blake3:<hex>"; None if there is no file.
         outside_share: of a mesh's volume, what lies outside the grid and was cut off.
+        tallies: {protocol: its tally}, where it trusts less of the truth than `tally`.
     """
 
     tally: Tally
@@ -50,6 +51,11 @@ class PairResult:
     surface: Mapping[str, SurfaceMetrics]
     digest: str | None
     outside_share: float = 0.0
+    tallies: Mapping[str, Tally] = field(default_factory=dict)
+
+    def tally_under(self, protocol: str) -> Tally:
+        """The tally that a protocol counts by."""
+        return self.tallies.get(protocol, self.tally)
 
 
 class CountedPair(Part):

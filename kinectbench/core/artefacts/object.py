@@ -120,9 +120,9 @@ class LabelCounts(Part):
 
     free: int = Field(description="seen through, voxels")
     other: int = Field(description="not the object, voxels")
-    surface: int = Field(description="measured on the object, voxels")
-    interior: int = Field(description="enclosed by its surface, voxels")
-    unknown: int = Field(description="never seen or never decided, voxels")
+    surface: int = Field(description="measured on the object, or just behind, voxels")
+    interior: int = Field(description="that no camera could see, voxels")
+    unknown: int = Field(description="never seen, and some camera could see them, voxels")
 
 
 class UnseenSidePart(ScaledPart):
@@ -194,7 +194,9 @@ class QualityFile(Stored):
     unknown_air_share: float | None = Field(
         None, description="never seen and taken for air beside the solid, by the solid's volume; may exceed 1"
     )
-    doubtful_share: float | None = Field(None, description="of the solid: perhaps a hollow")
+    doubtful_share: float | None = Field(
+        None, description="of the solid: perhaps a hollow; in files up to version 27 of the stage"
+    )
     underside: Underside | None = Field(
         None, description="what a person says of its underside, as `underside` in benchmark.yaml: no evidence"
     )

@@ -22,14 +22,13 @@ class Label(IntEnum):
     FREE = 0
     """Seen through: empty."""
     OTHER = 1
-    """Not the object: observed, but floor, neighbour, outside a given box, or below the floor; or never seen
-    and inferred to be empty (a hollow behind an apron, a shadow under the object)."""
+    """Not the object: observed, but floor, neighbour, outside a given box, or below the floor."""
     SURFACE = 2
-    """Measured on the object: occupied."""
+    """Measured on the object, or in the thin band behind what was measured: occupied."""
     INTERIOR = 3
-    """Enclosed by its surface: occupied."""
+    """No camera could see it past what was measured: occupied, by the definition of air."""
     UNKNOWN = 4
-    """Never in a frustum, or never decided: occupied by probability, not trusted."""
+    """Never seen, and some camera could see it: occupied by probability, not trusted."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,13 @@ class OnGrid:
     Attributes:
         FILE: its name.
         VERSION: what the file holds of its format.
+        ADDED: arrays that older files lack: nothing is set in them.
         grid: `voxel_size_m` and `T_world_grid` in the file.
     """
 
     FILE: ClassVar[str]
     VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {}
+    ADDED: ClassVar[tuple[str, ...]] = ()
 
     grid: Grid
 
@@ -63,8 +64,10 @@ class OnGrid:
         path = folder / cls.FILE
         stored = read_npz(path)
         try:
-            arrays = {field.name: stored[field.name] for field in fields(cls) if field.name != "grid"}
+            names = [field.name for field in fields(cls) if field.name != "grid"]
+            arrays = {name: stored[name] for name in names if name not in cls.ADDED or name in stored}
             nx, ny, nz = next(iter(arrays.values())).shape
+            arrays = {name: arrays.get(name, np.zeros((nx, ny, nz), bool)) for name in names}
             grid = Grid((nx, ny, nz), float(stored["voxel_size_m"]), stored["T_world_grid"].reshape(4, 4))
         except (ValueError, KeyError, TypeError) as error:
             raise StorageError(f"{path}: damaged ({error}); {Stored.ADVICE}") from error
@@ -82,14 +85,17 @@ class ObjectVolume(OnGrid):
         solid: bool, occupied.
         labels: uint8, see `Label`.
         probability: float16, in [0, 1], that the voxel is occupied.
+        underside: bool, nobody saw it, and only lines of sight that look up reach it; older files have none.
     """
 
     FILE: ClassVar[str] = "volume.npz"
+    ADDED: ClassVar[tuple[str, ...]] = ("underside",)
     VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {"format_version": np.asarray(1)}
 
     solid: Bools
     labels: NDArray[np.uint8]
     probability: NDArray[np.float16]
+    underside: Bools
 
 
 @dataclass(frozen=True)

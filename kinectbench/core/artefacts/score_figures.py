@@ -110,7 +110,8 @@ class Pair:
     view: str = Field(description="zero-padded index", json_schema_extra={"pattern": "^[0-9]{3,6}$"})
     category: str = Field(description='such as "chair"')
     protocol: str = Field(
-        description="which voxels are counted", json_schema_extra={"enum": ["paper", "known", "occluded"]}
+        description="which voxels are counted",
+        json_schema_extra={"enum": ["paper", "known", "occluded", "measured", "known-unsaid"]},
     )
     threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")
 

@@ -3,40 +3,29 @@
 from pydantic import Field
 
 from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.types import Underside
 
 Curve = tuple[tuple[float, float], ...]
 
 
-class RuleProbabilities(Part):
-    """Probabilities that a voxel is occupied, where a rule says so."""
+class AirMethod(Part):
+    """What a camera could see, by which air is defined; lengths in metres."""
 
-    hollow: float = Field(description="in a hollow behind an apron")
-    doubtful: float = Field(description="in what may be a hollow")
-    under: float = Field(description="under the object")
-    under_empty: float = Field(description="under the object, and called empty")
-    beside_empty: float = Field(description="elsewhere, and called empty")
+    line_width_m: float = Field(description="a line of sight is as wide")
+    narrower: float = Field(description="lines of so much of that width are asked: slits are unknown")
+    near_m: float = Field(description="a camera is at least so far from what it sees")
+    camera_size_m: float = Field(description="diameter of the ball that is moved without crossing the object")
+    camera_height_m: float = Field(description="its centre is at least so high above the plane")
+    stands: bool = Field(description="false: without a plane that blocks lines and cameras")
+    underside: Underside = Field(description="what a person says of it")
+    directions: int = Field(description="of the lines that are tried")
+    sheet_voxels: float = Field(description="a line ends so near to a surface, on both sides, voxels")
 
-
-class OpenProbabilities(Part):
-    """Probabilities that a voxel is occupied that lies open to free space, and that no frame saw."""
-
-    among_m: float = Field(description="edge of the cube in which sealed voxels are counted, metres")
-    among: Curve = Field(description="[share of sealed voxels among those not seen, probability]")
-    crack: tuple[float, ...] = Field(description="by how many of nine directions upwards are open")
-    beside: tuple[float, ...] = Field(description="by how many of eight level directions are open")
-    below: tuple[float, ...] = Field(description="the same where most directions downwards are open, too")
-    open_below: int | None = Field(None, description="so many of nine are most directions downwards")
-    cavity: tuple[float, ...] = Field(description="in a cavity, by how many directions upwards are open")
-    hung: float | None = Field(None, description="in a thick body that hangs high in the air, at most")
-    right_below_m: float | None = Field(
-        None, description="so far below what a measured surface tells, metres, a board may go on"
-    )
-    right_below_max_ray_m: float | None = Field(
-        None, description="where the frames' rays are narrower than this, metres"
-    )
-    right_below: tuple[float, ...] | None = Field(
-        None, description="there, by how many of eight level directions are open, at least"
-    )
+    @property
+    def limits(self) -> SensorLimits:
+        """Of the sensor."""
+        return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 
 class CarriedLegs(Part):
@@ -49,16 +38,13 @@ class CarriedLegs(Part):
 
 
 class FrontierMethod(Part):
-    """Which openings that nobody looked into are told, and from where one would look into them."""
+    """Which regions that some camera could still see are told, and from where one would look into them."""
 
     least_share: float = Field(description="of the solid's volume, that lies behind one at least")
-    around_corner_share: float | None = Field(
-        None, description="of what lies around a corner, less than so much leads straight out"
-    )
     least_area_m2: float = Field(description="its least area, square metres")
     least_probability: float = Field(description="of being inside, of what counts as behind one")
-    first: tuple[float, float] = Field(
-        description="how much more a way out counts that leads upwards, or to the side, than one down"
+    enough: float | None = Field(
+        None, description="a direction does that shows so much of what the best one shows"
     )
 
 
@@ -74,7 +60,10 @@ class EstimateMethod(Part):
     missed_more: float = Field(description="of what is estimated to be missing, that may be missing, too")
     missed_less: float = Field(description="of what is estimated to be missing, that may not be missing")
     missed_least: float = Field(description="of the solid, that may be missing or not, besides")
-    doubted_share: float = Field(description="of the variance of what is unknown, that may be amiss")
+    coin_sigmas: float | None = Field(
+        None, description="standard deviations of all unknown regions, each a coin, on both sides"
+    )
+    decided: float | None = Field(None, description="a voxel that is less probable, or more than 1 minus it")
     max_volume_share_per_mm: float = Field(
         description="of the volume, that 1 mm of surface is before thin parts are a reason"
     )
@@ -84,52 +73,10 @@ class EstimateMethod(Part):
 
 
 class SolidMethod(Part):
-    """The constants by which a solid was made from what the frames saw."""
+    """The constants by which a solid was made from what the frames saw; older files have others beside."""
 
     name: str = Field(description="its steps, in words")
-    occupied_share: float | None = Field(
-        None, description="of 26 directions that enclose an unseen voxel: it is occupied from so many on"
-    )
-    interior_share: float | None = Field(None, description="the same for the label interior")
-    level_enclosed: int | None = Field(
-        None, description="of the 8 level directions: so many enclose what is not under the object"
-    )
-    empty_under: int | None = Field(
-        None,
-        description="of the 17 directions that do not go up: at most so many enclose what is empty under it",
-    )
-    empty_share: float | None = Field(
-        None, description="of 26 directions that enclose an unseen voxel elsewhere: below it is empty"
-    )
-    hollow_overhang_m: float | None = Field(
-        None, description="least overhang of a top over the apron that it rests on, metres"
-    )
-    hollow_full_overhang: float | None = Field(
-        None,
-        description="least overhang over a hollow's uppermost layer, as a share of that over the next one",
-    )
-    hollow_height_m: tuple[float, float] | None = Field(
-        None, description="least height, and greatest depth under the top, metres"
-    )
-    doubtful_height_m: float | None = Field(
-        None, description="greatest height of what may be a hollow, metres"
-    )
-    hollow_enclosed_height_m: float | None = Field(
-        None, description="least height of a hollow's part that would otherwise be interior, metres"
-    )
-    hollow_beneath_share: tuple[float, float] | None = Field(
-        None, description="of 26 directions, right under a hollow: most if it is open, least behind an apron"
-    )
-    hollow_open_below: int | None = Field(None, description="of 9 ways down, so many at least lead outside")
-    hollow_enclosed_share: float | None = Field(
-        None, description="of 26 directions that enclose a voxel: from so many on it would not be empty"
-    )
-    hollow_apron_m: float | None = Field(
-        None, description="a hollow reaches its aprons if they are so near at its own height, metres"
-    )
-    hollow_lean: tuple[float, float] | None = Field(
-        None, description="most that an apron leans in, as a share of the way down, and how far down, metres"
-    )
+    air: AirMethod | None = Field(None, description="the definition of air")
     least_weight_share: float | None = Field(
         None, description="of the surface's median weight: a voxel with less was not observed"
     )
@@ -149,49 +96,32 @@ class SolidMethod(Part):
         None, description="of the largest piece's volume: pieces with less are dropped"
     )
     carried_legs: CarriedLegs | None = Field(None, description="of legs whose upper end was hidden")
-    probability_by_enclosure: Curve | None = Field(
-        None, description="[share of 26 enclosing directions, probability] of unseen voxels"
+    shell_m: float | None = Field(
+        None, description="a surface tells what lies so far behind it, metres; deeper it is unseen"
     )
     probability_by_signed_voxels: Curve | None = Field(
         None, description="[signed distance in voxels, probability] of observed voxels"
     )
-    shell_m: float | None = Field(
-        None, description="a surface tells what lies so far behind it, metres; deeper it is unseen"
+    probability_unknown: Curve | None = Field(
+        None, description="[share of 26 enclosing directions, probability] of unknown voxels"
     )
-    opening_m: float | None = Field(
-        None, description="edge of the cube that passes through an opening, metres; a narrower one is none"
-    )
-    opening_rays: float | None = Field(
-        None, description="so many widths of the frames' rays, if that is less: edge of that cube"
-    )
-    wide_open_above: int | None = Field(
-        None, description="of nine ways up, so many lead outside below the mouth of a cavity"
-    )
-    hung: tuple[float, float, float] | None = Field(
+    probability_rim: tuple[float, ...] | None = Field(
         None,
-        description="a body hangs high if it is thicker, metres, hangs so many of its widths high, "
-        "and so much of it ends in free air below",
+        description="of those right under the object that only a line's rim touches, by how many of eight "
+        "level directions lead out",
     )
-    probability_open: OpenProbabilities | None = Field(
-        None, description="of what lies open to free space through an opening that nobody looked into"
+    probability_underside: tuple[float, float] | None = Field(
+        None, description="of those that only lines that look up reach; and if a person says that it is open"
     )
-    room: tuple[float, ...] | None = Field(
-        None, description="cube in it, m; walls in 8 level, 9 upward ways; doorway's shares; times around"
-    )
-    stand_m: float | None = Field(
-        None,
-        description="what lies no higher above the floor is open: a thing may stand on its edges; metres",
-    )
-    probability_by_rule: RuleProbabilities | None = Field(None, description="where a rule says so")
     lengths_at_voxel_m: float | None = Field(
         None,
         description="edge of the voxels that these lengths are for, metres; where no setting gave voxels, "
-        "smaller ones make them smaller in proportion",
+        "smaller ones make them smaller in proportion, but for the lengths of `air`",
     )
     voxel_size_by_recording: tuple[float, float, int] | None = Field(
         None,
         description="where no setting gave it: least edge, and steps, metres; how many an object is long",
     )
-    frontiers: FrontierMethod | None = Field(None, description="of openings that nobody looked into")
+    frontiers: FrontierMethod | None = Field(None, description="of what some camera could still see")
     estimate: EstimateMethod | None = Field(None, description="of the IoU to the unknown truth")
     chosen_on: str | None = Field(None, description="the data that the constants were chosen on")

@@ -82,7 +82,7 @@ def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     state = space.state
     seen = np.zeros(state.shape, np.uint8)
     main = np.argmax(np.abs(to_camera), axis=1)
-    for axis in range(3):
+    for axis in np.unique(main).tolist():
         # So that a slice lies in one piece, with the axis that varies fastest at its end.
         order = (axis, *(other for other in range(3) if other != axis))
         turned = np.ascontiguousarray(state.transpose(order))

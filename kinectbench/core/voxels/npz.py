@@ -31,7 +31,7 @@ BUILD_BYTES = 8 << 30
 NPY = ".npy"
 # Of an entry that is inflated at once: twice the largest grid of a pair (own choice).
 AT_ONCE_BYTES = 4 << 20
-# A pair's grids are 10.5 MB (own choice).
+# A pair's grids are 14.7 MB (own choice).
 REUSED_BYTES = 16 << 20
 # Where an entry's head has the lengths of what follows it, a name and an extra field: APPNOTE, 4.3.7.
 _LENGTHS_AT = 26

@@ -5,7 +5,7 @@ and what a public part publishes.
 """
 
 import io
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -24,14 +24,14 @@ FORMAT_VERSION, VERSION_KEY = 1, "format_version"
 FULL_CELLS = 256
 PARTIAL_CELLS = 64
 BLOCK = FULL_CELLS // PARTIAL_CELLS
-# Grids, matrices and texts of a pair, unpacked from its npz, are 10.5 MB; the file itself is smaller.
+# Grids, matrices and texts of a pair, unpacked from its npz, are 14.7 MB; the file itself is smaller.
 MAX_BYTES = 16 << 20
 # Of a pair's share of unknown where a file states it: a tenth of a thousandth, as of the other shares.
 SHARE_DECIMALS = 4
 
 Packed = NDArray[np.uint8]
 
-PACKED_256 = ("partial_256", "full", "shell", "known", "seen")
+PACKED_256 = ("partial_256", "full", "shell", "known", "seen", "interior", "said")
 PACKED_SHAPES = {
     "partial": (PARTIAL_CELLS, PARTIAL_CELLS, PARTIAL_CELLS // 8),
     **dict.fromkeys(PACKED_256, (FULL_CELLS, FULL_CELLS, FULL_CELLS // 8)),
@@ -47,7 +47,8 @@ class Pair:
 
     Grid axes are the view's optical axes. Packed grids are uint8, (64, 64, 8) of `partial` and (256, 256, 32)
     of the others; matrices are float64. By "winding" a cell of `full` is occupied if its centre is inside a
-    closed mesh; "six-rays" is the authors' rule for meshes that are not watertight.
+    closed mesh; "six-rays" is the authors' rule for meshes that are not watertight. `interior` and `said` say
+    by what `known` is known; None where that is not told, as in files of earlier versions.
     """
 
     partial: Packed = field(
@@ -78,6 +79,18 @@ class Pair:
     partial_rule: str = field(metadata={"description": "any or majority"})
     occupancy_rule: str = field(
         default="winding", metadata={"description": "winding or six-rays; files without it: winding"}
+    )
+    interior: Packed | None = field(
+        default=None,
+        metadata={
+            "description": "of known, what is not measured: no line of sight reaches it; not in every file"
+        },
+    )
+    said: Packed | None = field(
+        default=None,
+        metadata={
+            "description": "of known, what is so only by the word of who recorded it; not in every file"
+        },
     )
 
     @property
@@ -112,7 +125,8 @@ class PairInput:
 
 
 INPUT_KEYS = tuple(field.name for field in fields(PairInput))
-TRUTH_KEYS = ("full", "shell", "known", "surface_sigma_m")
+OPTIONAL = tuple(field.name for field in fields(Pair) if field.default is None)
+TRUTH_KEYS = ("full", "shell", "known", *OPTIONAL, "surface_sigma_m")
 
 AnyPair = TypeVar("AnyPair", Pair, PairInput)
 
@@ -140,7 +154,8 @@ def unpack(packed: Packed) -> Bools:
 
 def pair_bytes(pair: Pair | PairInput) -> bytes:
     """Serialise a pair or an input as a compressed npz, the same bytes every time."""
-    arrays: dict[str, NDArray[np.generic]] = {f.name: np.asarray(getattr(pair, f.name)) for f in fields(pair)}
+    values = {f.name: getattr(pair, f.name) for f in fields(pair)}
+    arrays = {name: np.asarray(value) for name, value in values.items() if value is not None}
     return packed_npz_bytes(arrays | {VERSION_KEY: np.asarray(FORMAT_VERSION)})
 
 
@@ -226,6 +241,16 @@ def pair_keys(content: bytes) -> tuple[str, ...]:
         return tuple(name.removesuffix(NPY) for name in archive.namelist())
 
 
+def keys_there(names: Sequence[str], content: bytes) -> list[str]:
+    """Some keys, without those that not every pair file has and this one lacks.
+
+    Raises:
+        UNREADABLE: one of these exceptions, if it is damaged.
+    """
+    there = pair_keys(content) if set(OPTIONAL) & set(names) else ()
+    return [name for name in names if name not in OPTIONAL or name in there]
+
+
 def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where: str) -> AnyPair:
     """The values of a pair file as a pair or an input; every key, shape and dtype is checked.
 
@@ -233,7 +258,7 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
         PairError: a key is missing or wrong, or the format version is another; the line begins with `where`.
     """
     values = _defaults(kind) | dict(values)
-    names = [f.name for f in fields(kind)]
+    names = [f.name for f in fields(kind) if f.name in values or f.name not in OPTIONAL]
     missing = [name for name in names if name not in values]
     if missing:
         what = "a pair file" if kind is Pair else "a pair's input"
@@ -247,7 +272,8 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
 
 def _defaults(kind: type[Pair] | type[PairInput]) -> dict[str, NDArray[Any]]:
     """What a key means where a file of an earlier version does not have it."""
-    return {f.name: np.asarray(f.default) for f in fields(kind) if f.default is not MISSING}
+    defaults = {f.name: f.default for f in fields(kind) if f.name not in OPTIONAL}
+    return {name: np.asarray(value) for name, value in defaults.items() if value is not MISSING}
 
 
 def _version_fault(values: Mapping[str, NDArray[Any]]) -> str | None:

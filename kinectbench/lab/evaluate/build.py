@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.solid_method import SolidMethod
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.images import read_gray
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_stamps
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
@@ -54,6 +56,12 @@ class Build:
     valid_depth: Callable[[View], NDArray[np.bool_]]
     pair_names: tuple[str, ...] | None
     pair: Callable[[str], Pair]
+
+    @property
+    def limits(self) -> SensorLimits | None:
+        """Of the sensor, by which air was defined when the object was built; None if that is not known."""
+        method = None if self.model is None else self.model.quality.method
+        return method.air.limits if isinstance(method, SolidMethod) and method.air is not None else None
 
 
 def read_build(folder: Path) -> Build:

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinectbench._version import __version__
@@ -147,7 +147,8 @@ def evaluate_recording(
     """
     if out.exists() and not _replaceable(out):
         raise StorageError(f"{out}: holds something else than an evaluation; choose a new or empty folder")
-    built, true = read_build(build), read_truth(truth)
+    built = read_build(build)
+    true = replace(read_truth(truth), limits=built.limits)
     evaluation = evaluate(built, true, align=align, progress=progress)
     pictures = make_pictures(built, true, evaluation, align)
     page = make_page(build.resolve().name, evaluation, pictures)

@@ -68,6 +68,7 @@ class Truth:
         stamps_ns: (n,) int64, the recorded depth stamps, in the order of the frames.
         T_world_camera: (n, 4, 4) float64; NaN where a frame shows another scene.
         surface: samples of the object's surface.
+        limits: of the sensor, by which air is defined; None: by the object's size.
     """
 
     folder: Path
@@ -79,12 +80,14 @@ class Truth:
     stamps_ns: NDArray[np.int64]
     T_world_camera: NDArray[np.float64]
     surface: SurfaceTruth
+    limits: SensorLimits | None = None
 
     @cached_property
     def seeable(self) -> SeeableSolid:
         """The solid under the definition of air (`core.voxels.seeable`); takes some seconds, once."""
         longest_m = float(np.ptp(self.mesh_world.vertices, axis=0).max())
-        return seeable_solid(self.mesh_world, self.T_world_object, SensorLimits.of_size(longest_m))
+        limits = self.limits or SensorLimits.of_size(longest_m)
+        return seeable_solid(self.mesh_world, self.T_world_object, limits)
 
     def cells(self, grid: Grid) -> "TrueCells":
         """What is true of the cells of a grid in this world, whose last side is a multiple of 8."""

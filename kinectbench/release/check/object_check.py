@@ -23,7 +23,9 @@ KINDS: dict[str, np.dtype[Any]] = {
     "solid": np.dtype(np.bool_),
     "labels": np.dtype(np.uint8),
     "probability": np.dtype(np.float16),
+    "underside": np.dtype(np.bool_),
 }
+OPTIONAL = "underside"
 # Magic, version and length of a GLB; length and kind of its first chunk.
 GLB_HEAD, GLB_VERSION = struct.Struct("<4sIII4s"), 2
 GRID_KEYS = ("voxel_size_m", "T_world_grid")
@@ -88,7 +90,8 @@ def _volume_fault(file: IO[bytes]) -> str | None:
     """
     with open_npz(file, VOLUME_BYTES) as archive:
         entries = {entry.filename.removesuffix(NPY): entry for entry in archive.infolist()}
-        if missing := [key for key in (*KINDS, *GRID_KEYS) if key not in entries]:
+        kinds = {key: kind for key, kind in KINDS.items() if key in entries or key != OPTIONAL}
+        if missing := [key for key in (*kinds, *GRID_KEYS) if key not in entries]:
             return f"holds no '{missing[0]}'"
         small = dict[str, NDArray[Any]]()
         for key in GRID_KEYS:
@@ -100,7 +103,7 @@ def _volume_fault(file: IO[bytes]) -> str | None:
         if T.shape != (4, 4) or not is_rigid(T):
             return "'T_world_grid' is not a rotation and a shift"
         shapes = set()
-        for key, kind in KINDS.items():
+        for key, kind in kinds.items():
             with archive.open(entries[key]) as stream:
                 header = read_npy_header(stream)
                 if len(header.shape) != 3 or header.dtype != kind:
@@ -125,7 +128,7 @@ def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
         done += len(part)
         # A slab ends between two cells: they have one byte or two.
         raw = np.frombuffer(part, np.uint8)
-        if key == "solid" and (raw > 1).any():
+        if KINDS[key] == np.bool_ and (raw > 1).any():
             return "is not of 0 and 1"
         if key == "labels" and (raw > max(Label)).any():
             return "holds labels that there are not"

@@ -8,6 +8,7 @@ from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
 from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
+    OPTIONAL,
     Packed,
     Pair,
     PairInput,
@@ -46,6 +47,10 @@ def pair_problems(
     if wrong:
         yield f"{wrong} cells of 'shell' are not as the surface of 'full'"
     yield from _trust_problems(pair, "known", pair.known)
+    for name in OPTIONAL:
+        grid: Packed | None = getattr(pair, name)
+        if grid is not None and (beyond := packed_count(grid & ~pair.known)):
+            yield f"{beyond} cells of '{name}' are not 'known'"
     found = pair.stated_unknown_share
     for file, said in unknown_shares.items():
         if said != found:

@@ -38,7 +38,7 @@ def baselines_beside(
     Args:
         release: the truth.
         out: folder of the scores.
-        protocols: some of "paper", "known", "occluded".
+        protocols: names of `PROTOCOLS` that its pairs allow.
         upsampling: "half-pixel" or "corner-aligned".
         without: names that are left out.
         jobs: number of processes.

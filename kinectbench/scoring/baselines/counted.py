@@ -13,11 +13,10 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
-from kinectbench.scoring.counts import PROTOCOLS
 from kinectbench.scoring.pair_result import Counting, ceilings, count, surfaces
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.score import check_words
+from kinectbench.scoring.score import check_words, counting_of
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_truth
 from kinectbench.scoring.workers import run_tasks
@@ -45,7 +44,7 @@ def score_baselines(
     Args:
         release: what is predicted.
         out: folder for the results.
-        protocols: default: all.
+        protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`; it wins over the validation split.
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
@@ -57,10 +56,10 @@ def score_baselines(
         SettingsError: an unknown protocol or an unusable threshold file.
         StorageError: the disk is full or read-only.
     """
-    check_words(protocols or tuple(PROTOCOLS), upsampling)
+    check_words(protocols, upsampling)
     check_names(release.targets, str(release.folder))
     pairs_to_score(release, thresholds_file)
-    counting = Counting(tuple(protocols or PROTOCOLS), upsampling, surface)
+    counting = counting_of(release, protocols, upsampling, surface)
     names = possible_baselines(release)
     tables = counted_baselines(
         release, names, counting, thresholds_file=thresholds_file, jobs=jobs, progress=progress
@@ -131,7 +130,7 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
     """Every baseline's counts of one pair; a pair of the validation split only chooses the thresholds."""
-    truth = read_truth(task.release.pair_path(task.target), task.target.sha256)
+    truth = read_truth(task.release.pair_path(task.target), task.target.sha256, counting.distrusted)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
     results = {}
     for name, prediction in predicted(task):

@@ -18,9 +18,9 @@ OFF_M, OFF_M_IF_THIN, OFF_PER_SIGMA, OFF_PER_POSE = 0.00005, 0.00064, 0.95, 0.25
 # By how much more or less may be missing: a share of what is estimated, and so much beside. Of intervals that
 # hold in at least 95 % of these objects, that with the least width on furniture.
 MISSED_MORE, MISSED_LESS, MISSED_LEAST = 1.2, 0.7, 0.02
-# What is unknown is not independent from voxel to voxel: so much of its variance p (1 - p) may be amiss.
-# Chosen together with these.
-DOUBTED_SHARE = 0.3
+# What is unknown is not independent from voxel to voxel: a region of it is one coin. The interval has so many
+# standard deviations of all coins together on both sides, and no voxel counts that is as good as decided.
+COIN_SIGMAS, DECIDED = 2.0, 0.05
 # A surface that is off by 1 mm changes so much of the volume of parts that are 20 mm thick.
 MAX_VOLUME_SHARE_PER_MM = 0.1
 # So much of the volume moves with a usual pose before poses are a reason (own choice).
@@ -93,8 +93,7 @@ def estimate_iou(
     The known part misses what a surface costs that is off by a sum: of what every surface is off by, thin
     parts more, of the deviation between the halves that odd and even frames make, and of the poses' errors,
     which both share. Of
-    the unknown part its probabilities say what to expect. At best the guess is right behind every frontier,
-    at worst the other one.
+    the unknown part its probabilities say what to expect; the interval takes each unknown region for a coin.
 
     Args:
         shape: the solid.
@@ -113,12 +112,13 @@ def estimate_iou(
     most += 1000 * OFF_PER_POSE * (usual_m - pose_error.usual_m) * per_mm
     least = max(0.0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
     expected = _expected(shape)
-    best, worst = _extremes(shape, expected, frontiers)
     value = expected.iou(missing)
+    coins = COIN_SIGMAS * _coins_sigma(shape, expected)
+    guessed = _Volumes(expected.known, 1 - expected.known, 0.0)
     return IouEstimate(
         value,
-        min(worst.iou(most), value),
-        max(best.iou(least), value),
+        max(0.0, expected.iou(most) - coins),
+        min(guessed.iou(least), expected.iou(least) + coins),
         _reasons(frontiers, per_mm, shifted, pose_error.checked),
     )
 
@@ -133,34 +133,27 @@ def _expected(shape: SolidShape) -> _Volumes:
     return _Volumes(1 - int((unknown & shape.solid).sum()) / volume, inside, outside)
 
 
-def _extremes(
-    shape: SolidShape, expected: _Volumes, frontiers: tuple[Frontier, ...]
-) -> tuple[_Volumes, _Volumes]:
-    """The best and the worst: behind frontiers the guess or the other one, elsewhere more or less."""
-    unknown, volume = shape.labels == Label.UNKNOWN, int(shape.solid.sum())
-    variance = shape.probability * (1 - shape.probability)
-    inside, outside = (
-        DOUBTED_SHARE * float(variance[unknown & part].sum(dtype=np.float64)) / volume
-        for part in (shape.solid, ~shape.solid)
-    )
-    voxel_m3 = shape.grid.voxel_size_m**3
-    gained = lost = fewer = more = 0.0
-    for each in frontiers:
-        share = each.volume_m3 / (volume * voxel_m3)
-        air = each.inside_share - each.inside_solid_share
-        gained += share * (each.solid_share - each.inside_solid_share)
-        lost += share * each.inside_solid_share
-        fewer += share * air
-        more += share * (1 - each.solid_share - air)
-    best = _Volumes(
-        expected.known,
-        min(1 - expected.known, expected.inside + gained + inside),
-        max(0.0, expected.outside - fewer - outside),
-    )
-    worst = _Volumes(
-        expected.known, max(0.0, expected.inside - lost - inside), expected.outside + more + outside
-    )
-    return best, worst
+def _coins_sigma(shape: SolidShape, expected: _Volumes) -> float:
+    """Standard deviation of the IoU if each region of unknown voxels is inside or not as a whole.
+
+    A region is a piece of unknown voxels that are not decided (26 neighbours); all of the underside is one.
+    """
+    from scipy import ndimage
+
+    unknown, p = shape.labels == Label.UNKNOWN, shape.probability
+    asked = unknown & (p > DECIDED) & (p < 1 - DECIDED)
+    pieces, count = ndimage.label(asked & ~shape.underside, np.ones((3, 3, 3)))
+    pieces[asked & shape.underside] = count + 1
+    inside = expected.known + expected.inside
+    iou = inside / (1 + expected.outside)
+    variance = 0.0
+    for part, weight in ((shape.solid, 1.0), (~shape.solid, iou)):
+        of = pieces[asked & part]
+        volumes = np.bincount(of, minlength=1)
+        mean = np.bincount(of, p[asked & part], minlength=1) / np.maximum(volumes, 1)
+        shares = volumes / int(shape.solid.sum())
+        variance += weight**2 * float((shares**2 * mean * (1 - mean)).sum())
+    return float(np.sqrt(variance)) / (1 + expected.outside)
 
 
 def _reasons(
@@ -168,7 +161,14 @@ def _reasons(
 ) -> tuple[str, ...]:
     """A line for each thing that widens the interval."""
     told = (
-        (len(frontiers) > 0, "an opening that nobody looked into: what is behind it is a guess"),
+        (
+            any(not each.underside for each in frontiers),
+            "an opening that nobody looked into: what is behind it is a guess",
+        ),
+        (
+            any(each.underside for each in frontiers),
+            "an underside that nobody saw: what is behind it is a guess",
+        ),
         (per_mm > MAX_VOLUME_SHARE_PER_MM, f"thin parts: 1 mm of surface is {per_mm:.0%} of the volume"),
         (
             shifted_share > MAX_SHIFTED_SHARE,

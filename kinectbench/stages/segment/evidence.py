@@ -1,15 +1,15 @@
-"""What the frames say of each voxel: seen through, behind a surface, never seen, and then how open it is."""
+"""What the frames say of each voxel: seen through, behind a surface, or unseen; and could a camera see it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.types import Bools, Float32
+from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
+from kinectbench.core.types import Bools, Float32, Underside
+from kinectbench.core.voxels.lines_of_sight import FROM_BELOW
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
-from kinectbench.stages.segment.enclosure import Hollows, Shadow, hollows, shadow
-from kinectbench.stages.segment.openings import Openings, find_openings, opening_cells
-from kinectbench.stages.segment.rays import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, tally_rays
+from kinectbench.stages.segment.sight import COARSE, FINE, look
 
 # A voxel with less than this share of the surface's median weight has been grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
@@ -18,8 +18,9 @@ LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
 # A measured surface tells what lies so far behind it; deeper it may be the far side of a thin wall.
 SHELL_M = 0.0125
-# So near a hollow what is unseen at its own height is of it: aprons are thin.
-APRON_M = 0.015
+# A line of sight ends so near to a measured surface, on both sides, voxels: not in all of the band behind it,
+# which would narrow every opening. Nor does one slip through a sheet of a voxel.
+SHEET_VOXELS = 1.2
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,29 @@ class FloorLayers:
         return self.first + self.low
 
 
+@dataclass(frozen=True)
+class Rules:
+    """What a solid is made by, beside what the frames saw; lengths in metres.
+
+    Attributes:
+        layers: of the grid's cells about the floor.
+        ray_width_m: how wide the frames' rays are at the object; 0 = narrow.
+        limits: of the sensor, by which air is defined.
+        underside: what a person says of it.
+        stands: False: there is no plane that the object stands on, and cameras may be anywhere.
+    """
+
+    layers: FloorLayers
+    ray_width_m: float = 0.0
+    limits: SensorLimits = DEFAULT_LIMITS
+    underside: Underside = "unseen"
+    stands: bool = True
+
+    def enlarged(self, scale: float) -> "Rules":
+        """The same in a world that is 1 / scale times as large."""
+        return replace(self, ray_width_m=self.ray_width_m / scale, limits=self.limits.enlarged(scale))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
     """What the frames say of each voxel, in the grid's shape.
@@ -55,77 +79,97 @@ class Evidence:
         signed_m: float32, signed distance of the surface, corrected by the frames that saw through.
         observed: bool, some surface is near.
         carved: bool, seen to be empty.
-        behind: bool, just behind a surface, as far as depth was fused.
+        told: bool, behind a surface, and not farther than `SHELL_M`: of the object.
         excluded: bool, cannot be the object.
-        unseen: bool, none of these (in the contact layers also what is behind a surface), and in no hollow.
-        enclosed: float32, of unseen voxels, the share of 26 directions that meets the object.
-        hollows: behind an apron, as far as it.
-        shadow: hidden by the object, and not of it.
-        openings: what of the unseen, and of what is farther behind a surface than `SHELL_M`, is open.
+        unseen: bool, none of these three.
+        sight: uint8, how a camera could see it past what was measured (`core.voxels.lines_of_sight`).
+        closed: bool, unseen, and no camera could see it: of the object, by definition; or by a person's word.
+        underside: bool, unseen, and only lines that look up reach it, whatever a person says.
         contact: the layers right above the floor.
         raised: bool (nx, ny), columns of a plate of the object that hardly rises above these layers.
-        opening_cells: edge of the cube that passes through an opening, voxels.
-        ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
+        surface: bool, what ends a line of sight.
+        heights_m: (nz,) float32, of the layers' middles above the plane it stands on; None: no plane.
     """
 
     signed_m: Float32
     observed: Bools
     carved: Bools
-    behind: Bools
+    told: Bools
     excluded: Bools
     unseen: Bools
-    enclosed: Float32
-    hollows: Hollows
-    shadow: Shadow
-    openings: Openings
+    sight: NDArray[np.uint8]
+    closed: Bools
+    underside: Bools
     contact: slice
     raised: Bools
-    opening_cells: int
-    ray_width_m: float
+    surface: Bools
+    heights_m: Float32 | None
+
+    @property
+    def unknown(self) -> Bools:
+        """Unseen, and some camera could see it."""
+        return self.unseen & ~self.closed
 
 
-def weigh(observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float) -> Evidence:
-    """Carving, and what lies around the voxels that no frame saw.
+def weigh(observation: Observation, excluded: Bools, rules: Rules, *, roughly: bool = False) -> Evidence:
+    """Carving, and what of the unseen some camera could see.
 
     Args:
         observation: TSDF and votes on an upright grid.
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
-        layers: of the grid's cells about the floor.
-        ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
+        rules: what a solid is made by.
+        roughly: with fewer lines of sight: for solids that are only compared with one another.
     """
-    voxel_m = observation.grid.voxel_size_m
+    voxel_m, layers = observation.grid.voxel_size_m, rules.layers
     contact = slice(layers.below, layers.first)
     observed = _observed(observation)
-    signed_m = _signed_distance_m(observation, ray_width_m)
+    signed_m = _signed_distance_m(observation, rules.ray_width_m)
     carved = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
     behind = observed & ~carved
     own = behind & ~excluded
     loose, raised = _loose(own, _raised(signed_m, own, carved, layers, voxel_m), layers)
     excluded = excluded | loose
-    surface_near = observed & (np.abs(observation.tsdf) < 2 * voxel_m)
-    state = _state(behind, carved | excluded, raised, surface_near, layers)
-    tally = tally_rays(state)
-    found = hollows(state, tally, voxel_m)
-    hollow = _to_the_apron(found.sure, state == UNSEEN, voxel_m)
-    hollow[:, :, : contact.stop] = False
-    unseen = (state == UNSEEN) & ~hollow
-    deep = _deep(behind, observed & carved, observation.tsdf, voxel_m)
-    cells = opening_cells(ray_width_m, voxel_m)
+    sheet_m = np.float32(SHEET_VOXELS * voxel_m)
+    surface = (behind & (signed_m > -sheet_m)) | (observed & (np.abs(observation.tsdf) < sheet_m))
+    surface &= ~excluded
+    # Next to the floor nothing can be measured: what stands above goes on down to it.
+    surface[:, :, : layers.first] = (surface[:, :, layers.first] | raised)[:, :, None]
+    heights_m = None
+    if rules.stands:
+        layer = np.arange(observation.grid.shape[2]) - layers.below
+        heights_m = ((layer + 0.5) * voxel_m).astype(np.float32)
+    sight = look(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
+    told = behind & ~excluded & ~_deep(behind, observed & carved, observation.tsdf, voxel_m)
+    told[:, :, : layers.first] = False
+    told[:, :, layers.first - 1] |= raised & ~excluded[:, :, layers.first - 1]
+    unseen = ~(carved | told | excluded)
+    unseen[:, :, : layers.below] = False
+    underside = unseen & (sight == FROM_BELOW)
+    closed = unseen & (sight == 0)
+    standing = told[:, :, contact.stop] | unseen[:, :, contact.stop] | raised
+    solid = told[:, :, contact.stop] | closed[:, :, contact.stop] | raised
+    unseen[:, :, contact] &= standing[:, :, None]
+    excluded[:, :, contact] |= ~standing[:, :, None] & ~carved[:, :, contact]
+    closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
+    underside[:, :, contact] = (
+        unseen[:, :, contact] & underside[:, :, contact.stop, None] & ~solid[:, :, None]
+    )
+    if rules.underside == "closed":
+        closed |= underside
     return Evidence(
         signed_m=signed_m,
         observed=observed,
         carved=carved,
-        behind=behind,
+        told=told,
         excluded=excluded,
         unseen=unseen,
-        enclosed=tally.enclosed,
-        hollows=Hollows(hollow, found.doubtful),
-        shadow=shadow(state, tally),
-        openings=find_openings(state, unseen, behind, deep, contact, voxel_m, cells),
+        sight=sight,
+        closed=closed,
+        underside=underside,
         contact=contact,
         raised=raised,
-        opening_cells=cells,
-        ray_width_m=ray_width_m,
+        surface=surface,
+        heights_m=heights_m,
     )
 
 
@@ -136,43 +180,6 @@ def _observed(observation: Observation) -> Bools:
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     observed: Bools = observation.weight > least
     return observed
-
-
-def _state(
-    behind: Bools, outside: Bools, raised: Bools, surface_near: Bools, layers: FloorLayers
-) -> NDArray[np.uint8]:
-    """The state of each voxel, for `tally_rays`.
-
-    Args:
-        behind: bool, just behind a surface.
-        outside: bool, seen empty, or not the object's.
-        raised: bool (nx, ny), columns of a plate of the object that hardly rises above the contact layers.
-        surface_near: bool, some surface was measured near.
-        layers: about the floor.
-    """
-    contact = slice(layers.below, layers.first)
-    state = np.full(behind.shape, UNSEEN, np.uint8)
-    state[behind] = INSIDE
-    state[:, :, contact][behind[:, :, contact]] = UNSEEN
-    state[:, :, layers.first - 1][raised] = INSIDE
-    state[outside] = OUTSIDE
-    # Below the object no camera sees the floor: walking down says nothing there.
-    floor_seen = surface_near[:, :, : layers.first].any(axis=2)
-    state[:, :, : layers.below] = np.where(floor_seen, OUTSIDE, NEUTRAL)[:, :, None]
-    return state
-
-
-def _to_the_apron(hollow: Bools, unseen: Bools, voxel_m: float) -> Bools:
-    """A hollow with what lies between it and the aprons around it, unseen and at its own height."""
-    from scipy import ndimage
-
-    if not hollow.any():
-        return hollow
-    level = np.ones((3, 3, 1), dtype=bool)
-    reached: Bools = ndimage.binary_dilation(
-        hollow, level, iterations=max(1, round(APRON_M / voxel_m)), mask=unseen
-    )
-    return reached
 
 
 def _deep(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:

@@ -1,4 +1,4 @@
-"""Openings that nobody looked into: how large they are, where, and from where they would be seen."""
+"""What some camera could still see: how large the regions are, where, and from where they would be seen."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import transform_points
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.lines_of_sight import directions
 from kinectbench.stages.segment.evidence import Evidence
 from kinectbench.stages.segment.morphology import broad
+from kinectbench.stages.segment.sight import seen_from
 from kinectbench.stages.segment.solid import SolidShape
 
 Direction = Literal["up", "side", "down"]
@@ -21,16 +24,14 @@ Direction = Literal["up", "side", "down"]
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
 # What is all but certainly air says nothing of the object.
 LEAST_PROBABILITY = 0.025
-# Above an open box most level ways out end in the air inside of it, under a shelf most ways down on the shelf
-# below: from above, and then from beside, one sees most (own choices).
-ABOVE_FIRST, BESIDE_FIRST = 2.0, 1.5
-# A piece lies around a corner if less than this share of it leads straight out (own choice); a room has
-# a roof.
-STRAIGHT_SHARE = 0.5
-ROOM_WAYS: tuple[Direction, ...] = ("side", "down", "up")
-# From so much of a unit vector up or down it is told as straight above or below, and under so much as level
-# (own choices).
-STEEP, LEVEL = 0.9, 0.35
+# Directions that are asked how much of a region they show: 16 degrees apart (own choice).
+LOOKS = 100
+# Of those that show at least so much of what the best one shows, the one nearest to where a person holds a
+# camera: so far above level (own choices).
+ENOUGH, HELD_RAD = 0.8, np.radians(25.0)
+# From so much of a unit vector up or down it is told as straight above or below, up to so much upward and
+# downward as level (own choices).
+STEEP, LEVEL, LOWER = 0.9, 0.35, 0.05
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Frontier:
         inside_share: how much of that is expected to be inside, 0 to 1.
         solid_share: how much of it the solid takes for inside, 0 to 1.
         inside_solid_share: how much of it is expected to be inside and taken for it, 0 to 1.
-        into_room: it leads into a room wider than itself, into which frames looked in part.
+        underside: only lines of sight that look up reach the region.
     """
 
     direction: Direction
@@ -61,22 +62,18 @@ class Frontier:
     inside_share: float
     solid_share: float
     inside_solid_share: float
-    into_room: bool = False
+    underside: bool = False
 
     @property
     def advice(self) -> str:
         """One line for the person who records: what nobody saw, and where to stand, by `look_from` alone."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
-        what = {
-            "up": f"nobody looked into the opening at the top, {size}",
-            "side": f"nobody looked into the opening at the side, {size}",
-            "down": f"nobody saw the underside, {size}",
-        }[self.direction]
         where = where_to_stand(self.look_from, self.center_m[2])
-        if self.into_room and self.direction == "side":
-            what = f"nobody looked around the corners behind the opening at the side, {size}"
-            return f"{what}: record {where}, and from the left and the right of that"
-        return f"{what}: record {where}"
+        if self.underside:
+            say = "or say in benchmark.yaml whether its `underside` is closed or open"
+            return f"nobody saw the underside, {size}: record {where}, {say}"
+        at = {"up": "at the top", "side": "at the side", "down": "at the bottom"}[self.direction]
+        return f"nobody looked into the opening {at}, {size}: record {where}"
 
 
 def where_to_stand(look_from: tuple[float, float, float], height_m: float) -> str:
@@ -92,121 +89,87 @@ def where_to_stand(look_from: tuple[float, float, float], height_m: float) -> st
     towards = f"from the direction ({x:.1f}, {y:.1f}) of the floor frame"
     if abs(up) > STEEP:
         return "from above" if up > 0 else f"from below, lower than {height}"
-    if abs(up) < LEVEL:
-        return f"{towards}, at the height of {height}"
-    return f"{towards}, obliquely from above" if up > 0 else f"{towards}, lower than {height}, looking up"
+    if up < -LOWER:
+        return f"{towards}, lower than {height}, looking up"
+    return f"{towards}, at the height of {height}" if up < LEVEL else f"{towards}, obliquely from above"
 
 
-def find_frontiers(shape: SolidShape, evidence: Evidence, T_floor_grid: Float64) -> tuple[Frontier, ...]:
+def find_frontiers(
+    shape: SolidShape, evidence: Evidence, limits: SensorLimits, T_floor_grid: Float64
+) -> tuple[Frontier, ...]:
     """Every frontier of some size, that with the largest volume behind it first.
 
-    A frontier is what of the surface of a piece of open voxels (26 neighbours) lies at free space. Its
-    direction is the one in which most of the ways out of the piece lead, of those in which it borders on free
-    space. Unseen layers that are thinner than an opening, as under a seat, have none.
+    A frontier is what of the surface of a piece of unknown voxels (26 neighbours) lies at free space. One
+    looks into it along the direction that shows most of the piece, or nearly so. Unknown layers that are
+    thinner than a line of sight have none, but for undersides.
 
     Args:
         shape: the solid.
         evidence: what the frames say of each of its voxels.
+        limits: of the sensor.
         T_floor_grid: (4, 4), of its grid.
     """
-    # What is hidden under the object, and not of it, is no opening.
-    hidden = evidence.shadow.under | evidence.shadow.empty
-    is_open = (
-        evidence.openings.open
-        & ~hidden
-        & (shape.labels == Label.UNKNOWN)
-        & (shape.probability > LEAST_PROBABILITY)
-    )
-    is_open = broad(is_open, evidence.opening_cells)
+    unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
     found: list[Frontier] = []
-    corners = _around_corners(is_open, evidence)
-    if corners.any():
-        # One looks around the corners of a room through its doorway: that is the frontier of all of them.
-        room = _with_its_edges(evidence.openings.room, evidence.carved, evidence.opening_cells)
-        found += _of_pieces(shape, evidence, T_floor_grid, corners, room)
-    found += _of_pieces(shape, evidence, T_floor_grid, is_open & ~corners, None)
+    for underside in (False, True):
+        region = unknown & (evidence.underside if underside else ~evidence.underside)
+        found += _of_region(shape, evidence, limits, T_floor_grid, region, underside)
     return tuple(sorted(found, key=lambda frontier: -frontier.volume_m3))
 
 
-def _of_pieces(
-    shape: SolidShape, evidence: Evidence, T_floor_grid: Float64, is_open: Bools, room: Bools | None
+def _of_region(
+    shape: SolidShape,
+    evidence: Evidence,
+    limits: SensorLimits,
+    T_floor_grid: Float64,
+    region: Bools,
+    underside: bool,
 ) -> Iterator[Frontier]:
-    """The frontiers of the pieces of open voxels; those in one room are one piece with its air."""
+    """The frontiers of the pieces of unknown voxels."""
     from scipy import ndimage
 
-    whole = is_open if room is None else is_open | room
-    pieces, count = ndimage.label(whole, np.ones((3, 3, 3)))
-    voxel_m3 = shape.grid.voxel_size_m**3
-    volumes_m3 = voxel_m3 * np.bincount(pieces[is_open], minlength=count + 1)[1:]
-    least_m3 = LEAST_SHARE * voxel_m3 * int(shape.solid.sum())
-    windows = ndimage.find_objects(pieces)
-    free = np.pad(evidence.carved if room is None else evidence.carved & ~room, 1)
-    for piece in 1 + np.flatnonzero((volumes_m3 > 0) & (volumes_m3 >= least_m3)):
-        window = windows[piece - 1]
-        cells = pieces[window] == piece
-        inner = cells & is_open[window]
+    voxel_m = shape.grid.voxel_size_m
+    pieces, count = ndimage.label(
+        broad(region, max(1, round(limits.line_width_m / voxel_m))), np.ones((3, 3, 3))
+    )
+    least = max(1, LEAST_SHARE * int(shape.solid.sum()))
+    sizes = np.bincount(pieces.reshape(-1), minlength=count + 1)
+    large = sizes >= least
+    large[0] = False
+    if not large.any():
+        return
+    # Numbered anew: only the large ones are looked at.
+    pieces = np.where(large, np.cumsum(large), 0).astype(np.int32)[pieces]
+    ways = directions(LOOKS)
+    shown = seen_from(evidence.surface, evidence.heights_m, voxel_m, limits, pieces, ways)
+    free = np.pad(evidence.carved, 1)
+    for piece, window in enumerate(ndimage.find_objects(pieces), start=1):
+        inner = pieces[window] == piece
         taken = shape.solid[window][inner]
         expected = shape.probability[window][inner].astype(np.float64)
         part = _Piece(
-            shape.grid.voxel_size_m,
-            cells,
+            voxel_m,
+            inner,
             free[tuple(slice(along.start, along.stop + 2) for along in window)],
             np.array([along.start for along in window]),
         )
         behind = (
-            float(volumes_m3[piece - 1]),
+            float(inner.sum()) * voxel_m**3,
             float(expected.mean()),
             float(taken.mean()),
             float((expected * taken).mean()),
         )
-        for way in _ways_out(evidence, window, inner) if room is None else ROOM_WAYS:
-            frontier = _frontier(part, way, T_floor_grid, behind, room is not None)
-            if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
-                yield frontier
-                break
+        frontier = _frontier(part, _best_look(ways, shown[:, piece]), T_floor_grid, behind, underside)
+        if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
+            yield frontier
 
 
-def _around_corners(is_open: Bools, evidence: Evidence) -> Bools:
-    """Those pieces of open voxels next to the air in a room from most of which no ray leads straight out."""
-    from scipy import ndimage
-
-    openings = evidence.openings
-    if not openings.room.any():
-        return openings.room
-    pieces, count = ndimage.label(is_open, np.ones((3, 3, 3)))
-    straight = is_open & ((openings.ups > 0) | (openings.levels > 0))
-    sizes, lead_out = (np.bincount(pieces[cells], minlength=count + 1) for cells in (is_open, straight))
-    beside = np.zeros(count + 1, bool)
-    beside[pieces[ndimage.binary_dilation(openings.room, iterations=2)]] = True
-    around: Bools = (beside & (lead_out < STRAIGHT_SHARE * sizes))[pieces]
-    return around
-
-
-def _with_its_edges(room: Bools, carved: Bools, cells: int) -> Bools:
-    """The air in rooms with what a cube does not reach of it, along walls and in the doorway."""
-    from scipy import ndimage
-
-    if not room.any():
-        return room
-    reached: Bools = ndimage.binary_dilation(room, iterations=max(1, cells // 2), mask=room | carved)
-    return reached
-
-
-def _ways_out(evidence: Evidence, window: tuple[slice, ...], inner: Bools) -> list[Direction]:
-    """In which directions some way leads out of a piece in its window, that of the most ways first.
-
-    Most of them may end in a crack below a piece that borders on free space above it only.
-    """
-    ups, levels, downs = (
-        float(rays[window][inner].mean())
-        for rays in (evidence.openings.ups, evidence.openings.levels, evidence.openings.downs)
-    )
-    ways: dict[Direction, float] = {
-        "up": ABOVE_FIRST * ups / 9,
-        "side": BESIDE_FIRST * levels / 8,
-        "down": downs / 9,
-    }
-    return sorted((way for way in ways if ways[way] > 0), key=lambda way: -ways[way])
+def _best_look(ways: Float64, shown: NDArray[np.int64]) -> Float64:
+    """The direction (3,) of those (n, 3) that show much of a piece from where a camera is held."""
+    enough = np.flatnonzero(shown >= ENOUGH * shown.max())
+    off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - HELD_RAD)
+    best: Float64 = ways[enough[np.argmin(off_rad)]]
+    return best
 
 
 @dataclass(frozen=True)
@@ -231,51 +194,53 @@ class _Piece:
 
 def _frontier(
     piece: _Piece,
-    direction: Direction,
+    look: Float64,
     T_floor_grid: Float64,
     behind: tuple[float, float, float, float],
-    into_room: bool,
+    underside: bool,
 ) -> Frontier | None:
-    """Of one piece of open voxels; None where it touches no free space in that direction.
+    """Of one piece of unknown voxels, looked at along a direction; None where no face of it shows there.
 
-    Its faces along the grid's axes, added up as vectors, are the area of a smooth surface in their place.
+    Its direction is that of the faces of which one sees most.
     """
     faces = {(axis, sign): piece.faces_m(axis, sign) for axis in range(3) for sign in (-1, 1)}
-    areas_m2 = {way: len(points) * piece.voxel_m**2 for way, points in faces.items()}
-    slant = np.array([areas_m2[axis, 1] - areas_m2[axis, -1] for axis in (0, 1)])
-    if direction == "side":
-        # What is open on both sides, such as a gap, is looked into from the side that shows more of it.
-        widest = max(((axis, sign) for axis in (0, 1) for sign in (-1, 1)), key=lambda way: areas_m2[way])
-        points, area_m2, normal = faces[widest], areas_m2[widest], np.zeros(3)
-        normal[widest[0]] = widest[1]
-        if slant.any() and np.hypot(*slant) >= area_m2:
-            area_m2, normal[:2] = float(np.hypot(*slant)), slant
-            shown = [(axis, 1 if slant[axis] > 0 else -1) for axis in (0, 1) if slant[axis]]
-            points = np.concatenate([faces[way] for way in shown])
-    else:
-        sign = 1 if direction == "up" else -1
-        points, area_m2 = faces[2, sign], areas_m2[2, sign]
-        # At least half from above, or from below: its own walls hide the rest.
-        normal = np.array([*slant, sign * max(area_m2, float(np.hypot(*slant)))])
-    if not len(points):
+    seen = {
+        (axis, sign): len(points) * sign * look[axis]
+        for (axis, sign), points in faces.items()
+        if sign * look[axis] > 0 and len(points)
+    }
+    if not seen:
         return None
-    look = T_floor_grid[:3, :3] @ (normal / np.linalg.norm(normal))
+    upright = {sign: seen.get((2, sign), 0.0) for sign in (-1, 1)}
+    level = {way: share for way, share in seen.items() if way[0] != 2}
+    sign = 1 if upright[1] >= upright[-1] else -1
+    if upright[sign] >= sum(level.values()):
+        direction: Direction = "up" if sign > 0 else "down"
+        points = faces[2, sign]
+        area_m2 = len(points) * piece.voxel_m**2
+    else:
+        direction, points = "side", np.concatenate([faces[way] for way in level])
+        # Faces along the grid's axes, added up as vectors, are the area of a smooth surface in their place.
+        across = [sum(len(faces[way]) for way in level if way[0] == axis) for axis in (0, 1)]
+        area_m2 = float(np.hypot(across[0], across[1])) * piece.voxel_m**2
+    look_floor = T_floor_grid[:3, :3] @ look
+    look_floor /= np.linalg.norm(look_floor)
     points_floor = transform_points(T_floor_grid, points)
     return Frontier(
         direction,
         area_m2,
-        _extents_m(points_floor, look, direction == "side", piece.voxel_m),
+        _extents_m(points_floor, look_floor, direction == "side", piece.voxel_m),
         _three(points_floor.mean(axis=0)),
-        _three(look),
+        _three(look_floor),
         *behind,
-        into_room,
+        underside,
     )
 
 
 def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
     """Two extents of a frontier's faces: width and height at the side, else the sides of the least box."""
     if side:
-        across = np.array([-look[1], look[0], 0.0])
+        across = np.array([-look[1], look[0], 0.0]) / np.hypot(look[0], look[1])
         return _extent_m(points_floor @ across, voxel_m), _extent_m(points_floor[:, 2], voxel_m)
     turns = np.linspace(0, np.pi / 2, 31)[:-1]
     boxes: list[list[float]] = []

@@ -17,6 +17,7 @@ from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M, Traje
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.estimate import PoseError
+from kinectbench.stages.segment.evidence import Rules
 from kinectbench.stages.segment.floor import Floor
 from kinectbench.stages.segment.floor_planes import REASONS
 from kinectbench.stages.segment.frontiers import Frontier
@@ -58,7 +59,8 @@ def object_model(
     seen: Witness,
     around: Observation,
     pose_error: PoseError,
-    frontiers: tuple[Frontier, ...] = (),
+    frontiers: tuple[Frontier, ...],
+    rules: Rules,
 ) -> ObjectModel:
     """Judge an object's solid, and put together all that is known of it.
 
@@ -70,10 +72,11 @@ def object_model(
         around: what some frames say about the surround.
         pose_error: `usual_pose_error`.
         frontiers: openings that nobody looked into.
+        rules: by which the solids were made.
     """
     floor, whole = chosen.floor, shapes[0]
     box = solid_box(whole, floor)
-    quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error, frontiers)
+    quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error, frontiers, rules)
     labels = surround_labels(around, None if chosen.hangs else floor)
     return ObjectModel(floor, box, whole, around.grid, labels, sigma_m, quality)
 
@@ -103,7 +106,7 @@ def write_object(model: ObjectModel, folder: Path) -> None:
     ).write(folder)
     write_ply(shape.mesh, folder / MESH)
     probability = shape.probability.astype(np.float16)
-    ObjectVolume(shape.grid, shape.solid, shape.labels, probability).write(folder)
+    ObjectVolume(shape.grid, shape.solid, shape.labels, probability, shape.underside).write(folder)
     Surround(model.surround, model.surround_labels).write(folder)
     model.quality.write(folder)
 
@@ -152,7 +155,7 @@ def read_object(folder: Path) -> ObjectModel:
         volume.labels,
         volume.probability.astype(np.float32),
         read_own_ply(folder / MESH),
-        number(quality.doubtful_share),
+        volume.underside,
     )
     sigma_m = quality.surface_sigma_m
     return ObjectModel(floor, quality.box.box(), shape, surround.grid, surround.labels, sigma_m, quality)

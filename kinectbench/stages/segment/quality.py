@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.object import (
 )
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
-from kinectbench.core.types import Int32, Int64
+from kinectbench.core.types import Int32, Int64, Underside
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.doubts import LOOK
@@ -22,16 +22,18 @@ from kinectbench.stages.segment.estimate import (
     estimate_iou,
     volume_share_per_mm,
 )
+from kinectbench.stages.segment.evidence import Rules
 from kinectbench.stages.segment.floor import Floor
 from kinectbench.stages.segment.frontiers import Frontier
-from kinectbench.stages.segment.method import METHOD
+from kinectbench.stages.segment.method import method
 from kinectbench.stages.segment.select import fit_box, nearest_within
 from kinectbench.stages.segment.solid import SolidShape
 from kinectbench.stages.segment.witness import Witness
 
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
-MAX_DOUBTFUL_SHARE = 0.1
+# Where a word about the underside decides so much of the solid, it is asked for (own choice).
+ASKED_SHARE = 0.05
 GOOD_ESTIMATED_IOU = 0.82
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
@@ -65,6 +67,7 @@ def measure_quality(
     seen: Witness,
     pose_error: PoseError,
     frontiers: tuple[Frontier, ...],
+    rules: Rules,
 ) -> QualityFile:
     """Repeatability (IoU of the solids from odd and from even frames), estimated IoU, boxes, warnings.
 
@@ -76,17 +79,15 @@ def measure_quality(
         seen: what the recording could see of it; its warnings come first.
         pose_error: of a usual pose.
         frontiers: openings that nobody looked into.
+        rules: by which the solids were made.
     """
     together, odd, even = shapes
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
-    solid = int(together.solid.sum())
-    unknown = int((together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
-    unknown_air = int((~together.solid & (together.labels == Label.UNKNOWN)).sum()) / solid
+    unknown, unknown_air = _unknown_shares(together)
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
-    unsupported = _unsupported(chosen, together)
-    advice = tuple(frontier.advice for frontier in frontiers)
-    fused = _warnings(unsupported, together, repeatability, estimate, frontiers, unknown)
-    warnings = (*seen.warnings, *advice, *fused)
+    unsupported, advice = _unsupported(chosen, together), tuple(frontier.advice for frontier in frontiers)
+    fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
+    warnings = (*seen.warnings, *advice, *_asked(together, rules.underside), *fused)
     boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
     whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
     return QualityFile(
@@ -103,8 +104,9 @@ def measure_quality(
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
         unknown_air_share=round(unknown_air, 4),
-        doubtful_share=round(together.doubtful_share, 4),
-        volume_m3=round(solid * together.grid.voxel_size_m**3, 6),
+        underside=rules.underside,
+        underside_share=round(together.underside_share, 4),
+        volume_m3=round(int(together.solid.sum()) * together.grid.voxel_size_m**3, 6),
         labels=_label_counts(together.labels),
         box=whole,
         box_odd=of_odd,
@@ -115,8 +117,14 @@ def measure_quality(
         moving=seen.moving,
         max_depth_m=seen.max_depth_m,
         beyond_share=seen.beyond_share,
-        method=METHOD,
+        method=method(rules),
     )
+
+
+def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
+    """Unknown volume that is taken for inside, and for air, over the solid's."""
+    unknown, volume = shape.labels == Label.UNKNOWN, int(shape.solid.sum())
+    return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
 
 
 def _frontier_part(frontier: Frontier) -> FrontierPart:
@@ -135,6 +143,7 @@ def _frontier_part(frontier: Frontier) -> FrontierPart:
         volume_m3=round(frontier.volume_m3, 6),
         inside_share=round(frontier.inside_share, 4),
         solid_share=round(frontier.solid_share, 4),
+        underside=frontier.underside,
     )
 
 
@@ -148,26 +157,36 @@ def _label_counts(labels: NDArray[np.uint8]) -> LabelCounts:
     return LabelCounts(**{label.name.lower(): int((labels == label).sum()) for label in Label})
 
 
+def _asked(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
+    """A line that asks for a word about the underside where nobody said it and it decides much."""
+    share = shape.underside_share
+    if underside != "unseen" or share <= ASKED_SHARE:
+        return ()
+    return (
+        f"{share:.0%} of the solid is a guess that one word decides: say in benchmark.yaml "
+        "`underside: closed` if no space behind the underside is open to the air, and it is known; or "
+        "`underside: open`",
+    )
+
+
 def _warnings(
     unsupported: list[str],
     shape: SolidShape,
     repeatability: float,
     estimate: IouEstimate,
-    frontiers: tuple[Frontier, ...],
+    advice: tuple[str, ...],
     unknown: float,
 ) -> list[str]:
     """A line for people for each thing that is wrong with a solid.
 
-    What to record again is told by the frontiers where there are any: nothing here says otherwise.
+    What to record again is told by the advice where there is any: nothing here says otherwise.
     """
-    share_per_mm, doubtful = volume_share_per_mm(shape.mesh), shape.doubtful_share
-    never_seen = unknown - doubtful
+    share_per_mm = volume_share_per_mm(shape.mesh)
     # The reasons beside the estimate say why; the lines before these, from where.
     why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"
-    closer = "" if frontiers else "; record from closer, and what was hidden from where it is seen"
-    around = ", as said above" if frontiers else ": show the camera all sides of the object"
-    below = "record from where the openings above would be seen" if frontiers else "record from low down, too"
-    fused = (
+    closer = "" if advice else "; record from closer, and what was hidden from where it is seen"
+    around = ", as said above" if advice else ": show the camera all sides of the object"
+    told = (
         (
             repeatability < GOOD_REPEATABILITY,
             f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh",
@@ -181,23 +200,13 @@ def _warnings(
             f"the object's parts are thin: a surface that is off by 1 mm changes {share_per_mm:.0%} of the "
             "volume, and any IoU by as much",
         ),
-    )
-    seen = (
+        *((True, line) for line in unsupported),
         (
-            never_seen > MAX_UNKNOWN_SHARE,
-            f"{never_seen:.0%} of the solid was never measured nor enclosed{around}",
-        ),
-        (
-            doubtful > MAX_DOUBTFUL_SHARE,
-            f"{doubtful:.0%} of the solid is a thick slab, or a hollow that no frame looked "
-            f"into: it lies under a top, behind flush sides, and open below; {below}",
+            unknown > MAX_UNKNOWN_SHARE,
+            f"{unknown:.0%} of the solid was never measured, and some camera could see it{around}",
         ),
     )
-    return [
-        *(line for wrong, line in fused if wrong),
-        *unsupported,
-        *(line for wrong, line in seen if wrong),
-    ]
+    return [line for wrong, line in told if wrong]
 
 
 def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:

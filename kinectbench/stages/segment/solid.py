@@ -1,4 +1,4 @@
-"""A solid from an open surface: what is carved is empty, what is enclosed is inside."""
+"""A solid from an open surface: what was seen through is air, what no camera could see is the object."""
 
 from dataclasses import dataclass
 
@@ -11,13 +11,9 @@ from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import Evidence, FloorLayers, weigh
+from kinectbench.stages.segment.evidence import Evidence, Rules, weigh
+from kinectbench.stages.segment.guess import inside_probability, measured_probability
 from kinectbench.stages.segment.morphology import carried_up
-from kinectbench.stages.segment.probability import (
-    INTERIOR_SHARE,
-    measured_probability,
-    unseen_probability,
-)
 
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
@@ -33,7 +29,7 @@ class SolidShape:
         labels: uint8, see `Label`.
         probability: float32 in [0, 1], that the voxel is occupied.
         mesh: closed surface of `solid`, smooth where it was measured, world frame, metres.
-        doubtful_share: share of the solid that may be a hollow under a top (`enclosure.hollows`).
+        underside: bool, nobody saw it, and only lines of sight that look up reach it: one word decides it.
     """
 
     grid: Grid
@@ -41,87 +37,79 @@ class SolidShape:
     labels: NDArray[np.uint8]
     probability: Float32
     mesh: TriangleMesh
-    doubtful_share: float = 0.0
+    underside: Bools
+
+    @property
+    def underside_share(self) -> float:
+        """Of the solid, what a word about its underside decides."""
+        return int((self.underside & self.solid).sum()) / max(1, int(self.solid.sum()))
 
 
-def solidify(
-    observation: Observation, excluded: Bools, layers: FloorLayers, ray_width_m: float = 0.0
-) -> SolidShape:
-    """The solid of what the frames say: `weigh`, then `make_solid`.
+def solidify(observation: Observation, excluded: Bools, rules: Rules) -> SolidShape:
+    """The solid of what some of the frames say, for comparison: `weigh` roughly, then `make_solid`.
 
     Args:
         observation: TSDF and votes on an upright grid.
         excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
-        layers: of the grid's cells about the floor.
-        ray_width_m: how wide the frames' rays are at the object, metres; 0 = narrow.
+        rules: what a solid is made by.
 
     Raises:
         ShapeError: nothing is left.
     """
-    return make_solid(observation, weigh(observation, excluded, layers, ray_width_m), layers)
+    return make_solid(observation, weigh(observation, excluded, rules, roughly=True), rules)
 
 
-def make_solid(observation: Observation, evidence: Evidence, layers: FloorLayers) -> SolidShape:
+def make_solid(observation: Observation, evidence: Evidence, rules: Rules) -> SolidShape:
     """Decide for every voxel whether it is occupied, and how that is known.
 
-    A voxel is empty if it was carved: its TSDF is positive, or frames saw through it; or if it lies in a
-    hollow behind an apron or under the object. It is occupied if it lies just behind a measured surface. What
-    no frame saw is occupied if that is the more probable (`unseen_probability`). Near the floor what is
-    connected to nothing higher is floor; where the two cannot be told apart, the lowest occupied layer and
-    plates that hardly rise above it are extruded down to the floor. Legs whose upper end was hidden are
-    carried up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks
-    are dropped, and voids filled.
+    A voxel is empty if it was carved: its TSDF is positive, or frames saw through it. It is occupied if it
+    lies just behind a measured surface, and if no camera could see it. What is unknown is occupied if that is
+    the more probable (`guess`). Next to the floor, where it and the object cannot be told apart, the lowest
+    occupied layer and plates that hardly rise above it are extruded down to the floor. Legs whose upper end
+    was hidden are carried up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7
+    voxels, specks are dropped, and voids filled.
 
     Args:
         observation: TSDF and votes on an upright grid.
         evidence: what they say.
-        layers: of the grid's cells about the floor.
+        rules: what a solid is made by.
 
     Raises:
         ShapeError: nothing is left.
     """
     from scipy import ndimage
 
-    excluded, contact = evidence.excluded, evidence.contact
+    excluded, contact, below = evidence.excluded, evidence.contact, rules.layers.below
     voxel_m = observation.grid.voxel_size_m
-    unseen = unseen_probability(evidence, voxel_m)
-    inferred = evidence.unseen | evidence.openings.open
-    solid = np.where(inferred, unseen > 0.5, evidence.behind) & ~excluded
+    guess = inside_probability(evidence, rules, voxel_m)
+    solid = evidence.told | evidence.closed | (evidence.unknown & (guess > 0.5))
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     standing = solid[:, :, contact.stop] | evidence.raised
     solid[:, :, : contact.stop] = standing[:, :, None] & ~excluded[:, :, : contact.stop]
     solid = carried_up(solid, evidence.carved | excluded, contact.stop, voxel_m)
     field = _smooth_field(evidence, _without_specks(solid), voxel_m)
     empty = excluded.copy()
-    empty[:, :, : layers.below] = True
+    empty[:, :, :below] = True
     # A void without a 6-connected way out is filled: nobody can have looked into it.
     solid = ndimage.binary_fill_holes(_without_specks((field < 0) & ~empty)) & ~empty
     if not solid.any():
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
-    labels = _label(observation, evidence, solid, layers.below)
-    probability = _probability(voxel_m, evidence, unseen, solid)
-    probability[:, :, : layers.below] = 0
+    labels = _label(observation, evidence, solid, below)
+    probability = _probability(voxel_m, evidence, guess, solid)
+    probability[:, :, :below] = 0
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
-    doubtful = int((evidence.hollows.doubtful & solid).sum()) / int(solid.sum())
-    return SolidShape(observation.grid, solid, labels, probability, mesh, doubtful)
+    return SolidShape(observation.grid, solid, labels, probability, mesh, evidence.underside)
 
 
 def _label(observation: Observation, evidence: Evidence, solid: Bools, below: int) -> NDArray[np.uint8]:
     """One label per voxel, by what it rests on."""
     near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
-    measured = evidence.observed & near
-    enclosed = evidence.behind | (evidence.unseen & (evidence.enclosed >= INTERIOR_SHARE))
+    measured = evidence.observed & near & ~evidence.carved
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.carved] = Label.FREE
-    labels[~solid & ((evidence.behind & ~evidence.openings.open) | evidence.excluded)] = Label.OTHER
-    labels[solid & enclosed & ~evidence.openings.open] = Label.INTERIOR
-    labels[solid & evidence.hollows.doubtful] = Label.UNKNOWN
-    contact = evidence.contact
-    # What stands above goes on down to the floor, unless frames saw through, or it is open itself.
-    carried = solid[:, :, contact] & ~evidence.carved[:, :, contact] & ~evidence.openings.open[:, :, contact]
-    labels[:, :, contact][solid[:, :, contact]] = Label.UNKNOWN
-    labels[:, :, contact][carried] = Label.INTERIOR
-    labels[solid & measured & ~evidence.carved] = Label.SURFACE
+    labels[~solid & (evidence.told | evidence.excluded)] = Label.OTHER
+    labels[solid & evidence.closed] = Label.INTERIOR
+    labels[solid & (evidence.told | measured) & ~evidence.unknown] = Label.SURFACE
     labels[:, :, :below] = Label.OTHER
     return labels
 
@@ -138,10 +126,9 @@ def _without_specks(solid: Bools) -> Bools:
     return kept
 
 
-def _probability(voxel_m: float, evidence: Evidence, unseen: Float32, solid: Bools) -> Float32:
-    """Occupancy probability: `unseen` where nothing was measured, else from the signed distance."""
-    inferred = evidence.unseen | evidence.hollows.sure | evidence.openings.open
-    probability = np.where(inferred, unseen, measured_probability(evidence.signed_m, voxel_m))
+def _probability(voxel_m: float, evidence: Evidence, guess: Float32, solid: Bools) -> Float32:
+    """Occupancy probability: the guess where nothing was measured, else from the signed distance."""
+    probability = np.where(evidence.unseen, guess, measured_probability(evidence.signed_m, voxel_m))
     # What the rules above decided otherwise (floor contact, specks, neighbours) stays decided.
     decided = np.where(solid, probability <= 0.5, probability >= 0.5)
     return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)

@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.object import (
     SynthesisedQualityFile,
     UnseenSidePart,
 )
-from kinectbench.core.artefacts.object_grids import ObjectVolume, Surround
+from kinectbench.core.artefacts.object_grids import Label, ObjectVolume, Surround
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import StorageError
@@ -132,7 +132,9 @@ def test_arrays_come_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     grid = Grid((4, 5, 6), 0.005, np.eye(4))
     labels = rng.integers(0, 5, grid.shape, dtype=np.uint8)
-    ObjectVolume(grid, labels > 1, labels, rng.random(grid.shape).astype(np.float16)).write(tmp_path)
+    ObjectVolume(grid, labels > 1, labels, rng.random(grid.shape).astype(np.float16), labels == 4).write(
+        tmp_path
+    )
     volume = ObjectVolume.read(tmp_path)
     assert volume.grid.shape == grid.shape and volume.grid.voxel_size_m == 0.005
     assert volume.solid.dtype == bool and volume.probability.dtype == np.float16
@@ -141,10 +143,24 @@ def test_arrays_come_back(tmp_path: Path) -> None:
     assert np.array_equal(Surround.read(tmp_path).labels, labels)
 
 
+def test_an_underside_that_nobody_saw_comes_back(tmp_path: Path) -> None:
+    """A file of before there was one has none."""
+    grid = Grid((4, 5, 6), 0.005, np.eye(4))
+    labels = np.full(grid.shape, Label.INTERIOR, np.uint8)
+    underside = np.arange(6) < np.full(grid.shape, 2)
+    ObjectVolume(grid, labels > 1, labels, labels.astype(np.float16), underside).write(tmp_path)
+    np.testing.assert_array_equal(ObjectVolume.read(tmp_path).underside, underside)
+    with np.load(tmp_path / ObjectVolume.FILE) as archive:
+        older = {name: archive[name] for name in archive.files if name != "underside"}
+    np.savez(tmp_path / ObjectVolume.FILE, **older)
+    again = ObjectVolume.read(tmp_path)
+    assert again.underside.shape == grid.shape and again.underside.dtype == bool and not again.underside.any()
+
+
 def test_damaged_arrays_are_told(tmp_path: Path) -> None:
     grid = Grid((4, 5, 6), 0.005, np.eye(4))
     labels = np.zeros((4, 5, 6), np.uint8)
-    ObjectVolume(grid, labels[1:] > 1, labels, labels.astype(np.float16)).write(tmp_path)
+    ObjectVolume(grid, labels[1:] > 1, labels, labels.astype(np.float16), labels == 4).write(tmp_path)
     with pytest.raises(StorageError, match=r"volume\.npz: damaged \(its arrays have different shapes\)"):
         ObjectVolume.read(tmp_path)
     (tmp_path / "surround.npz").write_bytes(b"PK")

@@ -18,6 +18,7 @@ from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes, read_npz
 from kinectbench.core.voxels.pair_file import (
     Pair,
+    keys_there,
     pack,
     pair_bytes,
     pair_parts,
@@ -47,6 +48,8 @@ def pair() -> Pair:
         surface_sigma_m=0.0021,
         framing="object",
         partial_rule="any",
+        interior=pack(full & (np.arange(256) > 60)),
+        said=pack(np.zeros_like(full)),
     )
 
 
@@ -191,6 +194,24 @@ def test_a_file_without_an_occupancy_rule_is_by_winding(pair, stored, tmp_path: 
     assert read_pair(path).occupancy_rule == "six-rays"
     path.write_bytes(npz_bytes({**stored, "occupancy_rule": np.asarray(3)}))
     with pytest.raises(PairError, match="'occupancy_rule' is not a text"):
+        read_pair(path)
+
+
+def test_a_file_that_does_not_tell_by_what_it_is_known(pair, stored, tmp_path: Path):
+    """Files of before `interior` and `said`, and those of exact shapes; what is there is checked."""
+    path = tmp_path / "old.npz"
+    path.write_bytes(pair_bytes(replace(pair, interior=None, said=None)))
+    with np.load(path) as archive:
+        assert {*stored} - {*archive.files} == {"interior", "said"}
+    again = read_pair(path)
+    assert again.interior is None and again.said is None
+    np.testing.assert_array_equal(again.known, pair.known)
+    with pytest.raises(ValueError, match="it holds no 'interior'"):
+        pair_parts(path.read_bytes(), ("known", "interior"))
+    assert keys_there(("known", "interior"), path.read_bytes()) == ["known"]
+    assert keys_there(("said", "interior"), pair_bytes(pair)) == ["said", "interior"]
+    path.write_bytes(npz_bytes({**stored, "said": np.zeros((256, 256, 16), np.uint8)}))
+    with pytest.raises(PairError, match=r"'said' is uint8\(256, 256, 16\)"):
         read_pair(path)
 
 

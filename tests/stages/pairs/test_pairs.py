@@ -120,7 +120,10 @@ def test_seen_by_its_definition(pair, view, chair, cells):
 
 
 def test_known_by_its_definition(pair, chair, cells):
-    """The label of the voxel that a cell's centre lies in: fine, else coarse, else unknown."""
+    """The label of the voxel that a cell's centre lies in: fine, else coarse, else unknown.
+
+    `interior` is that label; that the underside of this chair is closed was said.
+    """
     shape, points = chair.model.shape, world_of(pair, cells)
     labels = np.full(len(cells), int(Label.UNKNOWN))
     tie = np.zeros(len(cells), bool)
@@ -133,6 +136,25 @@ def test_known_by_its_definition(pair, chair, cells):
     known = unpack(pair.known)[tuple(cells.T)]
     np.testing.assert_array_equal(known[~tie], (labels != Label.UNKNOWN)[~tie])
     assert known.mean() > 0.1
+    interior = unpack(pair.interior)[tuple(cells.T)]
+    np.testing.assert_array_equal(interior[~tie], (labels == Label.INTERIOR)[~tie])
+    assert pair.interior.any() and not (pair.interior & ~pair.known).any()
+    assert pair.said.any() and not (pair.said & ~pair.known).any()
+
+
+def test_known_without_what_was_said_is_known_without_the_word(chair, view):
+    """Of an underside that nobody saw: with the word it is inside and known, without it unknown."""
+    shape = chair.model.shape
+    inside = shape.labels == Label.INTERIOR
+    unseen = inside & (np.arange(shape.grid.shape[0]) % 8 < 4)[:, None, None]
+    labels = np.where(unseen, Label.UNKNOWN, shape.labels).astype(np.uint8)
+    with_word = replace(shape, underside=unseen)
+    without = replace(with_word, labels=labels)
+    said, unsaid = (made(chair, view, replace(chair.model, shape=of)).pair for of in (with_word, without))
+    np.testing.assert_array_equal(said.known & ~said.said, unsaid.known)
+    np.testing.assert_array_equal(said.known & ~said.interior, unsaid.known & ~unsaid.interior)
+    assert said.said.any() and not (said.said & ~said.interior).any() and (said.interior & ~said.said).any()
+    assert not unsaid.said.any()
 
 
 def test_shell_is_the_surface_of_full(pair):

@@ -73,7 +73,7 @@ def source() -> Source:
     mesh = TriangleMesh(CRATE.corners_floor(), BOX_FACES)
     grid = Grid((40, 40, 24), 0.05, rigid(np.eye(3), [-1.0, -1.0, -0.4]))
     known = known_grid(grid, np.ones(grid.shape, bool))
-    shape = FullShape(mesh, mesh.volume_m3, (known, known), 0.001)
+    shape = FullShape(mesh, mesh.volume_m3, *[(known, known)] * 3, 0.001)
     made = make_pair(view, _in_memory(frames), shape, PairSettings())
     assert made.pair is not None and made.pair.partial.any()
     return Source(frames, view, shape, pair_bytes(made.pair))

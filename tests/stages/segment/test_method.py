@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.stages import segment
 from kinectbench.stages.segment import method
+from kinectbench.stages.segment.evidence import FloorLayers, Rules
 
 # Modules of whose constants none is recorded, and why.
 ASIDE = {
@@ -34,23 +36,18 @@ ASIDE = {
     "whole": "what is chosen, as above",
     "witness": "warnings and what they rest on, which quality.json has",
 }
-# Constants that shape nothing but words.
+# Constants that shape nothing but words, pictures of packed counts, or solids that are only compared.
 NO_FIGURES = {
-    ("enclosure", "NOT_UNDER"): "stands for infinitely far",
     ("frontiers", "STEEP"): "words of advice; `look_from` is recorded",
     ("frontiers", "LEVEL"): "words of advice; `look_from` is recorded",
+    ("frontiers", "LOWER"): "words of advice; `look_from` is recorded",
+    ("frontiers", "LOOKS"): "how finely `look_from` is told",
+    ("frontiers", "HELD_RAD"): "which of equal looks is told; `look_from` is recorded",
+    ("sight", "COARSE"): "of the solids of odd and of even frames, which are only compared",
     ("rays", "UNSEEN"): "a code",
     ("rays", "OUTSIDE"): "a code",
     ("rays", "INSIDE"): "a code",
     ("rays", "NEUTRAL"): "a code",
-    ("rays", "SEALED"): "a code",
-    ("rays", "BEYOND"): "a code",
-    ("rays", "DIRECTIONS"): "neighbours that a voxel of any grid has",
-    ("rays", "_DOWN"): "an index",
-    ("rays", "_LEVEL"): "an index",
-    ("rays", "_UP"): "an index",
-    ("rays", "_BYTE"): "how counts are packed",
-    ("rays", "_SHIFT"): "how counts are packed",
 }
 MODULES = [module.name for module in pkgutil.iter_modules(segment.__path__)]
 
@@ -84,18 +81,12 @@ def constants(module: ModuleType) -> set[str]:
 
 
 def recorded() -> set[tuple[str, str]]:
-    """Module and name of the constants that `METHOD` is made of."""
-    source, used = parsed(method), set()
-    imported = {
-        alias.asname or alias.name: (node.module.rpartition(".")[2], alias.name)
-        for node in source.body
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(segment.__name__)
-        for alias in node.names
+    """Module and name of the constants that `method` records, which it writes as `module.NAME`."""
+    return {
+        (node.value.id, node.attr)
+        for node in ast.walk(parsed(method))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in MODULES
     }
-    for node in source.body:
-        if isinstance(node, ast.Assign):
-            used |= {one.id for one in ast.walk(node) if isinstance(one, ast.Name)}
-    return {found for name, found in imported.items() if name in used}
 
 
 @pytest.mark.parametrize("name", [name for name in MODULES if name not in ASIDE])
@@ -113,9 +104,14 @@ def test_every_exception_is_one() -> None:
 
 def test_what_a_constant_is() -> None:
     assert {"SHELL_M", "MIN_FREE_VOTES", "MIN_FREE_SHARE"} <= constants(module_of("evidence"))
-    assert {"ENCLOSING", "UNDER_INSIDE_SHARE"} <= constants(module_of("probability"))
+    assert {"ENCLOSED", "RIM_SHARE"} <= constants(module_of("guess"))
     # Neither words nor what another module gives a value to.
-    assert "NO_FLOOR" not in constants(module_of("floor")) and "INSIDE" not in constants(
-        module_of("evidence")
-    )
-    assert ("evidence", "SHELL_M") in recorded() and ("enclosure", "OPEN_BELOW") in recorded()
+    assert "NO_FLOOR" not in constants(module_of("floor")) and "INSIDE" not in constants(module_of("guess"))
+    assert ("evidence", "SHELL_M") in recorded() and ("sight", "FINE") in recorded()
+
+
+def test_the_rules_of_an_object_are_recorded() -> None:
+    rules = Rules(FloorLayers(4, 2), limits=SensorLimits(line_width_m=0.02), underside="closed", stands=False)
+    air = method.method(rules).air
+    assert air is not None
+    assert (air.line_width_m, air.near_m, air.underside, air.stands) == (0.02, 0.4, "closed", False)

@@ -128,9 +128,8 @@ def test_the_surround_holds_every_cube_and_stays_small(side_m: float, cell_m: fl
 
 
 def test_folder_round_trip(chair, tmp_path: Path):
-    shape = replace(chair.model.shape, doubtful_share=0.12345678)
-    quality = chair.model.quality.model_copy(update={"doubtful_share": 0.1235})
-    model = replace(chair.model, shape=shape, quality=quality)
+    model = chair.model
+    assert model.shape.underside.any()
     write_object(model, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
         "floor.json", "mesh.ply", "volume.npz", "surround.npz", "quality.json"
@@ -145,7 +144,6 @@ def test_folder_round_trip(chair, tmp_path: Path):
         "box.yaw_rad": 5e-6,
         "shape.probability": 5e-4,
         "shape.mesh.vertices": 5e-7,
-        "shape.doubtful_share": 5e-5,
     }
     # The planes that were not taken are for people: nothing reads them.
     assert_same_fields(replace(model, floor=replace(model.floor, choice=NO_CHOICE)), again, stored_rounded)
@@ -155,7 +153,6 @@ def test_folder_round_trip(chair, tmp_path: Path):
         model.floor.choice.chosen.plane.tolist()
     ]
     assert own_floor(FloorFile.read(tmp_path)).candidates == ()
-    assert again.shape.doubtful_share == 0.1235
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     write_object(model, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -164,12 +161,14 @@ def test_folder_round_trip(chair, tmp_path: Path):
 
 def test_what_an_older_folder_lacks_is_not_known(chair, tmp_path: Path):
     write_object(chair.model, tmp_path)
-    for name, key in (("floor.json", "tilt_rad"), ("quality.json", "doubtful_share")):
-        content = json.loads((tmp_path / name).read_text())
-        del content[key]
-        (tmp_path / name).write_text(json.dumps(content))
+    content = json.loads((tmp_path / "floor.json").read_text())
+    del content["tilt_rad"]
+    (tmp_path / "floor.json").write_text(json.dumps(content))
+    with np.load(tmp_path / "volume.npz") as volume:
+        arrays = {name: volume[name] for name in volume.files if name != "underside"}
+    np.savez(tmp_path / "volume.npz", **arrays)
     again = read_object(tmp_path)
-    assert np.isnan(again.floor.tilt_rad) and np.isnan(again.shape.doubtful_share)
+    assert np.isnan(again.floor.tilt_rad) and not again.shape.underside.any()
 
 
 @pytest.mark.parametrize("name", ["floor.json", "mesh.ply", "volume.npz", "surround.npz", "quality.json"])

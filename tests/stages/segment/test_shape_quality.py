@@ -10,8 +10,7 @@ from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.stages.segment.estimate import IouEstimate
-from kinectbench.stages.segment.frontiers import Frontier
-from kinectbench.stages.segment.quality import _unsupported, _warnings, loose_pieces
+from kinectbench.stages.segment.quality import ASKED_SHARE, _asked, _unsupported, _warnings, loose_pieces
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
@@ -36,16 +35,14 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
     solid[2:6, 2:6, :16] = True
     vertices = np.argwhere(solid) * 0.01
     shape = shape_of(solid, mesh=TriangleMesh(vertices, np.zeros((0, 3), np.int64)))
-    shape = replace(shape, doubtful_share=0.2)
-    opening = Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), 0.001, 0.5, 1.0, 0.5)
     estimate = IouEstimate(0.7, 0.3, 0.9, ("an opening that nobody looked into",) * told)
-    lines = _warnings([], shape, 0.95, estimate, (opening,) * told, 0.5)
-    assert len(lines) == 3 and lines[0].startswith(
+    lines = _warnings([], shape, 0.95, estimate, ("record from above",) * told, 0.5)
+    assert len(lines) == 2 and lines[0].startswith(
         "estimated IoU of the solid to the truth: 0.70 only because of "
     )
     assert ("an opening that nobody" in lines[0]) == told
-    remedies = [line for line in lines for words in ("closer", "all sides", "low down") if words in line]
-    assert len(remedies) == (0 if told else 3)
+    remedies = [line for line in lines for words in ("closer", "all sides") if words in line]
+    assert len(remedies) == (0 if told else 2)
 
 
 def test_a_loose_piece_is_told_with_its_size_and_distance() -> None:
@@ -61,3 +58,14 @@ def test_a_loose_piece_is_told_with_its_size_and_distance() -> None:
     assert line.startswith("a loose piece of 23 cm³ lies 45 mm from the rest of the object:")
     assert loose_pieces(labels, loose[:1], sizes, 0.005) == []
     assert loose_pieces(labels, loose[:0], sizes, 0.005) == []
+
+
+@pytest.mark.parametrize("word", ["unseen", "closed", "open"])
+@pytest.mark.parametrize("over", [False, True])
+def test_a_word_about_the_underside_is_asked_for_where_it_decides_much(word: str, over: bool) -> None:
+    solid = np.ones((10, 10, 10), bool)
+    underside = np.zeros_like(solid)
+    underside.reshape(-1)[: round(1000 * ASKED_SHARE) + over] = True
+    lines = _asked(replace(shape_of(solid), underside=underside), word)
+    assert len(lines) == (over and word == "unseen")
+    assert not lines or lines[0].startswith("5% of the solid is a guess that one word decides")

@@ -1,0 +1,100 @@
+"""Which voxels of a pair are counted: the protocols, and which of them the pairs of a release allow."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import pair_keys
+from kinectbench.release.release import Release, Target
+
+# Of the codes by which voxels are counted (see kernels.py).
+KNOWN, SEEN = 2, 4
+CODES = range(8)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A mask over the voxels of a pair; what it leaves out is not counted.
+
+    Attributes:
+        known: only voxels whose truth is known.
+        hidden: only voxels that the input view did not see.
+        distrusts: the grid of the pair file whose cells do not count as known; None: no grid.
+    """
+
+    known: bool = True
+    hidden: bool = False
+    distrusts: str | None = None
+
+    @cached_property
+    def looked_at(self) -> tuple[int, ...]:
+        """The codes of the voxels that it would count, were all of them known."""
+        return tuple(code for code in CODES if not (self.hidden and code & SEEN))
+
+    @cached_property
+    def codes(self) -> tuple[int, ...]:
+        """The codes of the voxels that it counts."""
+        return tuple(code for code in self.looked_at if code & KNOWN or not self.known)
+
+
+PROTOCOLS = {
+    "paper": Protocol(known=False),
+    "known": Protocol(),
+    "occluded": Protocol(hidden=True),
+    "measured": Protocol(distrusts="interior"),
+    "known-unsaid": Protocol(distrusts="said"),
+}
+PRIMARY = "known"
+
+
+def distrusted(protocols: Sequence[str]) -> tuple[str, ...]:
+    """The grids of a pair file that some protocols need beside those that every pair has."""
+    return tuple(dict.fromkeys(grid for name in protocols if (grid := PROTOCOLS[name].distrusts)))
+
+
+def check_protocols(protocols: Sequence[str] | None) -> None:
+    """Refuse names of protocols that are not known; none at all ask for those that the pairs allow.
+
+    Raises:
+        SettingsError: one that is not.
+    """
+    unknown = [name for name in protocols or () if name not in PROTOCOLS]
+    if unknown:
+        raise SettingsError(f"no protocol '{', '.join(unknown)}': choose among {', '.join(PROTOCOLS)}")
+
+
+def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
+    """The protocols under which a release is scored: those asked for, else all that its pairs allow.
+
+    The pairs of a recording are made at once, so the first of each tells which grids they have.
+
+    Raises:
+        SettingsError: one is not known, or the pairs lack the grid that it needs.
+        ReleaseError: a pair file is missing or changed.
+    """
+    check_protocols(asked)
+    names = tuple(asked or PROTOCOLS)
+    lacking: dict[str, Target] = {}
+    if needed := distrusted(names):
+        first = {t.recording: t for t in reversed(release.targets) if t.split in ("test", "validation")}
+        for target in first.values():
+            keys = _keys(release, target)
+            lacking |= {grid: target for grid in needed if grid not in keys}
+    for name in asked or ():
+        if without := lacking.get(PROTOCOLS[name].distrusts or ""):
+            raise SettingsError(
+                f"--protocol {name}: the pairs of {without.recording} do not say by what they are known (no "
+                f"'{PROTOCOLS[name].distrusts}'); leave it out, or build and publish the recordings again: "
+                "synthetic and imported pairs do not have it"
+            )
+    return tuple(name for name in names if PROTOCOLS[name].distrusts not in lacking)
+
+
+def _keys(release: Release, target: Target) -> tuple[str, ...]:
+    """The keys of a published pair file; none of one that is damaged, which counting then tells."""
+    try:
+        return pair_keys(release.pair_content(target))
+    except UNREADABLE:
+        return ()

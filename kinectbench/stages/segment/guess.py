@@ -1,0 +1,63 @@
+"""How probable it is that a voxel is inside: counted on simulated objects."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.types import Float32
+from kinectbench.stages.segment.evidence import Evidence, Rules
+from kinectbench.stages.segment.rays import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, walk_out
+from kinectbench.stages.segment.sight import rim_voxels
+
+# Counted on one object of each of 23 families that may be looked at (seed 41, true poses with 1 mm of noise),
+# each with the same weight. Boosted trees on 16 features of a voxel and what is around it, trained without
+# the family asked for, make no better solids: mean IoU .803, and .800 by such tables.
+# How many unknown voxels are inside, by the share of 26 directions that meet the object.
+# Without the four families that are drawn to deceive: with them it is .46, not .6, from 21 directions on, and
+# what lies under a real cabinet was taken for air.
+ENCLOSED = np.array([0, 9, 11, 14, 17, 19, 20, 21, 25, 26], np.float32) / 26
+INSIDE_SHARE = np.array([0.0, 0.03, 0.04, 0.11, 0.15, 0.21, 0.42, 0.6, 0.6, 0.79], np.float32)
+# Of those that only the upper rim of a line of sight touches, right under the object: by how many of eight
+# level directions lead out.
+RIM_SHARE = np.array([0.71, 0.5, 0.26, 0.2, 0.12, 0.07, 0.05, 0.03, 0.01], np.float32)
+# Of those that only lines that look up reach; and of five families of them with a space that is open below.
+UNDERSIDE_SHARE, OPEN_SHARE = np.float32(0.76), np.float32(0.48)
+# How many of the observed voxels are inside, by their signed distance in voxels.
+SIGNED_VOXELS = np.array(
+    [-4, -3.25, -3, -2.5, -2, -1.5, -1, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1, 2, 3], np.float32
+)
+SIGNED_INSIDE_SHARE = np.array(
+    [0.94, 0.9, 0.885, 0.94, 0.96, 0.98, 0.985, 0.945, 0.83, 0.5, 0.045, 0.01, 0.003, 0.002, 0.001, 0.0],
+    np.float32,
+)
+
+
+def inside_probability(evidence: Evidence, rules: Rules, voxel_m: float) -> Float32:
+    """That an unseen voxel is inside; means something where `unseen` is set.
+
+    Args:
+        evidence: what the frames say.
+        rules: what a solid is made by.
+        voxel_m: edge of a voxel, metres.
+    """
+    state = np.full(evidence.told.shape, UNSEEN, np.uint8)
+    state[evidence.told | evidence.closed] = INSIDE
+    state[evidence.carved | evidence.excluded] = OUTSIDE
+    # Below the object no camera sees the floor: walking down says nothing there.
+    state[:, :, : evidence.contact.start] = NEUTRAL
+    met = walk_out(state)
+    probability = np.interp(met.enclosed, ENCLOSED, INSIDE_SHARE).astype(np.float32)
+    object_above = evidence.told | evidence.closed | evidence.underside
+    rim = np.zeros_like(object_above)
+    for layers in range(1, rim_voxels(rules.limits, voxel_m) + 1):
+        rim[:, :, :-layers] |= object_above[:, :, layers:]
+    rim &= evidence.unknown & ~evidence.underside
+    probability[rim] = RIM_SHARE[met.level_outside[rim]]
+    probability[evidence.underside] = OPEN_SHARE if rules.underside == "open" else UNDERSIDE_SHARE
+    probability[evidence.closed] = 1
+    return probability
+
+
+def measured_probability(signed_m: NDArray[np.floating], voxel_size_m: float) -> Float32:
+    """That a voxel next to a measured surface is inside, by its signed distance from it (metres)."""
+    voxels = signed_m / np.float32(voxel_size_m)
+    return np.asarray(np.interp(voxels, SIGNED_VOXELS, SIGNED_INSIDE_SHARE), np.float32)
