@@ -12,7 +12,6 @@ from kinectbench.core.geometry import (
     quaternion_xyzw_from_rotation,
     rigid,
     rotation_from_quaternion_xyzw,
-    transform_points,
 )
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.image_normals import image_normals
@@ -87,7 +86,7 @@ class Reading:
         known = np.isfinite(poses[:, 0, 0])
         T = poses[known]
         if self.wxyz:
-            quaternions_wxyz = [quaternion_xyzw_from_rotation(rotation) for rotation in T[:, :3, :3]]
+            quaternions_wxyz = quaternion_xyzw_from_rotation(T[:, :3, :3])
             T[:, :3, :3] = rotation_from_quaternion_xyzw(np.roll(quaternions_wxyz, -1, axis=1))
         if self.inverse:
             T = invert_rigid(T)
@@ -192,24 +191,30 @@ def frames_of(pairs: Sequence[Pair]) -> NDArray[np.int64]:
     return np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
 
 
-def pair_disagreement(pair: Pair, T_world_camera: Float64) -> float:
-    """How badly poses fit two frames: 0 to 1, the mean over points of how far off each is (own rule).
+def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
+    """How badly poses fit pairs of frames: 0 to 1, the mean over points of how far off each is (own rule).
 
     A point is off by the difference of its distance and the one measured at its pixel, as a share of a tenth
     of the distance, at most 1. Points without a partner count as 1: wrong poses often leave none.
 
     Args:
-        pair: what is compared.
-        T_world_camera: (n, 4, 4) of the frames looked at; NaN where there is no pose.
+        pairs: what is compared.
+        T_world_camera: (k, n, 4, 4), k sets of poses of the frames looked at; those of the pairs are finite.
+
+    Returns:
+        (k, pairs).
     """
-    points, rows, columns, inside = _fall(pair, T_world_camera)
-    expected_m, measured_m = points[inside, 2], pair.depth_m[rows, columns]
-    off = np.abs(measured_m - expected_m) / (WRONG_SHARE * expected_m)
-    known = measured_m > 0
-    # A point that falls where nothing was measured says nothing.
-    counted = len(points) - int((~known).sum())
-    wrong = float(np.minimum(off[known], 1.0).sum()) + len(points) - len(expected_m)
-    return wrong / max(counted, 1)
+    found = np.empty((len(T_world_camera), len(pairs)))
+    for column, pair in enumerate(pairs):
+        points, rows, columns, inside = _fall(pair, T_world_camera)
+        expected_m, measured_m = points[..., 2], pair.depth_m[rows, columns]
+        # A point that falls where nothing was measured says nothing.
+        known, silent = inside & (measured_m > 0), inside & (measured_m == 0)
+        off = np.abs(measured_m - expected_m)[known] / (WRONG_SHARE * expected_m[known])
+        wrong = np.where(inside, 0.0, 1.0)
+        wrong[known] = np.minimum(off, 1.0)
+        found[:, column] = wrong.sum(axis=-1) / np.maximum((~silent).sum(axis=-1), 1)
+    return found
 
 
 def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
@@ -219,6 +224,7 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
         points, rows, columns, inside = _fall(pair, T_world_camera)
         surface = pair.camera.rays() * pair.depth_m[..., None]
         normals = image_normals(surface, pair.depth_m)
+        rows, columns = rows[inside], columns[inside]
         p, q, n = points[inside], surface[rows, columns], normals[rows, columns]
         near = (np.abs(p - q)[:, 2] < WRONG_SHARE * p[:, 2]) & np.isfinite(n).all(axis=1)
         found.append(np.abs(((p - q) * n).sum(axis=1))[near])
@@ -229,11 +235,16 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
 def _fall(
     pair: Pair, T_world_camera: Float64
 ) -> tuple[Float64, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Points of the first frame in the second's axes; rows and columns in its image; which are inside it."""
-    T_second_first = invert_rigid(T_world_camera[pair.second]) @ T_world_camera[pair.first]
-    points = transform_points(T_second_first, pair.points)
-    u, v = pair.camera.project(np.maximum(points, [-np.inf, -np.inf, NEAREST_M])).T
-    before = points[:, 2] > NEAREST_M
+    """Points (..., m, 3) of the first frame in the second's axes by poses (..., n, 4, 4).
+
+    Returns:
+        These; their rows and columns in its image, 0 where they are outside; which are inside it.
+    """
+    first, second = (T_world_camera[..., index, :, :] for index in (pair.first, pair.second))
+    T_second_first = invert_rigid(second) @ first
+    points = pair.points @ np.swapaxes(T_second_first[..., :3, :3], -1, -2) + T_second_first[..., None, :3, 3]
+    u, v = np.moveaxis(pair.camera.project(np.maximum(points, [-np.inf, -np.inf, NEAREST_M])), -1, 0)
+    before = points[..., 2] > NEAREST_M
     inside = before & (u >= 0) & (v >= 0) & (u < pair.camera.width - 1) & (v < pair.camera.height - 1)
-    rows, columns = (np.rint(each[inside]).astype(np.int64) for each in (v, u))
+    rows, columns = (np.rint(np.where(inside, each, 0)).astype(np.int64) for each in (v, u))
     return points, rows, columns, inside

@@ -10,7 +10,7 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import Pair, Reading, frames_of, pair_disagreement
+from kinectbench.doctor.fit import Pair, Reading, disagreements, frames_of
 from kinectbench.doctor.look import Look
 
 # Half a second either way: clocks that were set to each other by the network (own choice).
@@ -66,11 +66,10 @@ def trajectory_delay_ns(
 
     def costs(lags_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """(lags, pairs)."""
-        poses = [_poses(look, given, pairs, int(lag)) for lag in lags_ns]
-        posed = np.all([np.isfinite(each[:, 0, 0]) for each in poses], axis=0)
+        poses = np.stack([_poses(look, given, pairs, int(lag)) for lag in lags_ns])
+        posed = np.all(np.isfinite(poses[:, :, 0, 0]), axis=0)
         usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
-        read = [reading.apply(each) for each in poses]
-        return np.array([[pair_disagreement(pair, each) for pair in usable] for each in read])
+        return disagreements(usable, np.stack([reading.apply(each) for each in poses]))
 
     coarse_ns = _coarse_ns(costs(LAGS_NS))
     lags_ns = FINE_NS + FINE_STEP_NS * round((coarse_ns or 0) / FINE_STEP_NS)

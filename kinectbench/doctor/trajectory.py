@@ -18,11 +18,11 @@ from kinectbench.doctor.fit import (
     Pair,
     Reading,
     choose_pairs,
+    disagreements,
     fits,
     frames_of,
     further_readings,
     likely_readings,
-    pair_disagreement,
     residual_m,
 )
 from kinectbench.doctor.look import Look
@@ -86,7 +86,7 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     if len(pairs) < LEAST_PAIRS:
         return None
     standing = np.tile(np.eye(4), (len(poses), 1, 1))
-    unmoved = np.array([pair_disagreement(pair, standing) for pair in pairs])
+    (unmoved,) = disagreements(pairs, standing[None])
     readings = list(likely_readings())
     table = _disagreements(readings, pairs, poses)
     fitting = table.min(axis=0) < HOPELESS
@@ -125,8 +125,7 @@ def _disagreements(
     """(readings, pairs)."""
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]
-    read = (reading.apply(paired) for reading in readings)
-    return np.array([[pair_disagreement(pair, each) for pair in pairs] for each in read])
+    return disagreements(pairs, np.stack([reading.apply(paired) for reading in readings]))
 
 
 def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:

@@ -77,40 +77,47 @@ def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Float64:
 
 
 def quaternion_xyzw_from_rotation(rotation: Float64) -> Float64:
-    """Turn one rotation (3, 3) into a unit quaternion (4,), order x y z w, with w >= 0."""
+    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), order x y z w, with w >= 0."""
     # Bar-Itzhack (2000): the quaternion is the dominant eigenvector of this symmetric matrix.
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], 0.0, 0.0, 0.0],
-            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0.0, 0.0],
-            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], 0.0],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], np.trace(r)],
-        ]
-    )
+    r = np.moveaxis(rotation, (-2, -1), (0, 1))
+    k = np.zeros((*rotation.shape[:-2], 4, 4))
+    k[..., 0, 0] = r[0, 0] - r[1, 1] - r[2, 2]
+    k[..., 1, 0], k[..., 1, 1] = r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2]
+    k[..., 2, 0], k[..., 2, 1] = r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    k[..., 2, 2] = r[2, 2] - r[0, 0] - r[1, 1]
+    k[..., 3, 0], k[..., 3, 1] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0]
+    k[..., 3, 2], k[..., 3, 3] = r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]
     _, vectors = np.linalg.eigh(k, UPLO="L")
-    quaternion: Float64 = vectors[:, 3] / np.linalg.norm(vectors[:, 3])
-    return -quaternion if quaternion[3] < 0 else quaternion
+    dominant = np.ascontiguousarray(vectors[..., 3])
+    quaternion = dominant / np.sqrt(_dot(dominant, dominant))[..., None]
+    return np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
 
 
-def interpolate_rigid(T_a_b0: Float64, T_a_b1: Float64, fraction: float) -> Float64:
-    """Interpolate between two transforms: slerp for the rotation, linear for the translation.
+def interpolate_rigid(T_a_b0: Float64, T_a_b1: Float64, fraction: ArrayLike) -> Float64:
+    """Interpolate between transforms: slerp for the rotation, linear for the translation.
 
     Args:
-        T_a_b0: (4, 4), the result at fraction 0.
-        T_a_b1: (4, 4), the result at fraction 1.
-        fraction: in [0, 1].
+        T_a_b0: (..., 4, 4), the result at fraction 0.
+        T_a_b1: (..., 4, 4), the result at fraction 1.
+        fraction: (...) in [0, 1].
     """
-    q0 = quaternion_xyzw_from_rotation(T_a_b0[:3, :3])
-    q1 = quaternion_xyzw_from_rotation(T_a_b1[:3, :3])
-    dot = float(q0 @ q1)
-    if dot < 0:
-        q1, dot = -q1, -dot
-    angle = np.arccos(min(dot, 1.0))
-    apart = angle > 1e-9
-    quaternion = np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1 if apart else q0
-    translation_m = (1 - fraction) * T_a_b0[:3, 3] + fraction * T_a_b1[:3, 3]
-    return rigid(rotation_from_quaternion_xyzw(quaternion), translation_m)
+    q0 = quaternion_xyzw_from_rotation(T_a_b0[..., :3, :3])
+    q1 = quaternion_xyzw_from_rotation(T_a_b1[..., :3, :3])
+    dot, share = _dot(q0, q1)[..., None], np.asarray(fraction, np.float64)[..., None]
+    q1, dot = np.where(dot < 0, -q1, q1), np.abs(dot)
+    angle = np.arccos(np.minimum(dot, 1.0))
+    between = np.sin((1 - share) * angle) * q0 + np.sin(share * angle) * q1
+    T = np.zeros_like(T_a_b0)
+    T[..., :3, :3] = rotation_from_quaternion_xyzw(np.where(angle > 1e-9, between, q0))
+    T[..., :3, 3] = (1 - share) * T_a_b0[..., :3, 3] + share * T_a_b1[..., :3, 3]
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def _dot(a: Float64, b: Float64) -> Float64:
+    """Inner products of vectors (..., n): (...)."""
+    product: Float64 = (a[..., None, :] @ b[..., :, None])[..., 0, 0]
+    return product
 
 
 def rigid_from_twist(twist: NDArray[np.floating]) -> Float64:

@@ -111,15 +111,19 @@ def poses_at(given: GivenTrajectory, stamps_ns: Int64, max_gap_s: float) -> Floa
         (n, 4, 4) float64; NaN where the trajectory says nothing. A stamp met exactly needs no bridge.
     """
     poses = np.full((len(stamps_ns), 4, 4), np.nan)
-    after = np.searchsorted(given.stamps_ns, stamps_ns)
-    for index, (stamp, right) in enumerate(zip(stamps_ns, after, strict=True)):
-        if right < len(given.stamps_ns) and given.stamps_ns[right] == stamp:
-            poses[index] = given.T_world_camera[right]
-        elif 0 < right < len(given.stamps_ns):
-            gap_ns = int(given.stamps_ns[right] - given.stamps_ns[right - 1])
-            if gap_ns <= max_gap_s * 1e9:
-                fraction = int(stamp - given.stamps_ns[right - 1]) / gap_ns
-                poses[index] = interpolate_rigid(
-                    given.T_world_camera[right - 1], given.T_world_camera[right], fraction
-                )
+    known_ns = given.stamps_ns
+    after = np.searchsorted(known_ns, stamps_ns)
+    met = after < len(known_ns)
+    met[met] = known_ns[after[met]] == stamps_ns[met]
+    poses[met] = given.T_world_camera[after[met]]
+    between = ~met & (after > 0) & (after < len(known_ns))
+    right = after[between]
+    gap_ns = known_ns[right] - known_ns[right - 1]
+    fraction = (stamps_ns[between] - known_ns[right - 1]) / gap_ns
+    bridged = gap_ns <= max_gap_s * 1e9
+    between[between] = bridged
+    right = right[bridged]
+    poses[between] = interpolate_rigid(
+        given.T_world_camera[right - 1], given.T_world_camera[right], fraction[bridged]
+    )
     return poses

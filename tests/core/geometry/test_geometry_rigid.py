@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -122,6 +123,26 @@ def test_interpolation_takes_the_short_way() -> None:
 def test_interpolation_between_equal_rotations() -> None:
     T = rigid(about_z(0.7), [1, 2, 3])
     np.testing.assert_allclose(interpolate_rigid(T, T, 0.3), T, atol=1e-12)
+
+
+def test_many_at_once_are_what_each_is_alone() -> None:
+    """Against the turn between them by Rodrigues, transform after transform."""
+    rng = np.random.default_rng(0)
+    turns = rotation_from_quaternion_xyzw(rng.normal(size=(2, 50, 4)))
+    turns[1, 0], turns[0, 1], turns[1, 1] = turns[0, 0], np.eye(3), about_z(np.pi)
+    T0, T1 = ([rigid(turn, rng.normal(size=3)) for turn in each] for each in turns)
+    fractions = rng.random(50)
+    found = interpolate_rigid(np.stack(T0), np.stack(T1), fractions)
+    for k, fraction in enumerate(fractions):
+        turn = cv2.Rodrigues(T0[k][:3, :3].T @ T1[k][:3, :3])[0]
+        turned = T0[k][:3, :3] @ cv2.Rodrigues(fraction * turn)[0]
+        moved = (1 - fraction) * T0[k][:3, 3] + fraction * T1[k][:3, 3]
+        if k != 1:  # half a turn goes either way
+            np.testing.assert_allclose(found[k], rigid(turned, moved), rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(found[k], interpolate_rigid(T0[k], T1[k], float(fraction)))
+        np.testing.assert_array_equal(
+            quaternion_xyzw_from_rotation(turns[0])[k], quaternion_xyzw_from_rotation(turns[0, k])
+        )
 
 
 def test_inputs_are_left_alone() -> None:
