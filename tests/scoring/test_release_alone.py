@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from small_benchmark import Run, hashes, run
+from small_benchmark import Run, hashes
 
 from kinectbench.release.release import Release
 
@@ -22,7 +22,7 @@ def alone(release: Release, tmp_path: Path) -> Path:
     return tmp_path / "alone"
 
 
-def test_baseline_check_and_score(alone: Path) -> None:
+def test_baseline_check_and_score(command: Command, alone: Path) -> None:
     before = hashes(alone / "release")
     steps = (
         ["verify", "release"],
@@ -32,7 +32,7 @@ def test_baseline_check_and_score(alone: Path) -> None:
     )
     for step in steps:
         benchmark = [] if step[0] == "verify" else ["--benchmark", "release", "--jobs", "1"]
-        result = run(alone, *step, *benchmark)
+        result = command(alone, *step, *benchmark)
         assert result.status == 0, result
         assert "Traceback" not in result.err
     assert sorted(path.name for path in alone.iterdir()) == ["predictions", "release", "scores"]

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from object_checks import check_closed, closed
 from scipy.spatial import ConvexHull
+from slow import first
 
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.lab.simulate.objects import (
@@ -114,7 +115,7 @@ def test_bent_shapes_keep_their_volume():
 
 
 @pytest.mark.parametrize("family", FURNITURE)
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", first(4, SEEDS))
 def test_furniture_is_one_watertight_solid(family, seed):
     subject = furniture(family, seed)
     mesh = check_closed(subject)
@@ -265,7 +266,7 @@ def test_a_contact_sheet_shows_each_object_in_its_place():
 
 
 def test_contact_sheets_are_written(tmp_path):
-    paths = write_contact_sheets(tmp_path / "sheets", count=2, size_px=40)
+    paths = write_contact_sheets(tmp_path / "sheets", count=1, size_px=40)
     assert [path.name for path in paths] == [f"{family}.png" for family in FAMILIES]
     assert cv2.imread(str(paths[0])).shape == (62, 160, 3)
     (tmp_path / "file").write_text("")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from object_checks import check_solid, check_thickness, check_variety, drawn, is_solid, reach_m
+from slow import first
 
 SEEDS = range(12)
 
@@ -13,7 +14,7 @@ def test_it_is_one_watertight_solid_of_true_size(seed):
     check_thickness(drawn("kennel", seed), 0.0139)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", first(4, SEEDS))
 def test_its_room_is_air_with_a_roof_and_a_doorway_smaller_than_itself(seed):
     subject = drawn("kennel", seed)
     low, high = subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0)

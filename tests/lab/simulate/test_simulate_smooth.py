@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from object_checks import check_solid, check_thickness, check_variety, checked, drawn
+from slow import first
 
 from kinectbench.lab.simulate.objects.shapes import box
 from kinectbench.lab.simulate.objects.smooth import (
@@ -24,7 +25,7 @@ THICK_M = {"blob": 0.1, "sculpture": 0.03}
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", first(2, SEEDS))
 def test_it_is_one_watertight_solid_of_true_size(family, seed):
     check_solid(drawn(family, seed), *BOUNDS[family], steady_m=0.015)
     check_thickness(drawn(family, seed), THICK_M[family])

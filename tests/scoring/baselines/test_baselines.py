@@ -296,7 +296,7 @@ def test_mirror_gain_by_hand() -> None:
     assert mirror_gain(points, points @ normal, normal, 40.0, 4, gain) == expected
 
 
-@pytest.mark.parametrize("upsampling", ["half-pixel", "corner-aligned"])
+@pytest.mark.parametrize("upsampling", [slow("half-pixel"), "corner-aligned"])
 def test_baselines_beside_are_what_their_files_score(
     few: Release, written: Path, tmp_path: Path, upsampling: str
 ) -> None:

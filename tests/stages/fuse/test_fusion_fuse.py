@@ -269,13 +269,14 @@ def test_vertices_take_the_colour_of_what_they_show():
     native = [plain.frames.depth_native(i) for i in range(8)]
     frames = FurnitureFrames(native, colors)
     colored = Sequence(CAMERA, plain.depth_scale, plain.stamps_ns, True, None, frames)
-    mesh = fuse(colored, trajectory_of(poses), FusionSettings()).mesh
+    coarse = FusionSettings(voxel_size_m=0.01, scene_voxel_size_m=0.02)
+    mesh = fuse(colored, trajectory_of(poses), coarse).mesh
     assert mesh.colors is not None and mesh.colors.dtype == np.uint8
     on_top = mesh.vertices[:, 2] > 0.06
     on_floor = np.abs(mesh.vertices[:, :2]).max(axis=1) > 0.25
     np.testing.assert_allclose(np.median(mesh.colors[on_top], axis=0), [200, 0, 0])
     np.testing.assert_allclose(np.median(mesh.colors[on_floor], axis=0), [0, 160, 0])
-    assert fuse(plain, trajectory_of(poses), FusionSettings()).mesh.colors is None
+    assert fuse(plain, trajectory_of(poses), coarse).mesh.colors is None
 
 
 @pytest.mark.parametrize(("width_mm", "voxel_mm"), [(3.0, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from analytic_scenes import health_of, ring
 from health_scenes import DISTANCE_M, check_of, closed, figures_of, sequence_at, tracked_of
+from slow import slow
 from tracking_scenes import chair_circle, errors_m
 from verdicts import GOOD_M
 
@@ -294,7 +295,7 @@ def walked(off_m: float | None) -> Sequence:
         (None, "ignore", "good"),
         (0.06, "refine", "good"),
         (0.06, "trust", "not good"),
-        (0.25, "trust", "not good"),
+        slow(0.25, "trust", "not good"),
     ],
 )
 def test_a_grade_is_worth_what_is_known_of_the_error(off_m: float | None, mode: str, grade: str) -> None:
