@@ -59,10 +59,13 @@ def wait_until_all_ended(process: "subprocess.Popen[str]") -> None:
 # --- killed -------------------------------------------------------------------------------------------
 
 
-def test_killed_at_random_moments(command: Command, small: Path, fresh: Path, tmp_path: Path) -> None:
-    """Three kills while it works; then one run must publish what an undisturbed one publishes."""
+@pytest.mark.parametrize("kills", [2, slow(5)])
+def test_killed_at_random_moments(
+    command: Command, small: Path, fresh: Path, tmp_path: Path, kills: int
+) -> None:
+    """Some kills while it works; then one run must publish what an undisturbed one publishes."""
     moments = random.Random(0)
-    for _ in range(3):
+    for _ in range(kills):
         process = start(fresh, "publish", "--jobs", "2")
         wait_for(lambda: bool(list(fresh.glob("build/*/.*.part"))), process)
         time.sleep(moments.uniform(0, 1.5))
@@ -145,7 +148,7 @@ def test_killed_between_the_two_renames_of_publishing(command: Command, small: P
         slow("1", "parent", signal.SIGINT, 130),
         slow("2", "all", signal.SIGTERM, 143),
         slow("2", "parent", signal.SIGINT, 130),
-        ("2", "parent", signal.SIGTERM, 143),
+        slow("2", "parent", signal.SIGTERM, 143),  # test_stopped_by_timeout sends it to both
     ],
 )
 def test_interrupted(

@@ -8,6 +8,7 @@ import cabinet
 import pytest
 from builds import built
 from figures import missed
+from slow import slow
 
 from kinectbench.engine.stages import Job
 
@@ -23,10 +24,12 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cabinet")
 
 
-@pytest.fixture(scope="session")
-def job(root: Path) -> Job:
-    """The cabinet, built from its folder."""
-    return built(cabinet.cabinet_settings(Path(DATA or ".")), root, workers=1)[0]
+@pytest.fixture(scope="session", params=[12, slow(cabinet.VIEWS)])
+def job(request: pytest.FixtureRequest, root: Path) -> Job:
+    """The cabinet, built from its folder, with some views or all."""
+    settings = cabinet.cabinet_settings(Path(DATA or "."))
+    some = settings.model_copy(update={"views": settings.views.model_copy(update={"count": request.param})})
+    return built(some, root / f"{request.param} views", workers=1)[0]
 
 
 def test_the_frame_that_disagrees_is_left_out(job: Job) -> None:
@@ -41,13 +44,15 @@ def test_flat_faces(job: Job) -> None:
     assert missed(cabinet.face_figures(job)) == []
 
 
-def test_fifty_views_and_pairs(job: Job) -> None:
+def test_every_view_becomes_a_pair(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cabinet, "VIEWS", job.settings.views.count)
     assert missed(cabinet.pair_figures(job)) == []
 
 
 @pytest.mark.slow  # test_real_ingest.py: what is read of the bag is the same, and all else follows from it
-def test_a_bag_gives_the_same_bytes(job: Job, root: Path) -> None:
+def test_a_bag_gives_the_same_bytes(root: Path) -> None:
     settings, file = cabinet.cabinet_settings(Path(DATA or ".")), root / "cabinet.bag"
-    bag_equals_folder.wrap(Path(job.recording.path), file)
-    folder, bag = built(bag_equals_folder.with_bag(settings, file), root, workers=1)
+    bag_equals_folder.wrap(Path(settings.recordings[0].path), file)
+    with_bag = bag_equals_folder.with_bag(settings, file)
+    folder, bag = built(with_bag, root / f"{cabinet.VIEWS} views", workers=1)
     assert missed(bag_equals_folder.compare(folder.build, bag.build)) == []
