@@ -129,7 +129,7 @@ def test_it_can_be_scored_and_gives_thresholds(release: Release, tmp_path: Path)
             path = tmp_path / "methods" / "perfect" / target.recording / f"{target.view}.npy"
             path.parent.mkdir(parents=True, exist_ok=True)
             np.save(path, unpack(read_pair(release.pair_path(target)).full))
-    (table,) = score_methods(release, tmp_path / "methods" / "perfect", tmp_path / "scores")
+    (table,) = score_methods(release, tmp_path / "methods" / "perfect", tmp_path / "scores", surface=False)
     assert table.complete and table.threshold_source == "validation"
     assert {row.iou for row in table.rows} == {1.0}
 
