@@ -102,8 +102,11 @@ class SolidMethod(Part):
     probability_by_signed_voxels: Curve | None = Field(
         None, description="[signed distance in voxels, probability] of observed voxels"
     )
-    probability_unknown: Curve | None = Field(
-        None, description="[share of 26 enclosing directions, probability] of unknown voxels"
+    probability_roofed: Curve | None = Field(
+        None, description="[share of 26 enclosing directions, probability] of unknown voxels under a roof"
+    )
+    probability_sky: Curve | None = Field(
+        None, description="the same where straight up one leaves the object"
     )
     probability_rim: tuple[float, ...] | None = Field(
         None,

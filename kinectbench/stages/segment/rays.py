@@ -20,11 +20,13 @@ class Met:
         inside: of all 26, that meet INSIDE.
         outside: of all 26, that meet OUTSIDE, or leave the grid.
         level_outside: the same of the 8 level ones.
+        sky: 1 where straight up it does.
     """
 
     inside: NDArray[np.uint8]
     outside: NDArray[np.uint8]
     level_outside: NDArray[np.uint8]
+    sky: NDArray[np.uint8]
 
     @property
     def enclosed(self) -> Float32:
@@ -51,7 +53,8 @@ def walk_out(state: NDArray[np.uint8]) -> Met:
 def _walk_out(state):  # type: ignore[no-untyped-def]
     """See `walk_out`; the state has a border of one voxel."""
     nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
-    inside, outside, level_outside = (
+    inside, outside, level_outside, sky = (
+        np.zeros((nx, ny, nz), np.uint8),
         np.zeros((nx, ny, nz), np.uint8),
         np.zeros((nx, ny, nz), np.uint8),
         np.zeros((nx, ny, nz), np.uint8),
@@ -77,7 +80,9 @@ def _walk_out(state):  # type: ignore[no-untyped-def]
                 _count(own, into, OUTSIDE, outside[i - 1, j - 1])
                 if dz == 0:
                     _count(own, into, OUTSIDE, level_outside[i - 1, j - 1])
-    return inside, outside, level_outside
+                elif dx == 0 and dy == 0 and dz > 0:
+                    _count(own, into, OUTSIDE, sky[i - 1, j - 1])
+    return inside, outside, level_outside, sky
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)

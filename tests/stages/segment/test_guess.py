@@ -8,11 +8,12 @@ from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.stages.segment.evidence import FloorLayers, Rules
 from kinectbench.stages.segment.guess import (
     ENCLOSED,
-    INSIDE_SHARE,
     OPEN_SHARE,
     RIM_SHARE,
+    ROOFED_SHARE,
     SIGNED_INSIDE_SHARE,
     SIGNED_VOXELS,
+    SKY_SHARE,
     UNDERSIDE_SHARE,
     inside_probability,
     measured_probability,
@@ -31,10 +32,11 @@ def cells(*boxes: tuple[slice, ...]) -> np.ndarray:
 
 
 def test_what_was_counted_is_a_probability_and_rises_with_enclosure() -> None:
-    for shares in (INSIDE_SHARE, RIM_SHARE, SIGNED_INSIDE_SHARE):
+    for shares in (ROOFED_SHARE, SKY_SHARE, RIM_SHARE, SIGNED_INSIDE_SHARE):
         assert shares.min() >= 0 and shares.max() <= 1
     assert (np.diff(ENCLOSED) > 0).all() and (ENCLOSED[0], ENCLOSED[-1]) == (0, 1)
-    assert (np.diff(INSIDE_SHARE) >= 0).all() and len(RIM_SHARE) == 9 and (np.diff(RIM_SHARE) <= 0).all()
+    assert (np.diff(ROOFED_SHARE) >= 0).all() and (np.diff(SKY_SHARE) >= 0).all()
+    assert len(RIM_SHARE) == 9 and (np.diff(RIM_SHARE) <= 0).all()
     assert OPEN_SHARE < 0.5 < UNDERSIDE_SHARE
 
 
@@ -45,12 +47,10 @@ def test_by_the_share_of_directions_that_meet_the_object(told_above: bool, enclo
     plate = cells(np.s_[:, :, 6:]) if told_above else cells()
     evidence = evidence_of(SHAPE, unseen=unknown, told=plate, carved=~unknown & ~plate)
     # Ways end in the free space right beside it.
-    assert inside_probability(evidence, RULES, VOXEL_M)[4, 4, 2] == pytest.approx(
-        np.interp(0, ENCLOSED, INSIDE_SHARE)
-    )
+    assert inside_probability(evidence, RULES, VOXEL_M)[4, 4, 2] == pytest.approx(SKY_SHARE[0])
     column = cells(np.s_[:, :, 2:6])
     evidence = evidence_of(SHAPE, unseen=column, told=plate, carved=~column & ~plate)
-    expected = np.interp(enclosing / 26, ENCLOSED, INSIDE_SHARE)
+    expected = np.interp(enclosing / 26, ENCLOSED, ROOFED_SHARE if told_above else SKY_SHARE)
     assert inside_probability(evidence, RULES, VOXEL_M)[4, 4, 2] == pytest.approx(expected)
 
 

@@ -26,6 +26,15 @@ def walked(state: np.ndarray) -> np.ndarray:
     return votes
 
 
+def sky_of(state: np.ndarray) -> np.ndarray:
+    """Whether straight up one first meets OUTSIDE, from each UNSEEN voxel."""
+    found = np.zeros(state.shape, int)
+    for i, j, k in np.argwhere(state == UNSEEN):
+        above = [int(each) for each in state[i, j, k + 1 :] if each != UNSEEN]
+        found[i, j, k] = (above or [OUTSIDE])[0] == OUTSIDE
+    return found
+
+
 def grid_of(seed: int, shape: tuple[int, int, int] = (9, 11, 7)) -> np.ndarray:
     rng = np.random.default_rng(seed)
     of = [UNSEEN, OUTSIDE, INSIDE, NEUTRAL]
@@ -44,6 +53,7 @@ def test_against_a_walk(seed: int, shape: tuple[int, int, int]):
     np.testing.assert_array_equal(met.inside, inside)
     np.testing.assert_array_equal(met.outside, outside)
     np.testing.assert_array_equal(met.level_outside, votes[1, OUTSIDE])
+    np.testing.assert_array_equal(met.sky, sky_of(state))
     np.testing.assert_allclose(met.enclosed, inside / np.maximum(inside + outside, 1), atol=1e-6)
     assert met.enclosed.dtype == np.float32
     np.testing.assert_array_equal(state, before)
@@ -56,7 +66,8 @@ def test_by_hand():
     # From beside an open side nine of the 26 directions lead there, three of them level.
     state[4] = OUTSIDE
     met = walk_out(state)
-    assert met.enclosed[3, 2, 2] == np.float32(17 / 26) and met.level_outside[3, 2, 2] == 3
+    assert met.enclosed[3, 2, 2] == np.float32(17 / 26)
+    assert met.level_outside[3, 2, 2] == 3
     # Directions that end in what is neutral do not count.
     state[4] = NEUTRAL
     assert walk_out(state).enclosed[3, 2, 2] == 1
