@@ -41,6 +41,7 @@ class FrontierMethod(Part):
     """Which regions that some camera could still see are told, and from where one would look into them."""
 
     least_share: float = Field(description="of the solid's volume, that lies behind one at least")
+    least_underside_share: float | None = Field(None, description="the same of an underside")
     least_area_m2: float = Field(description="its least area, square metres")
     least_probability: float = Field(description="of being inside, of what counts as behind one")
     enough: float | None = Field(

@@ -13,7 +13,7 @@ from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.lines_of_sight import directions
 from kinectbench.stages.segment.evidence import Evidence
-from kinectbench.stages.segment.morphology import broad
+from kinectbench.stages.segment.morphology import broad, opened
 from kinectbench.stages.segment.sight import seen_from
 from kinectbench.stages.segment.solid import SolidShape
 
@@ -22,6 +22,8 @@ Direction = Literal["up", "side", "down"]
 # A frontier is told of if what lies behind it is so much of the solid's volume, and if it is so large (own
 # choices).
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
+# Where a word about the underside decides so much of the solid, it is asked for (own choice).
+ASKED_SHARE = 0.05
 # What is all but certainly air says nothing of the object.
 LEAST_PROBABILITY = 0.025
 # Directions that are asked how much of a region they show: 16 degrees apart (own choice).
@@ -129,10 +131,11 @@ def _of_region(
     from scipy import ndimage
 
     voxel_m = shape.grid.voxel_size_m
-    pieces, count = ndimage.label(
-        broad(region, max(1, round(limits.line_width_m / voxel_m))), np.ones((3, 3, 3))
-    )
-    least = max(1, LEAST_SHARE * int(shape.solid.sum()))
+    cells = max(1, round(limits.line_width_m / voxel_m))
+    # Seen from below a board is wide, however thin; elsewhere thin layers are what the rim of a line leaves.
+    wide = opened(region, (cells, cells, 1)) if underside else broad(region, cells)
+    pieces, count = ndimage.label(wide, np.ones((3, 3, 3)))
+    least = max(1, (ASKED_SHARE if underside else LEAST_SHARE) * int(shape.solid.sum()))
     sizes = np.bincount(pieces.reshape(-1), minlength=count + 1)
     large = sizes >= least
     large[0] = False
@@ -142,7 +145,9 @@ def _of_region(
     pieces = np.where(large, np.cumsum(large), 0).astype(np.int32)[pieces]
     ways = directions(LOOKS)
     shown = seen_from(evidence.surface, evidence.heights_m, voxel_m, limits, pieces, ways)
-    free = np.pad(evidence.carved, 1)
+    # Below an underside it may all be unseen down to the floor: one looks through that.
+    open_to = evidence.carved | (evidence.unknown & ~evidence.underside) if underside else evidence.carved
+    free = np.pad(open_to, 1)
     for piece, window in enumerate(ndimage.find_objects(pieces), start=1):
         inner = pieces[window] == piece
         taken = shape.solid[window][inner]

@@ -84,6 +84,7 @@ def method(rules: Rules) -> SolidMethod:
         voxel_size_by_recording=(resolution.LEAST_VOXEL_M, resolution.STEP_M, resolution.VOXELS_LONG),
         frontiers=FrontierMethod(
             least_share=frontiers.LEAST_SHARE,
+            least_underside_share=frontiers.ASKED_SHARE,
             least_area_m2=frontiers.LEAST_AREA_M2,
             least_probability=frontiers.LEAST_PROBABILITY,
             enough=frontiers.ENOUGH,

@@ -24,7 +24,7 @@ from kinectbench.stages.segment.estimate import (
 )
 from kinectbench.stages.segment.evidence import Rules
 from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.frontiers import Frontier
+from kinectbench.stages.segment.frontiers import ASKED_SHARE, Frontier
 from kinectbench.stages.segment.method import method
 from kinectbench.stages.segment.select import fit_box, nearest_within
 from kinectbench.stages.segment.solid import SolidShape
@@ -32,8 +32,6 @@ from kinectbench.stages.segment.witness import Witness
 
 GOOD_REPEATABILITY = 0.90
 MAX_UNKNOWN_SHARE = 0.15
-# Where a word about the underside decides so much of the solid, it is asked for (own choice).
-ASKED_SHARE = 0.05
 GOOD_ESTIMATED_IOU = 0.82
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1

@@ -63,7 +63,7 @@ def found_of(
     solid = mask(SOLID) if solid is None else solid
     shape = shape_of(solid, np.where(unknown, probability, 0.0), labels, voxel_m=CELL_M)
     walls = ndimage.binary_dilation(unknown, np.ones((3, 3, 3))) & ~unknown & ~carved
-    said = evidence_of(CELLS, unseen=unknown, carved=carved, surface=walls, **evidence)
+    said = evidence_of(CELLS, **{"unseen": unknown, "carved": carved, "surface": walls, **evidence})
     return find_frontiers(shape, said, LIMITS, T_floor_grid)
 
 
@@ -132,6 +132,16 @@ def test_of_an_underside_one_is_told_the_word_that_says_it() -> None:
     (found,) = found_of(plate, mask(np.s_[0:40, 0:40, 0:25]), underside=plate)
     assert found.underside and found.direction == "down" and found.look_from[2] < 0
     assert "underside` is closed or open" in found.advice and "looking up" in found.advice
+
+
+def test_of_a_thin_underside_below_which_all_is_unseen() -> None:
+    """A board thinner than a line of sight, hidden from below down to the floor: 20 mm on voxels of 10."""
+    board, below = mask(np.s_[10:30, 10:30, 28:30]), mask(np.s_[10:30, 10:30, 0:28])
+    around = ndimage.binary_dilation(board, np.ones((3, 3, 3))) & ~board & (np.arange(CELLS[2]) >= 28)
+    found = found_of(board | below, mask(), 0.7, underside=board, surface=around)
+    (one,) = [each for each in found if each.underside]
+    assert one.direction == "down" and one.volume_m3 == pytest.approx(20 * 20 * 2 * CELL_M**3)
+    assert one.size_m == pytest.approx((0.2, 0.2)) and one.center_m[2] == pytest.approx(0.28)
 
 
 def test_a_direction_is_written_without_a_minus_before_zero() -> None:

@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.stages.segment.estimate import IouEstimate
-from kinectbench.stages.segment.quality import ASKED_SHARE, _asked, _unsupported, _warnings, loose_pieces
+from kinectbench.stages.segment.frontiers import ASKED_SHARE
+from kinectbench.stages.segment.quality import _asked, _unsupported, _warnings, loose_pieces
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
