@@ -4,6 +4,7 @@ A sweep walks all lines of one direction at once, slice by slice from the camera
 the distance of the farthest camera behind it that nothing hides. So a direction costs one look at each voxel.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -79,19 +80,63 @@ def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     Returns:
         (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both (3) or 0.
     """
-    state = space.state
-    seen = np.zeros(state.shape, np.uint8)
+    seen = np.zeros(space.state.shape, np.uint8)
+    for turned in _turned_along(space, to_camera):
+        found = np.zeros(turned.state.shape, np.uint8)
+        for index in turned.ways:
+            turned.sweep(to_camera[index], found)
+        seen |= found.transpose(np.argsort(turned.order))
+    return seen
+
+
+def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """How many voxels of each piece are seen along each direction.
+
+    Args:
+        space: the voxels.
+        to_camera: (n, 3) unit vectors, from a point to a camera.
+        pieces: (nx, ny, nz), the number of each voxel's piece, from 1 to k; 0: of none.
+
+    Returns:
+        (n, k + 1).
+    """
+    count = int(pieces.max()) + 1
+    seen = np.zeros((len(to_camera), count), np.int64)
+    for turned in _turned_along(space, to_camera):
+        flat = pieces.transpose(turned.order).reshape(-1)
+        at = np.flatnonzero(flat)
+        of = flat[at]
+        for index in turned.ways:
+            found = np.zeros(turned.state.shape, np.uint8)
+            turned.sweep(to_camera[index], found)
+            seen[index] = np.bincount(of[found.reshape(-1)[at] > 0], minlength=count)
+    return seen
+
+
+@dataclass(frozen=True)
+class _Turned:
+    """A space with one of its axes first, and the indices of the directions that mainly go along it."""
+
+    space: Space
+    state: NDArray[np.uint8]
+    order: tuple[int, ...]
+    ways: NDArray[np.int64]
+
+    def sweep(self, to_camera: Float64, found: NDArray[np.uint8]) -> None:
+        """Add what is seen along a direction (3,) to `found`, of the same axes as `state`."""
+        flat = self.state.reshape(-1), found.reshape(-1), found.shape
+        up_axis = self.order.index(2)
+        _sweep(*flat, to_camera[list(self.order)], up_axis, self.space.heights_m, *self.space.lengths_m)
+
+
+def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
+    """The space for each main axis that the directions (n, 3) have."""
     main = np.argmax(np.abs(to_camera), axis=1)
     for axis in np.unique(main).tolist():
         # So that a slice lies in one piece, with the axis that varies fastest at its end.
         order = (axis, *(other for other in range(3) if other != axis))
-        turned = np.ascontiguousarray(state.transpose(order))
-        found = np.zeros(turned.shape, np.uint8)
-        for direction in to_camera[main == axis]:
-            flat = turned.reshape(-1), found.reshape(-1), turned.shape
-            _sweep(*flat, direction[list(order)], order.index(2), space.heights_m, *space.lengths_m)
-        seen |= found.transpose(np.argsort(order))
-    return seen
+        turned = np.ascontiguousarray(space.state.transpose(order))
+        yield _Turned(space, turned, order, np.flatnonzero(main == axis))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")

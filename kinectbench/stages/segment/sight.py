@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64, Int64
-from kinectbench.core.voxels.lines_of_sight import directions, seen_along
+from kinectbench.core.voxels.lines_of_sight import count_seen, directions
 from kinectbench.core.voxels.seeable import line_space, swept_from_outside
 
 # Lines of sight of a solid, and of one that is only compared with others.
@@ -65,8 +65,4 @@ def seen_from(
     Returns:
         (n, k + 1), k the number of pieces.
     """
-    space = line_space(surface, heights_m, voxel_m, narrow(limits))
-    at = np.flatnonzero(pieces)
-    of, count = pieces.reshape(-1)[at], int(pieces.max()) + 1
-    seen = (seen_along(space, way[None]).reshape(-1)[at] > 0 for way in to_camera)
-    return np.array([np.bincount(of[each], minlength=count) for each in seen])
+    return count_seen(line_space(surface, heights_m, voxel_m, narrow(limits)), to_camera, pieces)

@@ -10,6 +10,7 @@ from kinectbench.core.voxels.lines_of_sight import (
     PASSABLE,
     PLACE,
     Space,
+    count_seen,
     directions,
     seen_along,
     seen_around_corners,
@@ -85,6 +86,18 @@ def test_sweeps_see_what_walks_see(seed: int) -> None:
     seen = seen_along(Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M), ways)
     np.testing.assert_array_equal(seen, plainly(state, heights_m, ways, slices=True))
     assert {0, FROM_ABOVE, FROM_ABOVE | FROM_BELOW} <= {*np.unique(seen).tolist()}
+
+
+def test_pieces_are_counted_direction_by_direction() -> None:
+    state, heights_m = scene(7)
+    space = Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M)
+    ways = directions(40)
+    pieces = np.random.default_rng(7).integers(0, 4, state.shape).astype(np.int32)
+    counted = count_seen(space, ways, pieces)
+    assert counted[:, 1:].any()
+    for way, counts in zip(ways, counted, strict=True):
+        seen = seen_along(space, way[None]) > 0
+        assert counts[1:].tolist() == [np.count_nonzero(seen & (pieces == piece)) for piece in (1, 2, 3)]
 
 
 def test_what_is_seen_grows_until_no_neighbour_sees() -> None:
