@@ -79,7 +79,7 @@ class Evidence:
         signed_m: float32, signed distance of the surface, corrected by the frames that saw through.
         observed: bool, some surface is near.
         carved: bool, seen to be empty.
-        told: bool, behind a surface, and not farther than `SHELL_M`: of the object.
+        band: bool, behind a surface, and at most `SHELL_M` from it: of the object.
         excluded: bool, cannot be the object.
         unseen: bool, none of these three.
         sight: uint8, how a camera could see it past what was measured (`core.voxels.lines_of_sight`).
@@ -94,7 +94,7 @@ class Evidence:
     signed_m: Float32
     observed: Bools
     carved: Bools
-    told: Bools
+    band: Bools
     excluded: Bools
     unseen: Bools
     sight: NDArray[np.uint8]
@@ -139,15 +139,15 @@ def weigh(observation: Observation, excluded: Bools, rules: Rules, *, roughly: b
         layer = np.arange(observation.grid.shape[2]) - layers.below
         heights_m = ((layer + 0.5) * voxel_m).astype(np.float32)
     sight = look(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
-    told = behind & ~excluded & ~_deep(behind, observed & carved, observation.tsdf, voxel_m)
-    told[:, :, : layers.first] = False
-    told[:, :, layers.first - 1] |= raised & ~excluded[:, :, layers.first - 1]
-    unseen = ~(carved | told | excluded)
+    band = behind & ~excluded & ~_deep(behind, observed & carved, observation.tsdf, voxel_m)
+    band[:, :, : layers.first] = False
+    band[:, :, layers.first - 1] |= raised & ~excluded[:, :, layers.first - 1]
+    unseen = ~(carved | band | excluded)
     unseen[:, :, : layers.below] = False
     underside = unseen & (sight == FROM_BELOW)
     closed = unseen & (sight == 0)
-    standing = told[:, :, contact.stop] | unseen[:, :, contact.stop] | raised
-    solid = told[:, :, contact.stop] | closed[:, :, contact.stop] | raised
+    standing = band[:, :, contact.stop] | unseen[:, :, contact.stop] | raised
+    solid = band[:, :, contact.stop] | closed[:, :, contact.stop] | raised
     unseen[:, :, contact] &= standing[:, :, None]
     excluded[:, :, contact] |= ~standing[:, :, None] & ~carved[:, :, contact]
     closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
@@ -160,7 +160,7 @@ def weigh(observation: Observation, excluded: Bools, rules: Rules, *, roughly: b
         signed_m=signed_m,
         observed=observed,
         carved=carved,
-        told=told,
+        band=band,
         excluded=excluded,
         unseen=unseen,
         sight=sight,

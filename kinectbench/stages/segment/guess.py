@@ -43,15 +43,15 @@ def inside_probability(evidence: Evidence, rules: Rules, voxel_m: float) -> Floa
         rules: what a solid is made by.
         voxel_m: edge of a voxel, metres.
     """
-    state = np.full(evidence.told.shape, UNSEEN, np.uint8)
-    state[evidence.told | evidence.closed] = INSIDE
+    state = np.full(evidence.band.shape, UNSEEN, np.uint8)
+    state[evidence.band | evidence.closed] = INSIDE
     state[evidence.carved | evidence.excluded] = OUTSIDE
     # Below the object no camera sees the floor: walking down says nothing there.
     state[:, :, : evidence.contact.start] = NEUTRAL
     met = walk_out(state)
     roofed, sky = (np.interp(met.enclosed, ENCLOSED, share) for share in (ROOFED_SHARE, SKY_SHARE))
     probability = np.where(met.sky > 0, sky, roofed).astype(np.float32)
-    object_above = evidence.told | evidence.closed | evidence.underside
+    object_above = evidence.band | evidence.closed | evidence.underside
     rim = np.zeros_like(object_above)
     for layers in range(1, rim_voxels(rules.limits, voxel_m) + 1):
         rim[:, :, :-layers] |= object_above[:, :, layers:]

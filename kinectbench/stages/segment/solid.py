@@ -82,7 +82,7 @@ def make_solid(observation: Observation, evidence: Evidence, rules: Rules) -> So
     excluded, contact, below = evidence.excluded, evidence.contact, rules.layers.below
     voxel_m = observation.grid.voxel_size_m
     guess = inside_probability(evidence, rules, voxel_m)
-    solid = evidence.told | evidence.closed | (evidence.unknown & (guess > 0.5))
+    solid = evidence.band | evidence.closed | (evidence.unknown & (guess > 0.5))
     # Down to the floor, and for now beyond it, so that smoothing does not round the feet.
     standing = solid[:, :, contact.stop] | evidence.raised
     solid[:, :, : contact.stop] = standing[:, :, None] & ~excluded[:, :, : contact.stop]
@@ -107,9 +107,9 @@ def _label(observation: Observation, evidence: Evidence, solid: Bools, below: in
     measured = evidence.observed & near & ~evidence.carved
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.carved] = Label.FREE
-    labels[~solid & (evidence.told | evidence.excluded)] = Label.OTHER
+    labels[~solid & (evidence.band | evidence.excluded)] = Label.OTHER
     labels[solid & evidence.closed] = Label.INTERIOR
-    labels[solid & (evidence.told | measured) & ~evidence.unknown] = Label.SURFACE
+    labels[solid & (evidence.band | measured) & ~evidence.unknown] = Label.SURFACE
     labels[:, :, :below] = Label.OTHER
     return labels
 

@@ -51,7 +51,7 @@ def weighed(observed: Observation, rules: Rules = RULES) -> tuple[Evidence, Soli
 )
 def test_every_voxel_is_one_thing(distance_m: np.ndarray) -> None:
     evidence, shape = weighed(observation(distance_m))
-    kinds = [evidence.carved & ~evidence.excluded, evidence.told, evidence.excluded, evidence.unseen]
+    kinds = [evidence.carved & ~evidence.excluded, evidence.band, evidence.excluded, evidence.unseen]
     above_floor = np.s_[:, :, FLOOR_LAYERS:]
     assert (np.sum(kinds, axis=0)[above_floor] == 1).all()
     assert not (evidence.closed & ~evidence.unseen).any() and not (evidence.closed & evidence.underside).any()
@@ -134,7 +134,7 @@ def test_deep_behind_a_wall_a_surface_says_nothing_of_a_cavity(truncation_m: flo
     outer_m = box_distance(*BODY)
     shell = high & (outer_m < 0) & (outer_m > -SHELL_M)
     deep = high & (outer_m < -SHELL_M - 1.5 * VOXEL_M)
-    assert evidence.told[shell].all() and shape.solid[shell & (outer_m < -VOXEL_M)].all()
+    assert evidence.band[shell].all() and shape.solid[shell & (outer_m < -VOXEL_M)].all()
     assert evidence.unseen[deep].all() and (shape.labels[deep] == Label.UNKNOWN).all()
     assert not shape.solid[deep].any()
     # In a closed body it is interior all the same.
