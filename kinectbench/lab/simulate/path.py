@@ -18,6 +18,9 @@ JOLT_HZ, JOLT_DECAY_S = 4.0, 0.12
 FIT_MARGIN = 1.06
 # Two sines of these frequencies, of standard deviation 1, reach 1.87 at most.
 REACH_PEAK = 1.9
+# On a low pass the hand sinks and rises by as much; before it, it is lowered over this share of the way (own
+# choices).
+LOW_SWING_M, LOWERED_SHARE = 0.05, 0.05
 # As steep as a view gets whose right is level: 86 degrees.
 STEEPEST_RAD = 1.5
 # The camera's own axes, in the order it is turned about them: roll, pitch, yaw.
@@ -118,7 +121,13 @@ class CameraPath:
             return self.stations_rad[frame, 0], self.stations_rad[frame, 1]
         share = np.interp(time_s, self.knots_s, self.knots_share)
         swing = np.sin(2 * np.pi * chosen.swings * share + self.swing_phase_rad)
-        return self.start_rad + chosen.arc_rad * share, chosen.elevation_rad + chosen.swing_rad * swing
+        rise = chosen.elevation_rad + chosen.swing_rad * swing
+        if chosen.low_pass_share > 0:
+            height_m = chosen.low_pass_m + LOW_SWING_M * swing - self.target_room[2]
+            low = np.arcsin(np.clip(height_m / self.distance_m, -1, 1))
+            down = np.clip((share - (1 - chosen.low_pass_share)) / LOWERED_SHARE, 0, 1)
+            rise += (low - rise) * down**2 * (3 - 2 * down)
+        return self.start_rad + chosen.arc_rad * share, rise
 
     def _turns(self, time_s: Float64) -> Float64:
         """Rotation vectors (n, 3), camera axes, of the turns there and back.

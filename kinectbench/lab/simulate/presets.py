@@ -115,6 +115,24 @@ PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
             "given": {"trajectory": "none"},
         },
     ),
+    # Of the undersides of what stands on legs a walk sees little: from 20 to 30 cm above the floor one looks
+    # up at those that are higher.
+    "known-low-v1": (
+        "the same, and a second time around at 20 to 30 cm",
+        {
+            "path": {
+                "frames": 360,
+                "rate_hz": 10.0,
+                "arc_rad": 4.2 * np.pi,
+                "elevation_rad": 0.48,
+                "swing_rad": 0.305,
+                "swings": 5.0,
+                "lowest_m": 0.2,
+                "low_pass_share": 0.5,
+            },
+            "given": {"trajectory": "none"},
+        },
+    ),
 }
 
 

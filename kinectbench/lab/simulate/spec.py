@@ -74,6 +74,10 @@ class PathSettings(GrownSettings):
     elevation_rad: float = Field(0.44, ge=-0.2, le=1.4, description="mean height of the camera as an angle")
     swing_rad: float = Field(0.33, ge=0, le=1, description="the elevation rises and falls by this")
     swings: float = Field(1.6, ge=0, le=100, description="how often it does over the recording")
+    low_pass_share: float = Field(
+        0.0, ge=0, le=1, description="of the way, at its end: the camera is carried low (walks only)"
+    )
+    low_pass_m: float = Field(0.25, ge=0.05, le=2, description="how high above the floor it is then")
     shake_m: float = Field(0.006, ge=0, le=0.2, description="standard deviation of the hand's shake")
     shake_rad: float = Field(0.008, ge=0, le=0.5, description="standard deviation of the hand's shake")
     speed_variation: float = Field(0.3, ge=0, le=0.9, description="the walking speed varies by this share")

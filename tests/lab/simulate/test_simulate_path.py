@@ -117,6 +117,21 @@ def test_presets_stay_within_the_elevations_they_name(seed):
         assert high - 4 < rises_deg.max() < high + 1
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_a_low_pass_is_a_second_time_around_near_the_floor(seed: int) -> None:
+    path = preset_path("known-low-v1", seed=seed)
+    heights_m = path.poses(times(path))[:, 2, 3]
+    first, second = heights_m[: len(heights_m) // 3], heights_m[len(heights_m) * 2 // 3 :]
+    # The hand's shake, too.
+    assert second.min() > 0.17 and second.max() < 0.33
+    assert first.mean() > second.max()
+    turns_rad = np.unwrap(seen_from(path)[2])
+    low = heights_m < 0.33
+    assert np.ptp(turns_rad[low]) > 1.8 * np.pi
+    # Nobody drops a camera: no step is longer than what a walker does in a tenth of a second.
+    assert np.linalg.norm(np.diff(path.poses(times(path))[:, :3, 3], axis=0), axis=1).max() < 0.25
+
+
 def test_a_hemisphere_is_covered_evenly_and_in_no_order():
     path = preset_path("hemisphere-v1")
     _, rises_deg, turns_rad = seen_from(path)
