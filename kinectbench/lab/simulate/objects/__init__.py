@@ -109,6 +109,14 @@ REPORTED_ONLY: tuple[str, ...] = (
     *("watering_can", "toy_car", "helmet", "bottle"),
 )
 
+# By their parts, families with no space behind the underside that is open to the air: of these
+# `underside: closed` is true. Slats, trays, shells and vessels on feet are none of them.
+CLOSED_BELOW: tuple[str, ...] = (
+    *("chair", "table", "couch", "sideboard", "piano", "stool"),
+    *("open_box", "crate", "bookshelf", "rack", "ladder", "open_cabinet", "two_boxes"),
+    *("blob", "sculpture", "toy_car", "bottle"),
+)
+
 
 class ObjectName(NamedTuple):
     """An object: its family and the seed that draws it."""
