@@ -47,8 +47,9 @@ class Pair:
 
     Grid axes are the view's optical axes. Packed grids are uint8, (64, 64, 8) of `partial` and (256, 256, 32)
     of the others; matrices are float64. By "winding" a cell of `full` is occupied if its centre is inside a
-    closed mesh; "six-rays" is the authors' rule for meshes that are not watertight. `interior` and `said` say
-    by what `known` is known; None where that is not told, as in files of earlier versions.
+    closed mesh; by "seeable" also where no camera could see it; "six-rays" is the authors' rule for meshes
+    that are not watertight. `interior` and `said` say by what `known` is known; None where that is not told,
+    as in files of earlier versions.
     """
 
     partial: Packed = field(
@@ -78,7 +79,7 @@ class Pair:
     framing: str = field(metadata={"description": "object or view"})
     partial_rule: str = field(metadata={"description": "any or majority"})
     occupancy_rule: str = field(
-        default="winding", metadata={"description": "winding or six-rays; files without it: winding"}
+        default="winding", metadata={"description": "winding, seeable or six-rays; files without it: winding"}
     )
     interior: Packed | None = field(
         default=None,

@@ -14,7 +14,7 @@ from kinectbench.core.storage import sha256_file, sha256_text, write_below
 from kinectbench.core.types import Split
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import VERSIONS, Artefact
-from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh, as_seeable, load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
@@ -72,6 +72,8 @@ def make_model(task: Task) -> None:
         return
     settings = task.settings
     checked = load_model(task.model, settings.max_faces)
+    if settings.solid == "seeable":
+        checked = as_seeable(checked, settings.up_axis)
     eye = DepthCamera(checked.mesh, virtual_camera(settings.image_px))
     with artefact.write() as folder:
         groups = {}

@@ -1,13 +1,16 @@
 """Loading a model's mesh, and what is wrong with it: bad meshes are named, not used."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import ShapeError
-from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry import TriangleMesh, rigid
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 from kinectbench.lab.synthesize.models import Model
 
 
@@ -17,13 +20,15 @@ class CheckedMesh:
 
     Attributes:
         mesh: in the model's own frame and unit, without doubled vertices and collapsed triangles.
-        rule: "winding" if it is closed, else "six-rays".
+        rule: "winding" if it is closed, else "six-rays"; "seeable" with a seeable solid.
         notes: what a user may want to know, one line each.
+        seeable: what of its solid a camera could not tell from air; None: the mesh alone decides.
     """
 
     mesh: TriangleMesh
     rule: str
     notes: tuple[str, ...] = ()
+    seeable: SeeableSolid | None = None
 
 
 def load_model(model: Model, max_faces: int) -> CheckedMesh:
@@ -40,6 +45,28 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
     notes = missing_materials(path) if path.suffix.lower() == ".obj" else ()
     checked = check_mesh(_load(path), max_faces)
     return CheckedMesh(checked.mesh, checked.rule, (*checked.notes, *notes))
+
+
+def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
+    """The same, its solid by the definition of air (`core.voxels.seeable`), as that of recordings is.
+
+    It stands on a plane at its lowest point. Open meshes stay as they are, and a note says so.
+
+    Args:
+        checked: the mesh; its unit is a metre.
+        up_axis: of its frame.
+    """
+    if checked.rule != "winding":
+        note = "is not closed: what a camera could see of it is not asked"
+        return replace(checked, notes=(*checked.notes, note))
+    vertices = checked.mesh.vertices
+    up = "xyz".index(up_axis)
+    # From z up to the model's axes: none, or y up (x, z, -y).
+    R = np.eye(3) if up_axis == "z" else np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    T_world_upright = rigid(R, np.eye(3)[up] * vertices[:, up].min())
+    limits = SensorLimits.of_size(float(np.ptp(vertices, axis=0).max()))
+    seeable = seeable_solid(checked.mesh, T_world_upright, limits)
+    return replace(checked, rule="seeable", seeable=seeable)
 
 
 def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:

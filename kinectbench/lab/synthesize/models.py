@@ -39,6 +39,11 @@ class SynthesisSettings(Settings):
     most_views: int | None = Field(
         None, ge=1, description="of a model's same or cross views only so many, drawn; default: all (paper)"
     )
+    solid: Literal["mesh", "seeable"] = Field(
+        "mesh",
+        description="what is inside: as the mesh has it; or seeable: also what no camera could see, "
+        "as of recordings",
+    )
     image_px: int = Field(320, ge=64, le=2048, description="width and height of the virtual depth image")
     max_faces: int = Field(1_000_000, ge=1, description="meshes with more are left out")
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")

@@ -5,7 +5,7 @@ import numpy as np
 from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
-from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.core.voxels.pair_file import Packed, Pair, pack, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
@@ -14,7 +14,7 @@ from kinectbench.lab.synthesize.mesh_check import CheckedMesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose
 
-VOXELIZERS = {"winding": voxelize_solid, "six-rays": voxelize_open}
+VOXELIZERS = {"winding": voxelize_solid, "seeable": voxelize_solid, "six-rays": voxelize_open}
 
 
 def make_pair(
@@ -24,7 +24,7 @@ def make_pair(
 
     The cube is the paper's, around the full shape's box in the view's axes, or that of framing `view`, from
     what is seen alone. The world's frame is the model's own, and its unit stands for a metre. All cells are
-    known, and the surface is exact.
+    known, but for slits of a seeable solid; the surface is exact.
 
     Args:
         checked: the model.
@@ -35,13 +35,13 @@ def make_pair(
     Returns:
         The pair, and why it must not be used, or None.
     """
-    mesh, camera = checked.mesh, eye.camera
+    camera = eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
     depth_m = eye.depth_m(T_world_camera)
     whole = grid = object_cube(eye.corners_world, T_world_camera)
     if settings.framing == "view" and depth_m.any():
         grid = view_cube(camera.backproject(depth_m)[depth_m > 0], T_world_camera)
-    full = VOXELIZERS[checked.rule](mesh.vertices, mesh.faces, grid)
+    full, known = _solid(checked, grid)
     cut_share = 0.0 if grid is whole else _cut_share(grid, checked, whole)
     partial_256, partial = partial_grids(depth_m, camera, T_world_camera, grid)
     pair = Pair(
@@ -49,7 +49,7 @@ def make_pair(
         partial_256=partial_256,
         full=full,
         shell=packed_shell(full),
-        known=np.full_like(full, 255),
+        known=known,
         seen=seen_cells(depth_m, camera, T_world_camera, grid, noisy=False),
         T_world_grid=grid.T_world_grid,
         T_world_camera=T_world_camera,
@@ -63,13 +63,23 @@ def make_pair(
     return pair, _reason(pair, settings.min_containment, cut_share)
 
 
+def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
+    """Packed: what of a grid is inside, and where that is known."""
+    full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
+    if checked.seeable is None:
+        return full, np.full_like(full, 255)
+    solid = checked.seeable
+    closed, slit = (pack(solid.on(grid, which)) for which in (solid.closed & ~solid.slit, solid.slit))
+    return full | closed, ~(slit & ~full)
+
+
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
     """The share of a shape's cells, in the cube around all of it, whose centres lie outside another cube."""
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:
         return 0.0
-    cells = np.argwhere(unpack(VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, whole)))
+    cells = np.argwhere(unpack(_solid(checked, whole)[0]))
     centres = transform_points(grid.T_grid_world @ whole.T_world_grid, (cells + 0.5) * whole.voxel_size_m)
     outside = ((centres < 0) | (centres > side_m)).any(axis=1)
     return float(outside.mean()) if len(cells) else 0.0

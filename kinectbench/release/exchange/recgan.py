@@ -85,7 +85,7 @@ class ExportedPair(Part):
     surface_sigma_m: Metres
     framing: Framing
     partial_rule: PartialRule
-    occupancy_rule: Literal["winding", "six-rays"]
+    occupancy_rule: Literal["winding", "seeable", "six-rays"]
     T_world_grid: Matrix4
     T_world_camera: Matrix4
     K: Matrix3

@@ -11,7 +11,7 @@ from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube, partial_grids
-from kinectbench.lab.synthesize.mesh_check import CheckedMesh, check_mesh
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh, as_seeable, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_pair
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
@@ -137,6 +137,40 @@ def test_an_open_mesh_is_filled_by_the_authors_rule():
     volume = unpack(pair.full).sum() * pair.voxel_size_m**3
     area = open_box().area
     assert 0.8 * area * pair.voxel_size_m < volume < 2.5 * area * pair.voxel_size_m < 0.2 * 0.06
+
+
+def test_a_seeable_solid_holds_what_no_camera_could_see() -> None:
+    """A box upside down, open below: its inside is of the object as it stands on its rim, not on its side."""
+    walls = trimesh.boolean.difference(
+        [
+            trimesh.creation.box([0.5, 0.4, 0.6]),
+            trimesh.creation.box(bounds=[[-0.2, -0.3, -0.25], [0.2, 0.15, 0.25]]),
+        ]
+    )
+    checked = check_mesh(mesh_of(walls), 10**6)
+    eye = DepthCamera(checked.mesh, CAMERA)
+    view = ViewAngles((0, 0, 0), 6)
+    by = {
+        "mesh": make_pair(checked, eye, view, SETTINGS)[0],
+        "standing": make_pair(as_seeable(checked, "y"), eye, view, SETTINGS)[0],
+        "lying": make_pair(as_seeable(checked, "z"), eye, view, SynthesisSettings(up="z"))[0],
+    }
+    hollow = (0.4 * 0.35 * 0.5) / (0.5 * 0.4 * 0.6)
+    box = 1 / by["mesh"].voxel_size_m ** 3 * 0.5 * 0.4 * 0.6
+    shares = {name: unpack(pair.full).sum() / box for name, pair in by.items()}
+    assert shares["mesh"] == pytest.approx(1 - hollow, abs=0.01)
+    assert shares["standing"] == pytest.approx(1, abs=0.01)
+    assert shares["lying"] == pytest.approx(1 - hollow, abs=0.02)
+    assert {name: pair.occupancy_rule for name, pair in by.items()} == {
+        "mesh": "winding", "standing": "seeable", "lying": "seeable",
+    }  # fmt: skip
+    assert not list(pair_problems(by["standing"], min_containment=0.85, framing="object", partial_rule="any"))
+
+
+def test_an_open_mesh_has_no_seeable_solid() -> None:
+    checked = as_seeable(check_mesh(mesh_of(open_box()), 10**6), "y")
+    assert (checked.rule, checked.seeable) == ("six-rays", None)
+    assert checked.notes[-1] == "is not closed: what a camera could see of it is not asked"
 
 
 def test_walls_thinner_than_a_cell_are_refused():
