@@ -147,6 +147,7 @@ def test_a_torch_dataset_where_torch_is_stood_in_for(
     assert_torch_dataset(kinectbench.load(release.folder), StandIn, release)
 
 
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # machines with one core
 def test_torch_itself_reads_it_in_parallel(release: Release) -> None:
     data = pytest.importorskip("torch.utils.data")
     dataset = kinectbench.load(release.folder)
