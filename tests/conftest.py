@@ -1,5 +1,6 @@
 """Fixtures that several rooms' tests share."""
 
+import gc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,3 +44,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
     """Runs a command in this process: command(folder, *arguments)."""
     return lambda folder, *arguments: run_here(monkeypatch, capsys, folder, *arguments)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays: the garbage collector need not look at it again and again."""
+    gc.collect()
+    gc.freeze()
