@@ -36,7 +36,7 @@ VERSIONS: dict[str, int] = {
     "segment": 28,
     "sample-views": 3,
     "pairs": 3,
-    "suggest": 5,
+    "suggest": 6,
     "publish": 28,
     "synthesize": 2,
     "score": 6,

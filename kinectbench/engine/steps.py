@@ -36,6 +36,7 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.pairs import full_shape, write_pairs
 from kinectbench.stages.sample_views.views import read_masks, read_views, sample_views, write_views
+from kinectbench.stages.segment.box_anchor import found_again
 from kinectbench.stages.segment.candidate_pictures import write_candidates
 from kinectbench.stages.segment.candidates import find_candidates
 from kinectbench.stages.segment.object_model import read_object, write_object
@@ -120,7 +121,7 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 
 def _segment(work: Work[SegmentSettings]) -> None:
     settings, (sequence, trajectory) = work.settings, _own(work)
-    box = settings.box.box() if settings.box else None
+    box = found_again(settings.box.box(), sequence) if settings.box else None
     floor = plane_given(sequence, trajectory, settings.segment_by, settings.floor)
     scene = _scene(work.stages)
     model = build_object(

@@ -76,6 +76,10 @@ class BoxSettings(Settings):
     )
     anchor_pose: Vector7 | None = Field(None, description="of that frame's camera in it: x y z, qx qy qz qw")
 
+    anchor_depth_sha256: str | None = Field(
+        None, pattern="^[0-9a-f]{16}$", description="of that frame's depth, the first 16 digits"
+    )
+
     @field_validator("size_m")
     @classmethod
     def _positive(cls, size_m: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -97,6 +101,8 @@ class BoxSettings(Settings):
         frame, pose = self.anchor_frame, self.anchor_pose
         if (frame is None) is not (pose is None):
             raise ValueError("anchor_frame and anchor_pose go together; give both, or remove both")
+        if self.anchor_depth_sha256 is not None and frame is None:
+            raise ValueError("anchor_depth_sha256 is of an anchor_frame; give both, or remove both")
         if pose is not None and (max(map(abs, pose)) > FARTHEST_M or math.hypot(*pose[3:]) < LEAST_TURN):
             raise ValueError("anchor_pose is no pose; pick the box again, or remove the anchor")
         return self
@@ -105,12 +111,14 @@ class BoxSettings(Settings):
     def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """As a release and a fingerprint have it: a box without an anchor as before there were any."""
         values: dict[str, Any] = to_dict(self)
+        if self.anchor_depth_sha256 is None:
+            del values["anchor_depth_sha256"]
         return values if self.anchor_frame is not None else {key: values[key] for key in BOX_KEYS}
 
     def box(self) -> OrientedBox:
         """The box as a value."""
         frame, pose = self.anchor_frame, self.anchor_pose
-        anchor = None if frame is None or pose is None else BoxAnchor(frame, pose)
+        anchor = None if frame is None or pose is None else BoxAnchor(frame, pose, self.anchor_depth_sha256)
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad, anchor)
 
 

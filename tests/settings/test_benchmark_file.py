@@ -169,7 +169,8 @@ def test_each_wrong_setting_gets_its_line(tmp_path: Path, old: str, new: str, ex
         ),
         (
             "[1, 2]",
-            "found [1, 2]; wanted a mapping with center_m, size_m, yaw_rad, anchor_frame, anchor_pose",
+            "found [1, 2]; wanted a mapping with center_m, size_m, yaw_rad, anchor_frame, anchor_pose, "
+            "anchor_depth_sha256",
         ),
     ],
 )

@@ -76,6 +76,9 @@ class AnchoredBoxPart(BoxPart):
     anchor_pose: Pose = Field(
         description="of its camera in that floor frame: x, y, z in metres, quaternion x, y, z, w"
     )
+    anchor_depth_sha256: str | None = Field(
+        None, description="the first 16 digits of the hash of its depth; null in earlier files"
+    )
 
     @classmethod
     def of_anchored(cls, box: OrientedBox, anchor: BoxAnchor) -> Self:
@@ -86,6 +89,7 @@ class AnchoredBoxPart(BoxPart):
             **dict(BoxPart.of(box, 3, 3)),
             anchor_frame=anchor.frame,
             anchor_pose=(round(x, 3), round(y, 3), round(z, 3), qx, qy, qz, qw),
+            anchor_depth_sha256=anchor.depth_sha256,
         )
 
 

@@ -26,10 +26,12 @@ class BoxAnchor(NamedTuple):
     Attributes:
         frame: index of a frame in the sequence.
         camera_floor: pose of its camera in that floor frame.
+        depth_sha256: the first 16 digits of the hash of its depth; None: not known.
     """
 
     frame: int
     camera_floor: Pose
+    depth_sha256: str | None = None
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """A box is tied to the floor frame that it was chosen in: by where a frame's camera was in it then."""
 
+import hashlib
+from dataclasses import replace
 from math import atan2
 
 import numpy as np
@@ -15,6 +17,7 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.boxes import BoxAnchor, Pose
+from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.settings.edit import box_line
@@ -24,11 +27,38 @@ from kinectbench.stages.segment.floor import Floor
 CHOOSE = "choose it again by `kinectbench segment --suggest`"
 
 
-def anchor_of(floor: Floor, trajectory: Trajectory) -> BoxAnchor:
+# Of a hash; by chance two frames share so many in one recording of 2^32.
+DIGITS = 16
+
+
+def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAnchor:
     """What ties boxes to a floor frame: the middle one of the frames with poses, and its camera there."""
     frames = trajectory.good_frames
     frame = int(frames[len(frames) // 2])
-    return BoxAnchor(frame, _pose(floor.T_floor_world @ trajectory.T_world_camera[frame]))
+    pose = _pose(floor.T_floor_world @ trajectory.T_world_camera[frame])
+    return BoxAnchor(frame, pose, _depth_sha256(sequence, frame))
+
+
+def found_again(box: OrientedBox, sequence: Sequence) -> OrientedBox:
+    """The box, its anchor the frame that it was then: after a recording was cut, another number means it.
+
+    Raises:
+        SegmentationError: no frame of the sequence has that depth.
+    """
+    if box.anchor is None or box.anchor.depth_sha256 is None:
+        return box
+    frame, _, depth_sha256 = box.anchor
+    for index in (*range(frame, len(sequence)), *range(min(frame, len(sequence)))):
+        if _depth_sha256(sequence, index) == depth_sha256:
+            return replace(box, anchor=box.anchor._replace(frame=index))
+    raise SegmentationError(
+        f"the box in benchmark.yaml is tied to a frame, then number {frame}, whose depth is not in the "
+        f"recording any more; {CHOOSE}"
+    )
+
+
+def _depth_sha256(sequence: Sequence, frame: int) -> str:
+    return hashlib.sha256(sequence.frames.depth_native(frame).tobytes()).hexdigest()[:DIGITS]
 
 
 def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: float = 1.0) -> None:
@@ -48,7 +78,7 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     """
     if box.anchor is None:
         return
-    frame, was = box.anchor
+    frame, was, depth_sha256 = box.anchor
     known = frame < len(trajectory.T_world_camera) and np.isfinite(trajectory.T_world_camera[frame]).all()
     if not known:
         raise SegmentationError(
@@ -63,7 +93,8 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     x, y, z = transform_points(T_now_then, np.array(box.center_m))
     turn_rad = atan2(T_now_then[1, 0], T_now_then[0, 0])
     yaw_rad = atan2(np.sin(box.yaw_rad + turn_rad), np.cos(box.yaw_rad + turn_rad))
-    same, now = OrientedBox((x, y, z), box.size_m, yaw_rad), BoxAnchor(frame, _pose(T_floor_camera))
+    same = OrientedBox((x, y, z), box.size_m, yaw_rad)
+    now = BoxAnchor(frame, _pose(T_floor_camera), depth_sha256)
     upright = np.linalg.norm(there - same.corners_floor(), axis=1).max() <= SAME_M * scale
     line = box_line(AnchoredBoxPart.of_anchored(same, now))
     place = f"for the same place now write `{line}`, or " if upright else ""

@@ -37,7 +37,7 @@ EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4),
 
 def write_candidates(found: Candidates, sequence: Sequence, trajectory: Trajectory, folder: Path) -> None:
     """Write candidates.json (numbers from 1, boxes as benchmark.yaml writes them) and the pictures."""
-    rows, anchor = [], anchor_of(found.scene.floor, trajectory)
+    rows, anchor = [], anchor_of(found.scene.floor, trajectory, sequence)
     for number, candidate in enumerate(found.candidates, start=1):
         name = f"{number}.png"
         picture = candidate_picture(number, candidate, found.scene.floor, sequence, trajectory)

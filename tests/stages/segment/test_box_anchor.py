@@ -1,6 +1,7 @@
 """A box is taken in the floor frame that it was chosen in, and in no other."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,12 +9,13 @@ import yaml
 
 from kinectbench.core.artefacts.object import AnchoredBoxPart
 from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, transform_points
+from kinectbench.core.geometry import Camera, OrientedBox, invert_rigid, rigid, transform_points
 from kinectbench.core.geometry.rigid import rigid_from_twist
+from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import BoxSettings
-from kinectbench.stages.segment.box_anchor import anchor_of, check_anchor
+from kinectbench.stages.segment.box_anchor import anchor_of, check_anchor, found_again
 from kinectbench.stages.segment.floor import Floor, floor_frame
 
 BOX = OrientedBox((0.4, 1.5, 0.45), (0.6, 0.5, 0.9), 0.3)
@@ -30,9 +32,17 @@ def scene(
     return Floor(plane, floor_frame(plane), 0.0, 1.0), Trajectory(np.arange(5), poses, "trust")
 
 
+def recording(frames: range = range(5)) -> Sequence:
+    """Some of five frames, each of its own depth."""
+    images = [np.full((3, 4), 1000 + frame, np.uint16) for frame in frames]
+    store = SimpleNamespace(depth_native=lambda index: images[index])
+    camera = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
+    return Sequence(camera, 1000.0, np.arange(len(images)), False, None, store)
+
+
 def chosen() -> OrientedBox:
     """The box as `--pick` writes it and benchmark.yaml gives it back."""
-    written = AnchoredBoxPart.of_anchored(BOX, anchor_of(*scene())).json_value()
+    written = AnchoredBoxPart.of_anchored(BOX, anchor_of(*scene(), recording())).json_value()
     return BoxSettings.model_validate(written).box()
 
 
@@ -81,6 +91,21 @@ def test_a_frame_without_a_pose_says_nothing() -> None:
     for gone in (replace(trajectory, T_world_camera=poses), replace(trajectory, T_world_camera=poses[:2])):
         with pytest.raises(SegmentationError, match="tied to frame 2, which has no pose now"):
             check_anchor(chosen(), floor, gone)
+
+
+@pytest.mark.parametrize(("kept", "now"), [(range(5), 2), (range(1, 5), 1), (range(2, 3), 0)])
+def test_a_frame_is_found_where_the_recording_was_cut(kept: range, now: int) -> None:
+    box = chosen()
+    assert found_again(box, recording(kept)) == replace(box, anchor=box.anchor._replace(frame=now))
+
+
+def test_a_frame_that_was_cut_away_is_refused() -> None:
+    with pytest.raises(SegmentationError, match="then number 2, whose depth is not in the recording"):
+        found_again(chosen(), recording(range(3, 5)))
+    by_hand = replace(chosen(), anchor=None)
+    earlier = replace(chosen(), anchor=chosen().anchor._replace(depth_sha256=None))
+    for box in (by_hand, earlier):
+        assert found_again(box, recording(range(3, 5))) == box
 
 
 def test_half_an_anchor_or_no_pose_is_refused() -> None:
