@@ -2,7 +2,8 @@
 
 From the left: a frame of the recording; the true solid; the built one; its error in colour (blue: missing,
 red: too much, full colour at 20 mm); what nobody saw (orange: of the built solid; violet: the border of air
-that is unknown); the upright slice with most wrong cells (blue: missing, red: too much, yellow: unknown).
+that is unknown), with arrows from where a camera would see it; the upright slice with most wrong cells (blue:
+missing, red: too much, yellow: unknown).
 """
 
 import argparse
@@ -38,6 +39,7 @@ from kinectbench.lab.evaluate.charts import slice_colors
 from kinectbench.lab.evaluate.solid import Solids, canonical_cube, compare_on
 from kinectbench.lab.evaluate.surface import Surface
 from kinectbench.lab.simulate.truth import Truth, is_truth, read_truth
+from kinectbench.report.unseen import arrows_to, draw_arrow
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -47,6 +49,7 @@ SIZE_PX, SUPERSAMPLING, TITLE_PX, ROWS = 260, 2, 22, 8
 LOOK_DEG = (-50.0, 38.0)
 SCALE_M = 0.02
 # What nobody saw of the solid, and the border of air that nobody saw; how strongly the latter covers.
+ARROW_SHARE = 0.5
 UNSEEN_RGB, BORDER_RGB, COVER = np.array([240.0, 140, 30]), np.array([130.0, 80, 200]), 0.5
 
 
@@ -146,7 +149,12 @@ def unknown_picture(at: Place) -> Rgb:
     before = border_m < distance_m
     shade = _lit(border_normals[before])
     lit[before] = (1 - COVER) * lit[before] + COVER * BORDER_RGB * shade[:, None]
-    return shrunk(np.clip(lit, 0, 255).astype(np.uint8), SIZE_PX)
+    picture = np.clip(lit, 0, 255).astype(np.uint8)
+    T_object_floor = at.T_object_built @ invert_rigid(at.model.floor.T_floor_world)
+    arrows = arrows_to(at.model.quality.frontiers, ARROW_SHARE * at.look.half_m)
+    for number, arrow in enumerate(arrows, start=1):
+        draw_arrow(picture, at.look, transform_points(T_object_floor, arrow), str(number))
+    return shrunk(picture, SIZE_PX)
 
 
 def _nearest_solid_unknown(at: Place, points_built: Float64, unknown: Bools) -> Bools:

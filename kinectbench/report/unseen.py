@@ -87,22 +87,22 @@ def object_pictures(
         (mesh_floor.keep_faces(~unseen), SEEN_RGB),
         (mesh_floor.keep_faces(unseen), UNSEEN_RGB),
     ]
-    arrows = _arrows(mesh_floor, frontiers[:MARKED])
+    length_m = ARROW_SHARE * float(np.ptp(mesh_floor.vertices, axis=0).max())
+    arrows = arrows_to(frontiers[:MARKED], length_m)
     points = np.concatenate([mesh_floor.vertices, *arrows])
     looks_deg = [*LOOKS_DEG, *(_look_deg(frontier) for frontier in frontiers[:1])]
     shown: list[ObjectPicture] = []
     for viewpoint in pictures.viewpoints_around(points, looks_deg):
         picture = pictures.render_pieces(pieces, viewpoint, OBJECT_PX, CONTRAST)
         for number, arrow in enumerate(arrows, start=1):
-            _draw_arrow(picture, viewpoint, arrow, str(number))
+            draw_arrow(picture, viewpoint, arrow, str(number))
         caption = "from where 1 would be seen" if len(shown) == len(LOOKS_DEG) else ""
         shown.append(ObjectPicture(images.data_uri(picture), caption))
     return tuple(shown)
 
 
-def _arrows(mesh_floor: TriangleMesh, frontiers: Sequence[FrontierPart]) -> list[Float64]:
+def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float64]:
     """Tail and tip (2, 3) of the arrow along which one would look into each frontier, floor frame, metres."""
-    length_m = ARROW_SHARE * float(np.ptp(mesh_floor.vertices, axis=0).max())
     centers = [np.array(frontier.center_m) for frontier in frontiers]
     return [
         np.stack([center + length_m * np.array(frontier.look_from), center])
@@ -118,7 +118,7 @@ def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
     return azimuth, float(elevation)
 
 
-def _draw_arrow(picture: Rgb, viewpoint: pictures.Viewpoint, arrow: Float64, number: str) -> None:
+def draw_arrow(picture: Rgb, viewpoint: pictures.Viewpoint, arrow: Float64, number: str) -> None:
     """Draw an arrow (2, 3), its number at its tail, into a picture; a ring where it points away from us."""
     import cv2
 
