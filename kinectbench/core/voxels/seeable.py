@@ -17,6 +17,7 @@ from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
     FROM_ABOVE,
@@ -87,7 +88,8 @@ def line_space(
     """Where the middles of lines pass, and where cameras can be brought to; as for `seen_from_outside`."""
     heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
     half_m = limits.line_width_m / 2
-    gap_m = _distance_m(obstacle, voxel_size_m) - np.float32(voxel_size_m / 2)
+    farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
+    gap_m = distance_within_m(obstacle, voxel_size_m, farthest_m) - np.float32(voxel_size_m / 2)
     place = _from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
     blocked = (gap_m < half_m - ROUNDING_M) | (heights < half_m - ROUNDING_M)
     state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
@@ -141,15 +143,6 @@ def _from_beyond(roomy: Bools) -> Bools:
     reached[0] = False
     result: Bools = reached[pieces]
     return result
-
-
-def _distance_m(of: Bools, voxel_size_m: float) -> Float32:
-    """From the middle of each voxel to that of the nearest set one, metres; infinite if none is set."""
-    from scipy import ndimage
-
-    if not of.any():
-        return np.full(of.shape, np.inf, np.float32)
-    return np.asarray(ndimage.distance_transform_edt(~of, sampling=voxel_size_m), np.float32)
 
 
 @dataclass(frozen=True)

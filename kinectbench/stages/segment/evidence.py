@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
+from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.lines_of_sight import FROM_BELOW
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.stages.segment.sight import COARSE, FINE, look
@@ -194,11 +195,10 @@ def _deep(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bo
         tsdf_m: fused signed distances.
         voxel_m: edge of a voxel, metres.
     """
-    from scipy import ndimage
-
     shell_m = max(SHELL_M, 1.5 * voxel_m)
     # A surface lies half a voxel from the voxels on both of its sides.
-    far = ndimage.distance_transform_edt(~in_front, sampling=voxel_m) > shell_m + voxel_m / 2
+    shown_m = shell_m + voxel_m / 2
+    far = distance_within_m(in_front, voxel_m, shown_m + voxel_m) > shown_m
     deep: Bools = behind & (far | (tsdf_m < -np.float32(shell_m)))
     return deep
 
