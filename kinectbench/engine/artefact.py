@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 8,
     "track": 9,
     "fuse": 5,
-    "segment": 28,
+    "segment": 29,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 6,

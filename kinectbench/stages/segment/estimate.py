@@ -81,8 +81,10 @@ class _Volumes:
 
     def iou(self, missing: float) -> float:
         """The IoU to the truth if the known part misses so much of an IoU of 1."""
-        inside = self.known * (1 - missing / 2) + self.inside
-        return float(np.clip(inside / (1 + self.known * missing / 2 + self.outside), 0, 1))
+        # Half of what is wrong is missing, half too much: (1 - half) / (1 + half) is 1 - missing.
+        half = min(missing, 1.0) / (2 - min(missing, 1.0))
+        inside = self.known * (1 - half) + self.inside
+        return float(np.clip(inside / (1 + self.known * half + self.outside), 0, 1))
 
 
 def estimate_iou(
