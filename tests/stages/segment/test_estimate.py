@@ -66,9 +66,14 @@ def frontier(voxels: float, inside: float, solid: float, both: float) -> Frontie
     return Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), volume_m3, inside, solid, both)
 
 
+def half_of(missing: float) -> float:
+    """What a solid lacks of its volume, and has too much, if it misses so much of an IoU of 1."""
+    return missing / (2 - missing)
+
+
 def iou_of_known(missing: float) -> float:
-    """A solid that lacks half of what is missing, and has the other half too much."""
-    return (1 - missing / 2) / (1 + missing / 2)
+    assert (1 - half_of(missing)) / (1 + half_of(missing)) == pytest.approx(1 - missing)
+    return 1 - missing
 
 
 def check(estimate: IouEstimate) -> None:
@@ -134,16 +139,17 @@ def test_of_a_solid_that_is_unknown_in_part() -> None:
     found = estimate_iou(partly_known(0.9, 0.3), 0.0, CERTAIN, ())
     missing = missing_of()
     # Of eight voxels six are known, 2 * 0.9 are expected of the other two, and 2 * 0.3 beside them.
-    inside, union = 6 * (1 - missing / 2) + 1.8, 8 + 6 * missing / 2 + 0.6
+    inside, union = 6 * (1 - half_of(missing)) + 1.8, 8 + 6 * half_of(missing) + 0.6
     assert found.value == pytest.approx(inside / union)
     # Both of the solid are one coin, and so are those beside it.
     expected = (6 + 1.8) / (8 + 0.6)
     sigma = np.sqrt((2 / 8) ** 2 * 0.9 * 0.1 + expected**2 * (2 / 8) ** 2 * 0.3 * 0.7) / (1 + 0.6 / 8)
-    worst = (6 * (1 - most_of(missing) / 2) + 1.8) / (8 + 6 * most_of(missing) / 2 + 0.6)
+    most = half_of(most_of(missing))
+    worst = (6 * (1 - most) + 1.8) / (8 + 6 * most + 0.6)
     assert found.low == pytest.approx(max(0, worst - COIN_SIGMAS * sigma))
     # At best every guess is right.
-    least = least_of(missing)
-    best = (6 * (1 - least / 2) + 2) / (8 + 6 * least / 2)
+    least = half_of(least_of(missing))
+    best = (6 * (1 - least) + 2) / (8 + 6 * least)
     assert found.high == pytest.approx(best)
     check(found)
 
@@ -155,8 +161,8 @@ def test_what_is_as_good_as_decided_is_no_coin(p: float) -> None:
     labels = np.where(solid, Label.INTERIOR, Label.UNKNOWN)
     shape = shape_of(solid, np.where(solid, 1.0, p), labels.astype(np.uint8), CUBE)
     found = estimate_iou(shape, 0.0, CERTAIN, ())
-    most = most_of(missing_of())
-    assert found.low == pytest.approx((1 - most / 2) / (1 + most / 2 + p))
+    most = half_of(most_of(missing_of()))
+    assert found.low == pytest.approx((1 - most) / (1 + most + p))
 
 
 def test_regions_apart_are_coins_of_their_own_and_an_underside_is_one() -> None:
@@ -190,7 +196,7 @@ def test_poses_that_no_frame_could_check_widen_it_downwards_only() -> None:
     assert (unchecked.value, unchecked.high) == (checked.value, checked.high)
     tracked = [PoseError(UNCHECKED_POSE_SIGMA_M, checked) for checked in (False, True)]
     assert len({estimate_iou(known_solid(), 0.0, each, ()).low for each in tracked}) == 1
-    most = most_of(missing_of())
+    most = half_of(most_of(missing_of()))
     most += OFF_PER_POSE * 1000 * UNCHECKED_POSE_SIGMA_M * CUBE_PER_MM
     assert unchecked.low == pytest.approx(max(0, iou_of_known(most)))
     assert unchecked.low < checked.low
