@@ -196,7 +196,7 @@ def test_poses_that_no_frame_could_check_widen_it_downwards_only() -> None:
     assert (unchecked.value, unchecked.high) == (checked.value, checked.high)
     tracked = [PoseError(UNCHECKED_POSE_SIGMA_M, checked) for checked in (False, True)]
     assert len({estimate_iou(known_solid(), 0.0, each, ()).low for each in tracked}) == 1
-    most = half_of(most_of(missing_of()))
+    most = most_of(missing_of())
     most += OFF_PER_POSE * 1000 * UNCHECKED_POSE_SIGMA_M * CUBE_PER_MM
     assert unchecked.low == pytest.approx(max(0, iou_of_known(most)))
     assert unchecked.low < checked.low
