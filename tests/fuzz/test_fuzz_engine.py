@@ -97,7 +97,7 @@ TOY = Fuzzer("toys", make, lambda case: [Command(("well",))], damage)
 
 def test_an_input_that_is_a_finding_is_kept_and_shows_it_again(worker: Worker, tmp_path: Path) -> None:
     said: list[str] = []
-    result = fuzz(TOY, 0.5, 3, tmp_path / "kept", say=said.append, call=faulty)
+    result = fuzz(TOY, 0.5, 0, tmp_path / "kept", say=said.append, call=faulty)
     assert result.inputs > len(result.findings) > 0
     assert len(said) == 1 and "KeyError" in said[0]  # once for all inputs that show it
     kept = sorted((tmp_path / "kept").iterdir())

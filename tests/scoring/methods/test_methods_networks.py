@@ -17,7 +17,7 @@ from kinectbench.scoring.methods.registry import NETWORKS, make_network
 from kinectbench.scoring.methods.steps import Learner, StepError
 
 ADVERSARIAL = {"beta": 0.8, "loss_scale": 100.0, "epsilon": "voxel", "penalty_on": "sum"}
-# Hidden channels divided by, side of the generators' output, learning rate, steps until it is learnt.
+# Hidden channels divided by, side of the generators' output, learning rate, most steps until it is learnt.
 REDUCED: dict[NetworkName, tuple[int, int, float, int]] = {
     "3d-recgan++": (16, 64, 3e-3, 160),
     "3d-recae": (16, 64, 3e-3, 160),
@@ -77,14 +77,22 @@ def test_one_pair_is_learnt_by_heart(kind: NetworkName, monkeypatch: pytest.Monk
     batch = Batch(partial, TruthBatch(bits_tensor(unpack(pair.full)[None], "cpu"), None))
     network = make_network(config.network)
     learner = Learner(network, config, "cpu", (0, 1))
+    true = batch.truth.at(network.output_cells)[0] >= 0.5
+
+    def iou() -> float:
+        network.eval()
+        with torch.inference_mode():
+            predicted = network.completed(partial) > 0.5
+        network.train()
+        assert predicted.shape[-1] == network.output_cells
+        return float((predicted & true).sum() / (predicted | true).sum())
+
+    assert iou() < 0.5
     for number in range(steps):
         learner.step(batch, number, 0)
-    network.eval()
-    with torch.inference_mode():
-        predicted = network.completed(partial) > 0.5
-    assert predicted.shape[-1] == network.output_cells
-    true = batch.truth.at(network.output_cells)[0] >= 0.5
-    assert (predicted & true).sum() / (predicted | true).sum() >= 0.95
+        if number % 4 == 3 and iou() >= 0.95:
+            return
+    pytest.fail(f"after {steps} steps: {iou():.3f}")
 
 
 @pytest.mark.parametrize(("output_cells", "cells"), [(256, 128), slow(256, 64), (128, 32)])
