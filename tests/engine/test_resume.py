@@ -59,11 +59,11 @@ def wait_until_all_ended(process: "subprocess.Popen[str]") -> None:
 # --- killed -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kills", [2, slow(5)])
+@pytest.mark.parametrize("kills", [1, slow(5)])
 def test_killed_at_random_moments(
     command: Command, small: Path, fresh: Path, tmp_path: Path, kills: int
 ) -> None:
-    """Some kills while it works; then one run must publish what an undisturbed one publishes."""
+    """Kills while it works; then one run must publish what an undisturbed one publishes."""
     moments = random.Random(0)
     for _ in range(kills):
         process = start(fresh, "publish", "--jobs", "2")

@@ -145,7 +145,8 @@ def found_in(recording: Furniture):
     return find_shutter(maps, follow(maps, FeatureCache(maps)))
 
 
-@pytest.mark.parametrize(("readout_s", "delay_s"), [(0.03, 0.01), slow(-0.02, 0.0)])
+# That 0.03 and 0.01 are found is also said by test_fast_turns_are_tracked.
+@pytest.mark.parametrize(("readout_s", "delay_s"), [slow(0.03, 0.01), slow(-0.02, 0.0)])
 def test_readout_and_delay_are_found(readout_s, delay_s):
     found = found_in(turns(readout_s, delay_s))
     assert found is not None
@@ -171,7 +172,8 @@ def test_fast_turns_are_tracked(monkeypatch):
     recording = turns(0.03, 0.01)
     T_true = recording.simulation.T_world_camera
     tracked = track_frames(recording.sequence)
-    assert (tracked.readout_s, tracked.color_delay_s) == pytest.approx((0.03, 0.01), abs=0.004)
+    assert tracked.readout_s == pytest.approx(0.03, abs=0.004)
+    assert tracked.color_delay_s == pytest.approx(0.01, abs=0.002)
     assert np.isfinite(tracked.T_world_camera).all()
     right_m = np.sqrt(np.mean(errors_m(tracked.T_world_camera, T_true) ** 2))
     monkeypatch.setattr("kinectbench.stages.track.tracker.find_shutter", lambda *_: None)
