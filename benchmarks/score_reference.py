@@ -135,7 +135,7 @@ def reference(case: Case, threshold: float, protocol: str) -> Figures:
     clipped = np.clip(y, 1e-7, 1 - 1e-7)
     return {
         "iou": hit / union,
-        "ce": float(-np.mean(np.where(full, np.log(clipped), np.log(1 - clipped)))),
+        "ce": float(-np.mean(np.log(np.where(full, clipped, 1 - clipped)))),
         "precision": hit / np.count_nonzero(above),
         "recall": hit / np.count_nonzero(full),
         "f1": 2 * hit / (np.count_nonzero(above) + np.count_nonzero(full)),

@@ -61,14 +61,15 @@ def test_rows_against_plain_numpy(release: Release, method: Path, table: ScoreTa
         pair = read_pair(release.folder / "pairs" / row.recording / f"{row.view}.npz")
         full, known, seen = unpack(pair.full), unpack(pair.known), unpack(pair.seen)
         mask = {"paper": np.ones_like(known), "known": known, "occluded": known & ~seen}[row.protocol]
-        y = np.load(method / row.recording / f"{row.view}.npy").astype(np.float64)[mask]
-        truth, above = full[mask], y > row.threshold
-        assert row.iou == pytest.approx((above & truth).sum() / (above | truth).sum(), abs=1e-12)
-        assert row.precision == pytest.approx((above & truth).sum() / above.sum(), abs=1e-12)
-        assert row.recall == pytest.approx((above & truth).sum() / truth.sum(), abs=1e-12)
+        y = np.load(method / row.recording / f"{row.view}.npy")[mask].astype(np.float64)
+        truth, above, count = full[mask], y > row.threshold, np.count_nonzero
+        hit = count(above & truth)
+        assert row.iou == pytest.approx(hit / count(above | truth), abs=1e-12)
+        assert row.precision == pytest.approx(hit / count(above), abs=1e-12)
+        assert row.recall == pytest.approx(hit / count(truth), abs=1e-12)
         assert row.ce == pytest.approx(-np.log(np.where(truth, y, 1 - y)).mean(), abs=1e-10)
         assert row.coverage_voxels == pytest.approx(mask.mean())
-        assert row.coverage_shape == pytest.approx(truth.sum() / full.sum())
+        assert row.coverage_shape == pytest.approx(count(truth) / count(full))
         rate = table.base_rate[row.category].value
         assert row.base_rate_ce == pytest.approx(
             -truth.mean() * np.log(rate) - (1 - truth.mean()) * np.log(1 - rate)
@@ -107,6 +108,7 @@ def test_files(release: Release, table: ScoreTable, tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "scores").iterdir()) == ["scores.csv", "scores.json"]
 
 
+@pytest.mark.slow  # test_release_alone.py says so of the command
 def test_any_number_of_workers(release: Release, method: Path, table: ScoreTable) -> None:
     assert score(release, method, method="soft", jobs=2).text() == table.text()
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ FLOOR = {
     "found": True,
 }
 CENTRES = np.arange(256) + 0.5
+CELLS = np.arange(256, dtype=np.int16)
 
 
 def ball(center: tuple[float, float, float], radius: float) -> Bools:
@@ -56,20 +58,24 @@ def ball(center: tuple[float, float, float], radius: float) -> Bools:
     return x[:, None, None] + y[:, None] + z <= radius**2
 
 
+@lru_cache(maxsize=16)
 def synthetic_pair(number: int, category: str) -> Pair:
-    """A ball (chair) or a board (table) seen from z = 0, with an unknown slab; differs by number."""
+    """A ball (chair) or a board (table) seen from z = 0, with an unknown slab; differs by number.
+
+    Made once: its arrays are not to be changed, and cannot.
+    """
     if category == "chair":
         full = ball((120 + number, 128, 130), 90.0 - 3 * number)
     else:
         full = np.zeros((256, 256, 256), bool)
         full[20:230, 100 + number : 130, 30:220] = True
-    first = full.argmax(axis=2)
-    front = full & (np.arange(256) <= first[..., None] + 1)
+    first = full.argmax(axis=2).astype(np.int16)
+    front = full & (CELLS <= first[..., None] + 1)
     known = np.ones((256, 256, 256), bool)
     known[200 : 210 + number] = False
-    seen = np.arange(256) <= np.where(full.any(axis=2), first + 1, 255)[..., None]
+    seen = CELLS <= np.where(full.any(axis=2), first + 1, np.int16(255))[..., None]
     T = rigid(rotation_from_quaternion_xyzw([0.1, -0.2, 0.3, 0.9]), [0.5, -0.2, 1.0 + number])
-    return Pair(
+    pair = Pair(
         partial=pack(reduce_blocks(front, "any")),
         partial_256=pack(front),
         full=pack(full),
@@ -84,6 +90,10 @@ def synthetic_pair(number: int, category: str) -> Pair:
         framing="object",
         partial_rule="any",
     )
+    for values in vars(pair).values():
+        if isinstance(values, np.ndarray):
+            values.flags.writeable = False
+    return pair
 
 
 def told_pair(number: int, category: str) -> Pair:

@@ -124,6 +124,7 @@ def test_written_baselines_are_a_valid_submission(few: Release, written: Path) -
     assert rows["partial", "known"].precision == 1
 
 
+@pytest.mark.slow  # test_release_alone.py says so of the command
 def test_same_bytes_with_any_number_of_workers(few: Release, tmp_path: Path) -> None:
     names = ["base-rate", "partial"]
     write_baselines(few, tmp_path / "a", names)
