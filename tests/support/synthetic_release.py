@@ -70,10 +70,10 @@ def synthetic_pair(number: int, category: str) -> Pair:
         full = np.zeros((256, 256, 256), bool)
         full[20:230, 100 + number : 130, 30:220] = True
     first = full.argmax(axis=2).astype(np.int16)
-    front = full & (CELLS <= first[..., None] + 1)
+    front = full & (first[..., None] + 1 >= CELLS)
     known = np.ones((256, 256, 256), bool)
     known[200 : 210 + number] = False
-    seen = CELLS <= np.where(full.any(axis=2), first + 1, np.int16(255))[..., None]
+    seen = np.where(full.any(axis=2), first + 1, np.int16(255))[..., None] >= CELLS
     T = rigid(rotation_from_quaternion_xyzw([0.1, -0.2, 0.3, 0.9]), [0.5, -0.2, 1.0 + number])
     pair = Pair(
         partial=pack(reduce_blocks(front, "any")),
