@@ -19,7 +19,7 @@ from kinectbench.lab.evaluate.build import read_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
 from kinectbench.lab.evaluate.run import evaluate_recording, make_page
 from kinectbench.lab.evaluate.table import evaluation_table, sections
-from kinectbench.lab.simulate.truth import read_truth, write_truth
+from kinectbench.lab.simulate.truth import Truth, read_truth, write_truth
 
 PICTURES = {"path", "meshes", "errors", "slices"}
 STAGES = ("trajectory", "object", "views", "pairs")
@@ -113,12 +113,18 @@ def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, P
     assert [path.name for path in tmp_path.iterdir()] == ["again"]
 
 
+@pytest.fixture(scope="module")
+def true(folders: tuple[Path, Path]) -> Truth:
+    """What is seeable of it is found once."""
+    return read_truth(folders[1])
+
+
 @pytest.mark.parametrize("built", range(len(STAGES)))
-def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tmp_path: Path):
-    build, truth = folders
+def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], true: Truth, tmp_path: Path):
+    build = folders[0]
     for stage in ("sequence", "reconstruction", *STAGES[:built]):
         shutil.copytree(build / stage, tmp_path / stage)
-    evaluation = evaluate(read_build(tmp_path), read_truth(truth))
+    evaluation = evaluate(read_build(tmp_path), true)
     found = evaluation_json(evaluation)
     there = [found[key] is not None for key in ("trajectory", "solid", "masks", "pairs")]
     assert there == [number < built for number in range(4)]
