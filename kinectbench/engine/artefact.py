@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 3,
     "suggest": 6,
-    "publish": 28,
+    "publish": 29,
     "synthesize": 2,
     "score": 6,
     "baselines": 2,
