@@ -1,12 +1,14 @@
 """What the doctor says during a build: what none should begin with, offsets of clocks, why one failed."""
 
 from collections.abc import Iterator
+from functools import cached_property
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor.clocks import check_partners
 from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import check_depth, check_intrinsics
 from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.lengths import LENGTHS, check_lengths
 from kinectbench.doctor.look import Gathering, frames_to_read, take_look
 from kinectbench.doctor.pose_delay import check_trajectory_delay
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
@@ -63,11 +65,22 @@ class OffsetWatch:
 
     def warnings(self) -> list[str]:
         """A line for each offset, with what to write into benchmark.yaml or to do."""
-        told = (found for found in self._findings() if found.severity == "warning")
-        of_clocks = (found for found in told if found.name == "color_drift" or "delay_s" in found.advice)
-        return [f"{found.where}: {found.what}; {found.advice}" for found in of_clocks]
+        told = (found for found in self._findings if found.severity == "warning")
+        return [
+            _line(found)
+            for found in told
+            if found.name in ("color_drift", LENGTHS) or "delay_s" in found.advice
+        ]
 
-    def _findings(self) -> Iterator[Finding]:
+    def doubts(self) -> list[str]:
+        """What speaks against the lengths in the recording, and so against all that is measured in it."""
+        return [_line(found) for found in self._findings if found.name == LENGTHS]
+
+    @cached_property
+    def _findings(self) -> tuple[Finding, ...]:
+        return tuple(self._examined())
+
+    def _examined(self) -> Iterator[Finding]:
         look = self._gathering.look()
         given = self._recording.given_trajectory
         yield from check_partners(look)
@@ -75,4 +88,9 @@ class OffsetWatch:
         fit = fit_trajectory(look)
         # Poses that are meant otherwise fit at no time; `track` says so, on all frames.
         if fit is not None and given is not None and not fit.reading.changes:
-            yield from check_trajectory_delay(look, given, fit.reading, fit.pairs)
+            late = list(check_trajectory_delay(look, given, fit.reading, fit.pairs))
+            yield from late or check_lengths(look, fit.lengths)
+
+
+def _line(found: Finding) -> str:
+    return f"{found.where}: {found.what}; {found.advice}"

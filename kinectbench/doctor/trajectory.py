@@ -25,6 +25,7 @@ from kinectbench.doctor.fit import (
     likely_readings,
     residual_m,
 )
+from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
 from kinectbench.doctor.look import Look
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 
@@ -60,6 +61,7 @@ class PoseFit:
         pairs: of frames, compared.
         T_world_camera: (m, 4, 4) of the frames looked at that have a pose, by that reading.
         arc_rad: from which they see what they look at; None if that is not one thing.
+        lengths: the depth scale and focal lengths that they fit best.
     """
 
     reading: Reading
@@ -72,6 +74,7 @@ class PoseFit:
     pairs: tuple[Pair, ...]
     T_world_camera: NDArray[np.float64]
     arc_rad: float | None
+    lengths: Lengths
 
 
 def fit_trajectory(look: Look) -> PoseFit | None:
@@ -105,6 +108,8 @@ def fit_trajectory(look: Look) -> PoseFit | None:
     still = float(unmoved[fitting].mean())
     scaled = min(cost for reading, cost in zip(readings, costs, strict=True) if reading.unit_m != 1)
     fit = fits(left_m, usable)
+    lengths = fit_lengths(usable, read) if chosen == 0 else Lengths(1.0, 1.0, 1.0)
+    better = costs[0] < min(OTHER_SCALE * scaled, NO_BETTER * still)
     return PoseFit(
         reading=readings[chosen],
         given=float(costs[0]),
@@ -112,10 +117,11 @@ def fit_trajectory(look: Look) -> PoseFit | None:
         still=still,
         residual_m=left_m,
         fits=fit,
-        proven=fit and chosen == 0 and bool(costs[0] < min(OTHER_SCALE * scaled, NO_BETTER * still)),
+        proven=fit and chosen == 0 and bool(better) and not lengths.doubted,
         pairs=usable,
         T_world_camera=read[known],
         arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in look.frames)),
+        lengths=lengths,
     )
 
 
@@ -151,8 +157,11 @@ def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
         yield Finding("trajectory_unchecked", "note", what, look.where)
         return
     yield from _reading(look, fit)
+    late = []
     if not fit.reading.changes or fit.fits:
-        yield from check_trajectory_delay(look, given, fit.reading, fit.pairs)
+        late = list(check_trajectory_delay(look, given, fit.reading, fit.pairs))
+    # Poses of another time fit better with other lengths, too.
+    yield from late or check_lengths(look, fit.lengths)
     yield from _arc(look, fit)
 
 

@@ -10,6 +10,7 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build, write
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.artefacts.object import WORDS_OF_DOUBTS
+from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.publish.gate import NOT_TOLD, gate
 from kinectbench.release.publish.publish import publish
@@ -58,7 +59,7 @@ def built(folder: Path, grade: str = "good", **quality: Any) -> Path:
         (
             {"warnings": [f"falls into 3; {LOOK}"]},
             {},
-            "falls into 3 (1 doubt of the object or its floor, more",
+            "falls into 3 (1 doubt of the object, its floor or its size, more",
         ),
         ({"warnings": [f"begins 0.2 m up: {WORDS_OF_DOUBTS[1]}"]}, {}, "publish.gate.max_doubts: 0"),
         ({"warnings": [f"the solid is in 2 {WORDS_OF_DOUBTS[2]}: x"]}, {}, "publish.gate.max_doubts: 0"),
@@ -93,6 +94,19 @@ def test_limits(found: dict[str, Any], limits: dict[str, Any], said: str | None,
         passed = gate(settings(review, **limits), tmp_path, [NAME], allow_poor)
         assert passed.published == (NAME,) and not passed.refused and passed.poor[NAME][1] == why
         assert said in next(passed.lines())
+
+
+def test_doubtful_lengths_of_a_recording_are_a_doubt_of_its_size(tmp_path: Path) -> None:
+    built(tmp_path)
+    head = CameraFile(
+        format_version=2, width=4, height=3, fx=5.0, fy=5.0, cx=1.5, cy=1.0, depth_scale=1000.0,
+        color_registered=True, doubts=("chair: fit better with depth 0.91 times as far; look",),
+    )  # fmt: skip
+    (tmp_path / NAME / "sequence").mkdir()
+    head.write(tmp_path / NAME / "sequence")
+    (line,) = gate(settings(), tmp_path, [NAME], allow_poor=False).reasons()
+    assert "fit better with depth 0.91 times as far (1 doubt of the object, its floor or its size" in line
+    assert gate(settings(max_doubts=1), tmp_path, [NAME], allow_poor=False).published == (NAME,)
 
 
 def test_what_a_person_rejects_is_no_failure(tmp_path: Path) -> None:

@@ -38,6 +38,9 @@ class CameraFile(Stored):
     source_format: str = Field(default="", description="Name of the format that the recording is in.")
     frames: int | None = Field(default=None, description="Number of frames.")
     warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
+    doubts: tuple[str, ...] = Field(
+        default=(), description="Of the warnings those by which lengths may be wrong; absent: none."
+    )
     trajectory_error: str = Field(
         default="", description='Why the trajectory that came with the recording is not used, or "".'
     )

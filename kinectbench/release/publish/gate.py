@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings
@@ -123,8 +124,9 @@ def _beyond(limits: GateSettings, folder: Path) -> Iterator[str]:
             f"{unknown:.0%} of the solid is unknown, more than publish.gate.max_unknown_share: "
             f"{limits.max_unknown_share:g}"
         )
-    doubts = quality.known_doubts
+    head = CameraFile.read_if_there(folder / "sequence")
+    doubts = (*(() if head is None else head.doubts), *quality.known_doubts)
     if len(doubts) > limits.max_doubts:
         first = doubts[0].split(SHOWN_OF_DOUBT, 1)[0]
-        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object or its floor"
+        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object, its floor or its size"
         yield f"{first} ({count}, more than publish.gate.max_doubts: {limits.max_doubts})"

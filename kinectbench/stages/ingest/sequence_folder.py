@@ -52,6 +52,10 @@ class Watch(Protocol):
         """What there is to say after the last one, one line each."""
         ...
 
+    def doubts(self) -> list[str]:
+        """Those of the warnings by which lengths may be wrong."""
+        ...
+
 
 def write_sequence(
     recording: Recording,
@@ -93,6 +97,8 @@ def write_sequence(
         warnings += watch.warnings()
     calibrated = recording.color_calibration is not None
     up: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
+    if watch and (doubts := watch.doubts()):
+        up["doubts"] = tuple(doubts)
     if recording.up_cameras:
         up["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
     head = CameraFile(
