@@ -140,19 +140,21 @@ def _heights_together(
 
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     hint = hint_of(ground.recording, stamps_ns, T_world_camera, ground.plane_world)
-    if hint.plane_world is not None:
-        return SeenFloor(T_world_camera[:, :3, 3] @ hint.plane_world[:3] + hint.plane_world[3])
     near_m = [np.where(frame.depth_m <= max_depth_m, frame.depth_m, np.float32(0)) for frame in frames]
     heights_m = np.full(len(frames), np.nan)
+    if hint.plane_world is not None:
+        heights_m = T_world_camera[:, :3, 3] @ hint.plane_world[:3] + hint.plane_world[3]
     try:
         floor, clouds = floor_of_frames(near_m, look.small_camera, T_world_camera, hint)
     except SegmentationError:
         return SeenFloor(heights_m)
+    if floor.given:
+        return SeenFloor(heights_m, floor.doubts)
     for index, points_world in enumerate(clouds):
         on_floor = np.abs(transform_points(floor.T_floor_world, points_world)[:, 2]) < ON_FLOOR_M
         if on_floor.sum() > MIN_ON_FLOOR * len(points_world):
             heights_m[index] = transform_points(floor.T_floor_world, T_world_camera[index, :3, 3])[2]
-    return SeenFloor(heights_m, floor.choice.doubts())
+    return SeenFloor(heights_m, floor.doubts)
 
 
 def _height_m(frame: SmallFrame, camera: Camera, recording: Recording) -> float:

@@ -80,7 +80,8 @@ def build_object(
     chosen = _chosen(sequence, trajectory, scene, given_box, segmentation, hint)
     frames = trajectory.good_frames
     voxel_size_m, scale = _resolution(chosen, sequence, trajectory, fusion)
-    grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
+    with chosen.floor.said_in_errors():
+        grid = object_grid(chosen.box, chosen.floor, voxel_size_m, given=given_box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
     T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
@@ -95,8 +96,7 @@ def build_object(
         lambda half: observe(sequence, trajectory, frames[half::2], grid, fusion, progress),
         chosen.excluded(grid),
         rules.enlarged(scale),
-        T_floor_grid,
-        scale,
+        *(T_floor_grid, scale),
     ).restored(grid, scale)
     around = surround_grid(grid, chosen.floor)
     surround = observe(sequence, trajectory, surround_frames(frames), around, fusion)

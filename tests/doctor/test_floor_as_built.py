@@ -183,3 +183,18 @@ def test_gravity_of_poses_that_are_ignored_counts(
     assert {f.name for f in inspect(path, without_trajectory=True)[0].findings} >= {"no_floor"}
     monkeypatch.setattr(TumRecording, "up_world", (0.0, 0.0, 1.0))
     assert "no_floor" not in {f.name for f in inspect(path, without_trajectory=True)[0].findings}
+
+
+def test_a_persons_plane_beside_the_one_that_is_seen_is_told(
+    recordings: Callable[[int, bool], Path],
+) -> None:
+    """In the words of a build."""
+    path = recordings(76, False)
+    said = [
+        [found for found in inspect(path, plane_world=plane)[0].findings if found.name == "floor_doubtful"]
+        for plane in (FLOOR, (0.0, 0.0, 1.0, 0.03))
+    ]
+    assert said[0] == []
+    (found,) = said[1]
+    assert "gives as `floor` is not one that the frames show" in found.what
+    assert "above it" in found.what and "write `floor: {plane_world:" in found.advice

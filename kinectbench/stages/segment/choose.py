@@ -11,7 +11,7 @@ from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.box_anchor import check_anchor
 from kinectbench.stages.segment.doubts import FINE_CELL_M, Selection, doubts
-from kinectbench.stages.segment.find_object import find_object, find_scene
+from kinectbench.stages.segment.find_object import Scene, find_object, find_scene
 from kinectbench.stages.segment.floor import Floor, floor_cut_m
 from kinectbench.stages.segment.near import enlarged_box
 from kinectbench.stages.segment.select import (
@@ -111,6 +111,18 @@ def segment(
             it was chosen in another floor frame.
     """
     scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
+    with scene.floor.said_in_errors():
+        return _segment_on(scene, mesh, trajectory, given_box, settings)
+
+
+def _segment_on(
+    scene: Scene,
+    mesh: TriangleMesh,
+    trajectory: Trajectory,
+    given_box: OrientedBox | None,
+    settings: FloorCuts,
+) -> Segmentation:
+    """`segment` where the floor is known."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
     cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale
@@ -137,9 +149,9 @@ def segment(
         cell_m / scale,
         scale,
     )
-    of_floor = scene.floor.choice.doubts() if scene.floor.found else (NO_FLOOR,)
+    of_floor = scene.floor.doubts if scene.floor.found else (NO_FLOOR,)
     lines = (*of_floor, *doubts(chose))
-    if hint.plane_world is not None and scene.floor.inlier_share < LEAST_ON_PLANE:
+    if scene.floor.given and not scene.floor.against and scene.floor.inlier_share < LEAST_ON_PLANE:
         lines = (PLANE_IS_EMPTY, *lines)
     how = "automatic" if given_box is None else "box"
     return Segmentation(scene.floor, box, cells[chosen], cells[above & ~chosen], how, lines, CELL_M * scale)

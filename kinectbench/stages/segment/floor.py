@@ -1,5 +1,7 @@
 """The floor plane: not the largest plane, but the one the cameras stand above."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +19,7 @@ from kinectbench.stages.segment.floor_planes import (
     choose_plane,
     refined_near,
 )
+from kinectbench.stages.segment.given_floor import against_plane
 from kinectbench.stages.segment.near import enlarged_transform, near_scale
 from kinectbench.stages.segment.planes import (
     INLIER_M,
@@ -56,6 +59,8 @@ class Floor:
         found: False if it is not a measured plane but `level_floor`.
         scale: by what the cuts of the settings are multiplied for it, as cameras were near (`near_scale`).
         choice: the planes among which it was chosen; none of a person's plane.
+        given: whether it is a person's plane.
+        against: what speaks against a person's plane, one line for people each.
     """
 
     plane_world: Float64
@@ -66,6 +71,23 @@ class Floor:
     found: bool = True
     scale: float = 1.0
     choice: PlaneChoice = NO_CHOICE
+    given: bool = False
+    against: tuple[str, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks against it, one line for people each."""
+        return (*self.against, *self.choice.doubts())
+
+    @contextmanager
+    def said_in_errors(self) -> Iterator[None]:
+        """What cannot be segmented within the block also names what speaks against a person's plane."""
+        try:
+            yield
+        except SegmentationError as error:
+            if not self.against:
+                raise
+            raise SegmentationError(f"{error}; {self.against[0]}") from error
 
     @property
     def T_world_floor(self) -> Float64:
@@ -93,7 +115,7 @@ def find_floor(
     seed: int,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Floor:
-    """Find the floor among the planes of the scene (`choose_plane`); a person's plane is taken as it is.
+    """Find the floor among the planes of the scene (`choose_plane`); a person's is taken as it is, and judged.
 
     The plane is refined by least squares where it matters, within 1.2 m of the focus: farther floor is
     measured with several times the noise, and a Kinect's depth bias grows with distance. Where cameras are
@@ -111,10 +133,13 @@ def find_floor(
         SegmentationError: no plane may be a floor, or the cameras are below a person's.
     """
     scale = near_scale(T_world_camera, focus_world)
-    if hint.plane_world is not None:
-        given = _given_floor(hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2)
-        return replace(given, scale=scale)
     surface = Surface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
+    if hint.plane_world is not None:
+        given = _given_floor(
+            hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2, hint.up_world
+        )
+        against = against_plane(hint.plane_world, surface, hint.up_world, scale)
+        return replace(given, scale=scale, given=True, against=against)
     floor = _find_floor(surface, enlarged_transform(T_world_camera, scale), seed, hint.up_world)
     plane = floor.plane_world * [1, 1, 1, scale]
     return replace(
@@ -142,7 +167,11 @@ def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: 
 
 
 def _given_floor(
-    plane_world: Float64, points_world: Float64, T_world_camera: Float64, inlier_m: float
+    plane_world: Float64,
+    points_world: Float64,
+    T_world_camera: Float64,
+    inlier_m: float,
+    up_world: Float64 | None,
 ) -> Floor:
     """The floor by a person's plane (4,)."""
     above_m = T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]
@@ -150,7 +179,7 @@ def _given_floor(
         raise SegmentationError(ABOVE_CAMERAS)
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
-    tilt_rad = _tilt_rad(plane_world, T_world_camera, None)
+    tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)
     return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
 
 

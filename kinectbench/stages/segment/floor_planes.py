@@ -214,7 +214,7 @@ def _planes(surface: Surface, facing: Facing, seed: int) -> list[tuple[Float64, 
         indices = np.flatnonzero(left)
         if len(indices) < least:
             break
-        plane = _ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
+        plane = ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
         plane = refine(points_world[indices], plane, 2 * inlier_m, inlier_m)
         inliers = left & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * inlier_m)
         left &= ~inliers
@@ -298,8 +298,15 @@ def _told(
     return replace(candidate, reason="lower" if lower else "less")
 
 
-def _ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
-    """The plane through one point with its own normal that has most inliers (one-point RANSAC)."""
+def ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
+    """The plane (4,) through one point with its own normal that has most inliers (one-point RANSAC).
+
+    Args:
+        points: (n, 3), metres.
+        normals: (n, 3) unit.
+        rng: which points are tried.
+        inlier_m: so near to a plane points are on it.
+    """
     judged = points[rng.permutation(len(points))[:20_000]]
     chosen = rng.integers(len(points), size=HYPOTHESES)
     offsets = -(points[chosen] * normals[chosen]).sum(axis=1)

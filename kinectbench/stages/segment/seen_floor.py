@@ -87,7 +87,7 @@ def other_floor(
         floor: of the fused scene.
         sequence: the recording.
         trajectory: its poses.
-        hint: what is known of the floor; nothing is compared with a person's plane.
+        hint: what is known of the floor; a person's plane was judged by the scene (`find_floor`).
         max_depth_m: farther depth counts for nothing, metres.
     """
     frames = trajectory.good_frames

@@ -11,6 +11,7 @@ from kinectbench.stages.segment.box_anchor import check_anchor
 from kinectbench.stages.segment.choose import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.floor import Floor, level_floor
+from kinectbench.stages.segment.given_floor import against_gravity
 from kinectbench.stages.segment.near import cell_scale, near_scale
 from kinectbench.stages.segment.planes import floor_frame
 from kinectbench.stages.segment.select import CELL_M, connected, fit_box, spacing_m, surface_points
@@ -72,7 +73,7 @@ def segment_whole(
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
     box = given_box or fit_box(vertices_floor[kept[surface.owner]])
     cells = np.floor(points_floor / cell_m).astype(np.int64)
-    return Segmentation(floor, box, cells[kept], cells[~kept], "masks", (), cell_m)
+    return Segmentation(floor, box, cells[kept], cells[~kept], "masks", floor.doubts, cell_m)
 
 
 def _level(
@@ -80,7 +81,9 @@ def _level(
 ) -> Floor:
     """The plane z = 0: a person's, or a level one below the points (n, 3)."""
     if hint.plane_world is not None:
-        return Floor(hint.plane_world, floor_frame(hint.plane_world), 0.0, 0.0, scale=scale)
+        against = against_gravity(hint.plane_world, hint.up_world)
+        frame = floor_frame(hint.plane_world)
+        return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)
     level = level_floor(points_world, T_world_camera, hint.up_world, scale)
     plane = level.plane_world + np.array([0, 0, 0, BELOW_M * scale])
     return Floor(plane, floor_frame(plane), 0.0, 0.0, found=False, scale=scale)

@@ -14,6 +14,7 @@ from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.given_floor import GIVEN
 
 COLUMNS = 160
 NEARER_M = 0.1
@@ -157,6 +158,11 @@ def _of_floor(floor: Floor) -> list[str]:
     """A warning of a floor that is hardly flat: it may be something else."""
     if not floor.found or floor.noise_m <= MAX_FLOOR_NOISE_M:
         return []
+    if floor.given:
+        # Where the plane itself is doubted, the surface beside it is what scatters.
+        scatter = f"scatters by {1000 * floor.noise_m:.0f} mm, a flat floor by 1 to 6"
+        told = f"what was measured about {GIVEN} {scatter}"
+        return [] if floor.against else [f"{told}; check that the object stands on that plane"]
     return [
         f"the floor found scatters by {1000 * floor.noise_m:.0f} mm, a flat one by 1 to 6: it may be another "
         "surface; record with more of the floor in view, or give a box"

@@ -1,12 +1,13 @@
 """Recordings with something wrong in them: each says what, and none becomes a silently wrong pair."""
 
 import functools
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from analytic_scenes import box, health_of, ring
-from bad_scenes import AROUND, FINE, FLOOR, OBJECT, Recorded, recorded, table_of
+from bad_scenes import AROUND, FINE, FLOOR, FUSION, OBJECT, Recorded, recorded, table_of
 
 from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox
@@ -186,6 +187,43 @@ def test_a_persons_plane_on_which_nothing_lies_is_told(height_m, told):
     chosen = plain().segment(plane_world=np.array([0, 0, 1, -height_m]))
     assert chosen.floor.found
     assert warned(chosen.doubts, "nothing that was measured lies on the plane of `floor`") is told
+
+
+@pytest.mark.parametrize(
+    ("plane_world", "said"),
+    [
+        ((0, 0, 1, 0.02), "a plane 20 mm above it, parallel"),
+        ((0, 0, 1, -0.06), "a plane 60 mm below it, parallel"),
+        ((np.sin(0.1), 0, np.cos(0.1), 0), "turned by 6 degrees"),
+    ],
+)
+def test_a_plane_seen_right_beside_a_persons_is_told_with_its_numbers(plane_world, said):
+    model = plain().model(floor=plane_world)
+    (line,) = [line for line in model.quality.doubts if "`floor`" in line]
+    assert line in model.quality.warnings and said in line
+    assert not warned(model.quality.warnings, "the floor found")
+    right = re.search(r"plane_world: \[(.*?)\]", line)[1]
+    np.testing.assert_allclose([float(number) for number in right.split(",")], [0, 0, 1, 0], atol=0.004)
+    assert not warned(plain().model(floor=tuple(map(float, right.split(",")))).quality.warnings, "`floor`")
+
+
+def test_of_a_table_and_its_floor_a_person_says_which():
+    top = recorded([FLOOR, *table_of((-0.4, -0.4, 0.0), (0.4, 0.4, 0.08)), OBJECT])
+    for height_m in (0.0, 0.08):
+        assert top.segment(plane_world=np.array([0, 0, 1, -height_m])).floor.against == ()
+
+
+def test_what_fails_on_a_persons_plane_names_the_plane_beside_it():
+    fine = FUSION.model_copy(update={"voxel_size_m": 0.003})
+    with pytest.raises(SegmentationError, match=r"as `floor` is not one .* 60 mm above it"):
+        plain().model(floor=(0, 0, 1, 0.06), fusion=fine)
+
+
+def test_what_scatters_about_a_persons_plane_is_told_of_that_plane():
+    chosen = plain().segment(plane_world=np.array([0, 0, 1, 0.0]))
+    rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
+    (line,) = plain().witness_of(rough).doubts
+    assert "gives as `floor` scatters by 19 mm" in line and "give a box" not in line
 
 
 def test_a_floor_that_is_not_flat_may_be_something_else():

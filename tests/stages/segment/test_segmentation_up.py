@@ -125,6 +125,20 @@ def test_a_persons_plane_is_taken_as_it_is():
         find_floor(*FLOOR, arc(45), FOCUS, 0, FloorHint(plane_world=-np.append(UP, -UP @ WORLD[:3, 3])))
 
 
+@pytest.mark.parametrize(("turn_deg", "told"), [(0, 0), (20, 0), (40, 1), (90, 1)])
+def test_a_persons_plane_off_gravity_is_told(turn_deg, told):
+    """By the tolerance of the planes that are found, and not where gravity is not known."""
+    right = np.cross(UP, [1.0, 0, 0]) / np.linalg.norm(np.cross(UP, [1.0, 0, 0]))
+    normal = np.cos(np.radians(turn_deg)) * UP + np.sin(np.radians(turn_deg)) * right
+    cameras = arc(45)
+    plane = np.append(normal, 5.0)  # far below, so that no surface lies beside it
+    floor = find_floor(*FLOOR, cameras, FOCUS, 0, FloorHint(UP, plane))
+    assert floor.tilt_rad == pytest.approx(np.radians(turn_deg), abs=1e-6)
+    assert len(floor.against) == told
+    assert all(f"as `floor` is turned by {turn_deg} degrees" in line for line in floor.doubts)
+    assert find_floor(*FLOOR, cameras, FOCUS, 0, FloorHint(None, plane)).against == ()
+
+
 class Recorded:
     """What `floor_hint` looks at of a sequence."""
 
