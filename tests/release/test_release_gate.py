@@ -140,6 +140,19 @@ def test_the_release_says_what_was_left_out_and_what_was_let_pass(tmp_path: Path
     assert f"- {NAME} is published all the same (--allow-poor)" in (tmp_path / "wide/README.md").read_text()
 
 
+def test_a_release_without_its_only_validation_recording_says_so(tmp_path: Path) -> None:
+    build = tmp_path / "build"
+    write_build(build)
+    of_split = [each.id for each in settings().recordings if each.split == "validation"]
+    for name in of_split:
+        write_json(build / name / "object/quality.json", SOUND | {"estimated_iou": 0.45})
+    summary = publish(settings(), build, tmp_path / "benchmark", NAMES)
+    assert set(summary.refused) == set(of_split)
+    said = f"no validation split is published, as this release is without {', '.join(of_split)}: thresholds"
+    (line,) = [line for line in summary.warnings if "validation split" in line]
+    assert line.startswith(said) and said in (tmp_path / "benchmark/README.md").read_text()
+
+
 def test_nothing_passes(tmp_path: Path) -> None:
     with pytest.raises(ReleaseError, match=r"to publish; chair_01 is left out: estimated IoU 0\.45"):
         publish(settings(), built(tmp_path, estimated_iou=0.45), tmp_path / "out", [NAME])

@@ -29,6 +29,7 @@ from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
 from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.words import listed
 
 PRIVATE = "-private"
 SHOWN_VIEWS = 6  # of a recording, in a warning
@@ -182,7 +183,7 @@ def _write(
         *without_pair,
         *_doubted(infos),
         *_unknown(made),
-        *_without_thresholds(settings),
+        *_without_thresholds(settings, infos),
     ]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     _write_texts(settings, folder, made, targets, warnings, options, found)
@@ -286,11 +287,13 @@ def _gives_away(settings: BenchmarkSettings, hold_back: Sequence[str]) -> list[s
     return warnings
 
 
-def _without_thresholds(settings: BenchmarkSettings) -> list[str]:
-    """A line if there is no split on which methods could choose their thresholds."""
-    if any(recording.split == "validation" for recording in settings.recordings):
+def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo]) -> list[str]:
+    """A line if nothing is published of a split on which methods could choose their thresholds."""
+    names = [recording.id for recording in settings.recordings if recording.split == "validation"]
+    if any(name in infos for name in names):
         return []
-    return ["no validation split: thresholds are fixed at 0.5 unless a threshold file is given"]
+    why = f" is published, as this release is without {listed(names)}" if names else ""
+    return [f"no validation split{why}: thresholds are fixed at 0.5 unless a threshold file is given"]
 
 
 def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:

@@ -115,7 +115,7 @@ def find_floor(
     seed: int,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Floor:
-    """Find the floor among the planes of the scene (`choose_plane`); a person's is taken as it is, and judged.
+    """Find the floor among the planes of the scene (`choose_plane`); a person's is taken as it is and judged.
 
     The plane is refined by least squares where it matters, within 1.2 m of the focus: farther floor is
     measured with several times the noise, and a Kinect's depth bias grows with distance. Where cameras are
