@@ -158,6 +158,25 @@ def test_nothing_passes(tmp_path: Path) -> None:
         publish(settings(), built(tmp_path, estimated_iou=0.45), tmp_path / "out", [NAME])
 
 
+def test_where_nothing_passes_each_has_its_reason(tmp_path: Path) -> None:
+    """The first few; the advice comes once."""
+    build = tmp_path / "build"
+    write_build(build)
+    for name in NAMES:
+        write_json(build / name / "object/quality.json", SOUND | {"estimated_iou": 0.45})
+    review = {"decision": "reject", "reason": "a cloth"}
+    with pytest.raises(ReleaseError) as error:
+        publish(settings(review), build, tmp_path / "out", NAMES[:3])
+    said = str(error.value)
+    assert f"{NAME} is left out: rejected by review: a cloth" in said
+    for name in NAMES[1:3]:
+        assert f"{name} is left out: estimated IoU 0.45" in said
+    assert said.count("--allow-poor") == 1
+    with pytest.raises(ReleaseError, match=r"left out: .*; and 1 more; mend it") as error:
+        publish(settings(), build, tmp_path / "out", NAMES)
+    assert str(error.value).count("is left out") == len(NAMES) - 1 == 4
+
+
 # Each is a way to let pass, or to leave out, the first recording, which is of the test split.
 @pytest.mark.parametrize(
     ("review", "allow_poor"),

@@ -18,8 +18,16 @@ ALLOWED = "--allow-poor"
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
 # What is said in place of figures and a person's reason, which tell of a truth that is held back.
 NOT_TOLD = "why is held back, as its truth is"
+# Where no recording can be published, the reasons of so many are named (own choice).
+SHOWN_REASONS = 4
 # Of a doubt, which advises after it.
 SHOWN_OF_DOUBT = ";"
+
+
+def first_lines(told: Sequence[str]) -> str:
+    """Lines as one, after semicolons: the first few, and a count of the others."""
+    more = [f"and {len(told) - SHOWN_REASONS} more"] if len(told) > SHOWN_REASONS else []
+    return "; ".join([*told[:SHOWN_REASONS], *more])
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,11 @@ class Gate:
         refused = {name: (NOT_TOLD,) if name in hidden else it for name, it in self.refused.items()}
         rejected = {name: NOT_TOLD if name in hidden else it for name, it in self.rejected.items()}
         return replace(self, poor=poor, refused=refused, rejected=rejected)
+
+    def first_reasons(self) -> str:
+        """Why none is in the release: the first few with reasons, a count of the others, and what to do."""
+        told = [f"{name} is left out: {why}" for name, why in self.left_out.items()]
+        return first_lines(told) + (ADVICE if self.refused else "")
 
     def reasons(self) -> Iterator[str]:
         """Why each of those that are not in the release is not, a line each."""

@@ -22,7 +22,7 @@ from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.datasheet import datasheet, unanswered
-from kinectbench.release.publish.gate import Gate, gate
+from kinectbench.release.publish.gate import Gate, first_lines, gate
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
@@ -107,7 +107,7 @@ def publish(
     _refuse_empty_split(settings, recordings, options.hold_back)
     passed = gate(settings, build, recordings, bool(options.allow_poor))
     if not passed.published:
-        raise ReleaseError(f"{build}: no recording to publish; {next(passed.reasons())}")
+        raise ReleaseError(f"{build}: no recording to publish; {passed.first_reasons()}")
     _refuse_empty_split(settings, passed.published, options.hold_back)
     _refuse_many_files(settings, build, passed.published)
     complete = options.model_copy(update={"hold_back": ()})
@@ -173,7 +173,8 @@ def _write(
     found = list[Removed]()
     made, without_pair = _pairs(settings, build, folder, passed, options, found)
     if not made:
-        raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused")
+        why = first_lines([*without_pair, *passed.lines()])
+        raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused; {why}")
     infos = {name: published.info for name, published in made.items()}
     # What would do harm first, then what is wrong with the truth, and last how it is used.
     warnings = [
