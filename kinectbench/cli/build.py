@@ -13,10 +13,12 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.store.address import url_of
 
 if TYPE_CHECKING:
+    from kinectbench.core.artefacts.benchmark import ReleaseInfo
     from kinectbench.engine.executor import Executor
     from kinectbench.engine.pipeline import Outcome
     from kinectbench.engine.stages import Job
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
+    from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.release.release import Release
 
 # Rows of the table of `build` and of `build --status`: more of them nobody reads (own choice).
@@ -295,8 +297,36 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
         return open_release(release_here(common.benchmark)), []
     rows = build_recordings(common, None, "pairs", told=True)
     waiting = partial(console.waiting, "publish")
-    published = publish_if_stale(common.settings, common.root, need_some(rows), waiting=waiting)
+    published = publish_if_stale(
+        common.settings, common.root, need_some(rows), waiting=waiting, again=_tell_again
+    )
     return open_release(published.scoring), rows
+
+
+def _tell_again(before: "ReleaseInfo | None", now: "PublishSummary") -> None:
+    """One line: the release that lay here has another in its place, and what changed."""
+    from kinectbench.cli import console
+    from kinectbench.settings.words import listed
+
+    line = f"{now.folder}: published again, as the settings or what was built changed: "
+    pairs = f"{now.pairs} pairs of {_counted(len(now.recordings))} now"
+    if before is None:
+        console.lines("note", [f"{line}what lay there cannot be read, {pairs}"], "cyan")
+        return
+    was = before.recordings
+    line += f"{sum(row.pairs for row in was.values())} pairs of {_counted(len(was))} before, {pairs}"
+    for word, names in (
+        ("new", [name for name in now.recordings if name not in was]),
+        ("gone", [name for name in was if name not in now.recordings]),
+    ):
+        line += f"; {word}: {listed(names)}" if names else ""
+    if before.benchmark_sha256 == now.benchmark_sha256:
+        line += "; benchmark_sha256 is the same"
+    console.lines("note", [line], "cyan")
+
+
+def _counted(recordings: int) -> str:
+    return f"{recordings} recording{'s' * (recordings != 1)}"
 
 
 def release_here(benchmark: Path) -> Path:

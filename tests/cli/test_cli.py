@@ -135,6 +135,23 @@ def test_score_publishes_first_and_writes_the_page(command: Command, scored: Pat
     assert (root / "benchmark" / "benchmark.json").stat().st_mtime_ns == stamp, "published again for nothing"
 
 
+def test_a_release_that_is_published_again_is_told(command: Command, scored: Path, tmp_path: Path) -> None:
+    """By every command that brings it up to date first, and only where it took another's place."""
+    root = copied(scored, tmp_path / "b", "benchmark.yaml", "recordings", "build", "predictions")
+    assert command(root, "publish", "chair").status == 0
+    told = command(root, "export", "out", "--json")
+    assert told.status == 0, told.err
+    pairs = json.loads(told.out)["pairs"]
+    (line,) = [line for line in told.err.splitlines() if "published again" in line]
+    assert line.startswith("note: ") and "pairs of 1 recording before" in line
+    assert f"{pairs} pairs of 2 recordings now; new: table" in line and "gone" not in line
+    assert "published again" not in command(root, "check", "predictions/hull").err
+    again = command(root, "check", "predictions/hull", "--set", "license=CC0-1.0")
+    assert "published again" in again.err and "new" not in again.err.split("recordings now")[1]
+    (root / "benchmark/benchmark.json").write_text("{}")
+    assert "what lay there cannot be read" in command(root, "check", "predictions/hull").err
+
+
 def test_scores_of_another_benchmark_are_left_out_of_the_page(
     command: Command, scored: Path, tmp_path: Path
 ) -> None:

@@ -24,6 +24,7 @@ def publish_if_stale(
     *,
     wait: bool = True,
     waiting: Callable[[str], None] | None = None,
+    again: Callable[[ReleaseInfo | None, PublishSummary], None] | None = None,
 ) -> PublishSummary:
     """Publish `build/` as `benchmark/`, unless that is what lies there already.
 
@@ -35,6 +36,8 @@ def publish_if_stale(
         options: what is asked for beyond the settings; None: what was asked for last time.
         wait: whether to wait for another run in this benchmark.
         waiting: called with who holds it, before waiting.
+        again: called where a release took the place of another, with what that was (None: it cannot be
+            read) and what is published now.
 
     Raises:
         ReleaseError: nothing was built, or `benchmark/` holds something else.
@@ -54,12 +57,15 @@ def publish_if_stale(
         wanted = _fingerprint(settings, build, recordings, asked)
         summary = None if force else _published(stamp, out, wanted)
         if summary is None:
+            there, before = (out / ReleaseInfo.FILE).is_file(), _release_there(out)
             summary = publish(settings, build, out, recordings, asked)
             with replaced_file(build / PublishStamp.FILE) as temporary:
                 facts = {key: fact for key, fact in vars(summary).items() if key not in ("folder", "private")}
                 temporary.write_text(
                     PublishStamp(fingerprint=wanted, options=asked, **facts).text(), encoding="utf-8"
                 )
+            if there and again is not None:
+                again(before, summary)
     return summary
 
 
@@ -84,6 +90,13 @@ def scoring_folder(root: Path) -> Path:
     except ReleaseError:  # whoever opens it will say so
         pass
     return out
+
+
+def _release_there(out: Path) -> ReleaseInfo | None:
+    """What benchmark.json of a release says; None: it is not there, or cannot be read."""
+    with contextlib.suppress(ReleaseError):
+        return ReleaseInfo.read(out)
+    return None
 
 
 def _fingerprint(
