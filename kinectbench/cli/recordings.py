@@ -21,6 +21,11 @@ EVIDENCE = {
     "copy": "a real recording whose licence lets it be copied",
     "writer": "nothing real, but files written by the format's own description",
 }
+# Folders of results that lie beside a benchmark.yaml; the file that tells the truth of a simulation; of what
+# `init` leaves out so many are named (own choice).
+OURS = frozenset({"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"})
+TRUTH = "truth.json"
+SHOWN_LEFT_OUT = 12
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 
 
@@ -43,38 +48,57 @@ def init(
         raise SettingsError(f"{target}: is there already; edit it, or use --force to replace it")
     recordings = find_recordings(folder)
     found = [(path.relative_to(folder).as_posix(), name) for path, name in recordings]
-    text = init_benchmark(folder, found, name_suffixes())
-    left_out = _without_recording(folder, [path for path, _ in recordings])
+    suffixes = name_suffixes()
+    left_out = _without_recording(folder, [path for path, _ in recordings], suffixes)
+    if left_out:
+        names = ", ".join(path.relative_to(folder).as_posix() for path in left_out[:SHOWN_LEFT_OUT])
+        more = len(left_out) - SHOWN_LEFT_OUT
+        names += f" and {more} more" if more > 0 else ""
+        why = "`kinectbench inspect FOLDER` says why"
+        console.lines("note", [f"left out, as no recording of a known format: {names}; {why}"], "yellow")
+    text = init_benchmark(folder, found, suffixes)
     with replaced_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     count = f"{len(found)} recording{'s' * (len(found) != 1)}"
     what = "category, object and underside of each, license and source"
     advice = f"{count}: fill in {what}, then run `kinectbench build`"
-    notes = [
-        f"{path}: left out: no recording of a known format; `kinectbench inspect` says more"
-        for path in left_out
-    ]
-    console.lines("note", notes, "yellow")
     common.tell([str(target)], [f"wrote {target}", advice])
 
 
-def _without_recording(folder: Path, recordings: Sequence[Path]) -> list[Path]:
-    """The folders right below one in which no recording was found, but for those that hold results."""
-    from kinectbench.stages.ingest.readers import TRUTH
+def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
+    """The folders, and files named as recordings are, that no reader takes, at any depth, none in another.
 
-    ours = {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"}
-    if folder in recordings:
+    Folders that hold results, the truth of a simulated recording or hidden files are no recordings.
+
+    Args:
+        folder: where recordings were looked for.
+        recordings: those found in it.
+        suffixes: endings of files that are recordings, such as ".bag".
+    """
+    found = set(recordings)
+    holding = {parent for path in recordings for parent in path.relative_to(folder).parents}
+    left, waiting = list[Path](), [] if folder in found else [folder]
+    while waiting:
+        parent = waiting.pop(0)
+        ours = parent == folder or (parent / "benchmark.yaml").is_file()
+        for child in _children(parent):
+            if child in found or child.name.startswith(".") or (ours and child.name in OURS):
+                continue
+            if child.relative_to(folder) in holding:
+                waiting.append(child)
+            elif child.is_dir():
+                left += [] if (child / TRUTH).is_file() else [child]
+            elif child.is_file() and child.name.lower().endswith(tuple(suffixes)):
+                left.append(child)
+    return sorted(left)
+
+
+def _children(folder: Path) -> list[Path]:
+    """What lies in a folder, sorted; nothing of one that cannot be read."""
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
         return []
-    holding = {path.relative_to(folder).parts[0] for path in recordings}
-    children = sorted(child for child in folder.iterdir() if child.is_dir())
-    return [
-        child
-        for child in children
-        if not child.name.startswith(".")
-        and child.name not in ours
-        and not (child / TRUTH).is_file()
-        and child.name not in holding
-    ]
 
 
 @takes("as_json")

@@ -40,7 +40,10 @@ def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Seq
         SettingsError: there are no recordings.
     """
     if not found:
-        raise SettingsError(f"{folder}: no recording of a known format in it; put one there and try again")
+        raise SettingsError(
+            f"{folder}: no recording of a known format in it; `kinectbench inspect FOLDER` says of one why, "
+            "and `kinectbench formats` what is read; put one there and try again"
+        )
     folder_name = folder.resolve().name
     # A folder that is itself the recording goes by its own name.
     names = _unique_ids([folder_name if path == "." else path for path, _ in found], suffixes)

@@ -41,9 +41,35 @@ def test_init_names_the_folders_in_which_there_is_no_recording(
     (tmp_path / "chair.truth" / "truth.json").write_text("{}", encoding="utf-8")
     run = command(tmp_path, "init", ".")
     assert "1 recording:" in run.out
-    assert run.err.split("\n")[0].startswith("note: colour_only: left out: no recording of a known format")
+    said = "note: left out, as no recording of a known format: colour_only; `kinectbench inspect"
+    assert run.err.split("\n")[0].startswith(said)
     assert "scores" not in run.err
     assert "chair.truth" not in run.err
+
+
+def test_init_names_what_no_reader_takes_beside_recordings_farther_down(
+    command: Callable[..., Run], tmp_path: Path
+) -> None:
+    """In one line, of very many the first; a recording that lies one level deeper is found."""
+    sample = Path(__file__).parents[2] / "recordings" / "cabinet_01"
+    shutil.copytree(sample, tmp_path / "recordings/deeper/data")
+    for number in range(30):
+        (tmp_path / f"recordings/lost_{number:02d}").mkdir()
+        (tmp_path / f"recordings/lost_{number:02d}/notes.txt").write_text("no frames")
+    (tmp_path / "recordings/cut.bag").write_bytes(b"#ROS")
+    run = command(tmp_path, "init", ".")
+    assert run.status == 0 and "recordings/deeper/data" in (tmp_path / "benchmark.yaml").read_text()
+    (line,) = [line for line in run.err.splitlines() if "left out" in line]
+    assert "recordings/cut.bag, recordings/lost_00, recordings/lost_01" in line and " and 19 more; " in line
+    assert "lost_11" not in line and "deeper" not in line
+
+
+def test_init_without_any_recording_says_where_to_look(command: Callable[..., Run], tmp_path: Path) -> None:
+    (tmp_path / "lost").mkdir()
+    run = command(tmp_path, "init", ".")
+    assert run.status != 0 and "left out, as no recording of a known format: lost" in run.err
+    (line,) = [line for line in run.err.splitlines() if line.startswith("error")]
+    assert "`kinectbench inspect FOLDER` says" in line and "`kinectbench formats`" in line
 
 
 def test_folders_are_looked_up_among_the_recordings_once(tmp_path: Path) -> None:
@@ -51,5 +77,5 @@ def test_folders_are_looked_up_among_the_recordings_once(tmp_path: Path) -> None
         (tmp_path / f"{n:04d}").mkdir()
     recordings = [tmp_path / f"{n:04d}" / "below" for n in range(3999)]
     started = time.process_time()
-    assert _without_recording(tmp_path, recordings) == [tmp_path / "3999"]
+    assert _without_recording(tmp_path, recordings, [".bag"]) == [tmp_path / "3999"]
     assert time.process_time() - started < 5  # with a scan for each: over a minute
