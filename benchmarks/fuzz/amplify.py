@@ -234,7 +234,7 @@ def folders_without_recordings(folder: Path, units: int) -> Run:
     found = [folder / f"{number}" for number in range(units)]
     for path in found:
         path.mkdir()
-    return lambda: _without_recording(folder, found)
+    return lambda: _without_recording(folder, found, [])
 
 
 def null_rows_of_a_table(folder: Path, units: int) -> Run:

@@ -34,6 +34,8 @@ LATER = {
     "plate_m": 0.0,
     "reach_share": 0.04,
     "lowest_m": 0.25,
+    "low_pass_share": 0.0,
+    "low_pass_m": 0.25,
     "turn_rad": 0.0,
     "turn_rad_per_s": 2.6,
     "readout_s": 0.0,

@@ -95,30 +95,37 @@ def write_sequence(
         warnings.append(f"{problem}; it is ignored")
     if watch:
         warnings += watch.warnings()
-    calibrated = recording.color_calibration is not None
-    up: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
-    if watch and (doubts := watch.doubts()):
-        up["doubts"] = tuple(doubts)
-    if recording.up_cameras:
-        up["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
-    head = CameraFile(
-        format_version=CameraFile.FORMAT_VERSION,
-        **asdict(recording.camera),
-        depth_scale=recording.depth_scale,
-        color_registered=recording.color_registered or calibrated,
-        registered_by="recording" if recording.color_registered else "calibration" if calibrated else None,
-        source_format=recording.format,
-        frames=len(rows),
-        warnings=tuple(warnings),
-        trajectory_error=problem,
-        **up,
-    )
+    head = _head(recording, len(rows), warnings, watch.doubts() if watch else [], problem)
     with storage_errors(folder):
         head.write(folder)
         FramesFile(rows=tuple(rows)).write(folder)
         if recording.given_trajectory is not None and not problem:
             (folder / TRAJECTORY).write_text(trajectory_text(recording.given_trajectory), encoding="utf-8")
     return warnings
+
+
+def _head(
+    recording: Recording, frames: int, warnings: list[str], doubts: list[str], trajectory_error: str
+) -> CameraFile:
+    """What is known of the recording as a whole; keys that it has nothing for are left out."""
+    calibrated = recording.color_calibration is not None
+    up: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
+    if doubts:
+        up["doubts"] = tuple(doubts)
+    if recording.up_cameras:
+        up["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
+    return CameraFile(
+        format_version=CameraFile.FORMAT_VERSION,
+        **asdict(recording.camera),
+        depth_scale=recording.depth_scale,
+        color_registered=recording.color_registered or calibrated,
+        registered_by="recording" if recording.color_registered else "calibration" if calibrated else None,
+        source_format=recording.format,
+        frames=frames,
+        warnings=tuple(warnings),
+        trajectory_error=trajectory_error,
+        **up,
+    )
 
 
 def read_sequence(folder: Path) -> Sequence:
