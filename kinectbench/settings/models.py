@@ -112,8 +112,12 @@ class BoxSettings(Settings):
         """As a release and a fingerprint have it: a box without an anchor as before there were any."""
         values: dict[str, Any] = to_dict(self)
         if self.anchor_depth_sha256 is None:
-            del values["anchor_depth_sha256"]
-        return values if self.anchor_frame is not None else {key: values[key] for key in BOX_KEYS}
+            values.pop("anchor_depth_sha256", None)
+        return (
+            values
+            if self.anchor_frame is not None
+            else {key: values[key] for key in BOX_KEYS if key in values}
+        )
 
     def box(self) -> OrientedBox:
         """The box as a value."""
