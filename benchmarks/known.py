@@ -4,8 +4,8 @@ Nothing is said of their undersides, or, with --underside truly, that they are c
 
 Families are looked at or only reported (`kinectbench.lab.simulate.objects`): rules are chosen on the first.
 What lies in --build is brought up to date and measured; recordings are simulated where they are missing. One
-object takes some five minutes on one core. Where the bar of a furniture's IoU is an earlier value, --against
-names the JSON of an earlier run on the same recordings.
+object takes one to five minutes on one core. Where the bar of a furniture's IoU is an earlier value,
+--against names the JSON of an earlier run on the same recordings.
 """
 
 import argparse

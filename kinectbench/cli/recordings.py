@@ -21,10 +21,10 @@ EVIDENCE = {
     "copy": "a real recording whose licence lets it be copied",
     "writer": "nothing real, but files written by the format's own description",
 }
-# Folders of results that lie beside a benchmark.yaml; the file that tells the truth of a simulation; of what
-# `init` leaves out so many are named (own choice).
+# Folders of results that lie beside a benchmark.yaml, and the file that holds the truth of a simulation.
 OURS = frozenset({"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"})
 TRUTH = "truth.json"
+# Of what `init` leaves out so many are named: three lines of a terminal (own choice).
 SHOWN_LEFT_OUT = 12
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 

@@ -73,8 +73,8 @@ class OffsetWatch:
         ]
 
     def doubts(self) -> list[str]:
-        """What speaks against the lengths in the recording, and so against all that is measured in it."""
-        return [_line(found) for found in self._findings if found.name == LENGTHS]
+        """What speaks against depth_scale and intrinsics, a line each, without a path: releases hold them."""
+        return [f"{found.what}; {found.advice}" for found in self._findings if found.name == LENGTHS]
 
     @cached_property
     def _findings(self) -> tuple[Finding, ...]:

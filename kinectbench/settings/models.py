@@ -75,7 +75,6 @@ class BoxSettings(Settings):
         None, ge=0, description="with --pick: a frame that ties the box to its floor frame"
     )
     anchor_pose: Vector7 | None = Field(None, description="of that frame's camera in it: x y z, qx qy qz qw")
-
     anchor_depth_sha256: str | None = Field(
         None, pattern="^[0-9a-f]{16}$", description="of that frame's depth, the first 16 digits"
     )
@@ -113,11 +112,9 @@ class BoxSettings(Settings):
         values: dict[str, Any] = to_dict(self)
         if self.anchor_depth_sha256 is None:
             values.pop("anchor_depth_sha256", None)
-        return (
-            values
-            if self.anchor_frame is not None
-            else {key: values[key] for key in BOX_KEYS if key in values}
-        )
+        if self.anchor_frame is not None:
+            return values
+        return {key: values[key] for key in BOX_KEYS if key in values}
 
     def box(self) -> OrientedBox:
         """The box as a value."""

@@ -87,7 +87,7 @@ class GateSettings(Settings):
         0,
         ge=0,
         le=100,
-        description="that it is several things, cut off, in pieces, without its support, or on another floor",
+        description="several things, cut off, in pieces, without its support, another floor, another size",
     )
 
 

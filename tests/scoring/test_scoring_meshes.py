@@ -178,7 +178,6 @@ def test_what_costs_too_much_is_refused_in_time(name: str, tmp_path: Path) -> No
 
 READ = """
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from kinectbench.scoring.prediction_file import load_prediction
 assert load_prediction(Path(sys.argv[1]), None, 0.004).any()

@@ -39,7 +39,8 @@ class CameraFile(Stored):
     frames: int | None = Field(default=None, description="Number of frames.")
     warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
     doubts: tuple[str, ...] = Field(
-        default=(), description="Of the warnings those by which lengths may be wrong; absent: none."
+        default=(),
+        description="What speaks against depth_scale and intrinsics; in `warnings`, too; absent: nothing.",
     )
     trajectory_error: str = Field(
         default="", description='Why the trajectory that came with the recording is not used, or "".'

@@ -156,6 +156,7 @@ def _open3d() -> Any:
     name = "open3d.visualization.draw_plotly"
 
     def later(function: str) -> Callable[..., Any]:
+        """The function of that name, whose module is imported when it is called."""
         if function.startswith("__"):  # such as __file__, which `inspect` asks every module for
             raise AttributeError(function)
 

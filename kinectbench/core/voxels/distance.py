@@ -24,8 +24,8 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
     Returns:
         (nx, ny, nz) float32, metres.
     """
-    # Squares of so many voxels, thrice, fit into 32 bits.
-    reach = min(math.floor(within_m / voxel_size_m + 1e-6), max(of.shape), 20_000)
+    # No two voxels are farther apart than the grid's diagonal.
+    reach = min(math.floor(within_m / voxel_size_m + 1e-6), math.ceil(math.hypot(*of.shape)))
     cells = np.ascontiguousarray(of)
     squared = _along_last(cells, reach)
     squared = _across(_across(squared, reach, 1), reach, 0)

@@ -42,8 +42,9 @@ SYNTHESIS_JSON = "synthesis.json"
 TEXTS = CardTexts(
     "meshes seen by a virtual camera",
     "The\nangles of the views are in `views/`, the meshes in `objects/`. `occupancy_rule` says how `full` "
-    "was filled: `winding`,\nexact, for a closed mesh; `six-rays`, the rule of the paper's authors, for one "
-    "that is not. `known` is set everywhere.\nA mesh's own unit stands for a metre.",
+    "was filled: `winding`,\nexact, for a closed mesh; `seeable`, with what no camera could see, too; "
+    "`six-rays`, the rule of the paper's authors, for one that is not. `known` is set everywhere,\nbut for "
+    "slits of `seeable` ones. A mesh's own unit stands for a metre.",
 )
 # So many models are checked sooner than other processes have started.
 FEW = 40
@@ -296,7 +297,7 @@ def _lines(
             yield f"{category}: {models.unused} more models were not needed"
     for task in tasks:
         quality = made[task.model].quality
-        if quality.method != "winding":
+        if quality.method == "six-rays":
             yield f"{task.model.label}: not watertight: filled by the rule {quality.method}"
         yield from (f"{task.model.label}: {note}" for note in quality.warnings)
     yield from (f"left out: {bad.model}: {bad.reason}" for bad in left_out)

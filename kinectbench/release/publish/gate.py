@@ -24,10 +24,10 @@ SHOWN_REASONS = 4
 SHOWN_OF_DOUBT = ";"
 
 
-def first_lines(told: Sequence[str]) -> str:
+def first_lines(lines: Sequence[str]) -> str:
     """Lines as one, after semicolons: the first few, and a count of the others."""
-    more = [f"and {len(told) - SHOWN_REASONS} more"] if len(told) > SHOWN_REASONS else []
-    return "; ".join([*told[:SHOWN_REASONS], *more])
+    more = [f"and {len(lines) - SHOWN_REASONS} more"] if len(lines) > SHOWN_REASONS else []
+    return "; ".join([*lines[:SHOWN_REASONS], *more])
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Gate:
 
     def first_reasons(self) -> str:
         """Why none is in the release: the first few with reasons, a count of the others, and what to do."""
-        told = [f"{name} is left out: {why}" for name, why in self.left_out.items()]
-        return first_lines(told) + (ADVICE if self.refused else "")
+        lines = [f"{name} is left out: {why}" for name, why in self.left_out.items()]
+        return first_lines(lines) + (ADVICE if self.refused else "")
 
     def reasons(self) -> Iterator[str]:
         """Why each of those that are not in the release is not, a line each."""

@@ -53,7 +53,7 @@ class Watch(Protocol):
         ...
 
     def doubts(self) -> list[str]:
-        """Those of the warnings by which lengths may be wrong."""
+        """What speaks against depth_scale and intrinsics, one line each."""
         ...
 
 
@@ -109,11 +109,11 @@ def _head(
 ) -> CameraFile:
     """What is known of the recording as a whole; keys that it has nothing for are left out."""
     calibrated = recording.color_calibration is not None
-    up: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
+    others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
     if doubts:
-        up["doubts"] = tuple(doubts)
+        others["doubts"] = tuple(doubts)
     if recording.up_cameras:
-        up["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
+        others["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
     return CameraFile(
         format_version=CameraFile.FORMAT_VERSION,
         **asdict(recording.camera),
@@ -124,7 +124,7 @@ def _head(
         frames=frames,
         warnings=tuple(warnings),
         trajectory_error=trajectory_error,
-        **up,
+        **others,
     )
 
 

@@ -27,7 +27,7 @@ from kinectbench.stages.segment.floor import Floor
 CHOOSE = "choose it again by `kinectbench segment --suggest`"
 
 
-# Of a hash; by chance two frames share so many in one recording of 2^32.
+# Of a hash: 64 bits, which two of some thousand different frames do not share by chance.
 DIGITS = 16
 
 

@@ -161,8 +161,8 @@ def _of_floor(floor: Floor) -> list[str]:
     if floor.given:
         # Where the plane itself is doubted, the surface beside it is what scatters.
         scatter = f"scatters by {1000 * floor.noise_m:.0f} mm, a flat floor by 1 to 6"
-        told = f"what was measured about {GIVEN} {scatter}"
-        return [] if floor.against else [f"{told}; check that the object stands on that plane"]
+        what = f"what was measured about {GIVEN} {scatter}"
+        return [] if floor.against else [f"{what}; check that the object stands on that plane"]
     return [
         f"the floor found scatters by {1000 * floor.noise_m:.0f} mm, a flat one by 1 to 6: it may be another "
         "surface; record with more of the floor in view, or give a box"

@@ -18,6 +18,13 @@ def test_as_without_a_limit_up_to_it(shape: tuple[int, int, int], share: float, 
     np.testing.assert_allclose(distance_within_m(of, VOXEL_M, within_m), expected, rtol=2e-7)
 
 
+def test_from_corner_to_corner() -> None:
+    of = np.zeros((5, 6, 7), bool)
+    of[0, 0, 0] = True
+    found = distance_within_m(of, VOXEL_M, 1.0)
+    assert found[4, 5, 6] == pytest.approx(VOXEL_M * np.sqrt(4**2 + 5**2 + 6**2))
+
+
 def test_nothing_is_near_where_nothing_is_set() -> None:
     assert np.isinf(distance_within_m(np.zeros((4, 5, 6), bool), VOXEL_M, 0.1)).all()
     assert (distance_within_m(np.ones((4, 5, 6), bool), VOXEL_M, 0.1) == 0).all()

@@ -192,6 +192,7 @@ def write_rosbag2(
     maker = MessageMaker(store.types, rig, depth_code, ros2=True)
 
     def messages() -> Messages:
+        """What is logged, frame by frame."""
         for index, frame in enumerate(frames):
             static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
             for topic, kind, message in maker.messages(frame, index) + static:
