@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
 
@@ -102,26 +102,29 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 def main() -> None:
     """Run the command line; every error becomes one line and an exit status."""
     _show_what_can_be_shown()
-    with interrupts_remembered(_end_unanswered), _own_words_only():
-        status, messages = _run()
-    if status == INTERRUPTED:
-        ignore_interrupts()  # a second one would interrupt the end
-    if messages:
-        from kinectbench.cli import console
+    with interrupts_remembered(_end_unanswered):
+        with _own_words_only():
+            status, messages = _run()
+        if messages:
+            from kinectbench.cli import console
 
-        console.lines("error", messages, "red")
-    if status == INTERRUPTED:
-        # Libraries that were interrupted while they were imported complain at the end of Python, or end it
-        # with a status of their own.
-        garbage.collect()
-        if "kinectbench.engine.processes" in sys.modules:
-            from kinectbench.engine.processes import give_back_shared
-
-            give_back_shared()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(interrupted_status())
+            console.lines("error", messages, "red")
+        if status == INTERRUPTED:
+            # Within the block: after it another SIGTERM would end the process with a status of its own.
+            _exit_interrupted()
     sys.exit(status)
+
+
+def _exit_interrupted() -> NoReturn:
+    """End now: libraries interrupted while they were imported complain at the end of Python, or change it."""
+    garbage.collect()
+    if "kinectbench.engine.processes" in sys.modules:
+        from kinectbench.engine.processes import give_back_shared
+
+        give_back_shared()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(interrupted_status())
 
 
 def _show_what_can_be_shown() -> None:
@@ -171,6 +174,7 @@ def _run() -> tuple[int, tuple[str, ...]]:
     except KeyboardInterrupt:
         status = INTERRUPTED
     if status == INTERRUPTED:
+        ignore_interrupts()  # a second one would interrupt the end
         messages = (STOPPED,)
     return status, messages
 

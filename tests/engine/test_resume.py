@@ -1,5 +1,6 @@
 """Runs that are killed, interrupted or find the disk full: nothing is lost, and the next run goes on."""
 
+import contextlib
 import errno
 import json
 import os
@@ -201,13 +202,14 @@ def test_interrupted_while_workers_start(fresh: Path, wait_s: float, number: int
 
 
 def test_stopped_by_timeout(fresh: Path) -> None:
-    """It sends SIGTERM to the command, and then to the command's group."""
+    """It sends SIGTERM to the command, then to its group; batch systems, again until it has ended."""
     process = start(fresh, "build", "--jobs", "2")
     wait_for(lambda: bool(list((fresh / "build").glob("*/.*.part"))), process)
-    for _ in range(3):
+    while process.poll() is None:
         process.send_signal(signal.SIGTERM)
-        os.killpg(process.pid, signal.SIGTERM)
-        time.sleep(0.05)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        time.sleep(0.002)
     result = finish(process)
     assert (result.status, result.err) == (143, STOPPED)
     wait_until_all_ended(process)
