@@ -23,6 +23,7 @@ from kinectbench.stages.segment.choose import segment
 from kinectbench.stages.segment.evidence import FloorLayers
 from kinectbench.stages.segment.grids import floor_layers, object_grid, usual_ray_width_m
 from kinectbench.stages.segment.resolution import USUAL_VOXEL_M
+from kinectbench.stages.segment.up import floor_hint
 
 SPLITS = {"looked-at": LOOKED_AT, "reported-only": REPORTED_ONLY, "all": (*LOOKED_AT, *REPORTED_ONLY)}
 
@@ -73,7 +74,7 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
     # Rules are chosen for these voxels (`stages.segment.resolution`).
     fusion, segmentation = FusionSettings(voxel_size_m=USUAL_VOXEL_M), SegmentationSettings()
     scene = read_own_ply(build / "reconstruction" / "mesh.ply")
-    chosen = segment(scene, trajectory, None, segmentation)
+    chosen = segment(scene, trajectory, None, segmentation, floor_hint(sequence, trajectory))
     grid = object_grid(chosen.box, chosen.floor, USUAL_VOXEL_M)
     frames = trajectory.good_frames
     reach_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)

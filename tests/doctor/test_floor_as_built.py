@@ -135,6 +135,26 @@ def test_the_same_floor_or_none(
     assert ("below the plane" in built) == ("floor_above" in said)
 
 
+def with_poses_off(path: Path, folder: Path, sigma_m: float) -> Path:
+    """The same with each given pose moved up or down."""
+    shutil.copytree(path, folder)
+    rows = np.loadtxt(folder / "groundtruth.txt")
+    rows[:, 3] += np.random.default_rng(0).normal(0, sigma_m, len(rows))
+    np.savetxt(folder / "groundtruth.txt", rows, fmt="%.9f")
+    return folder
+
+
+def test_frames_that_do_not_lie_on_one_floor_are_told(tmp_path: Path) -> None:
+    """By poses that are 12 mm too high or too low."""
+    right = simulated(tmp_path / "right", 40)
+    said = [
+        [found.what for found in inspect(path)[0].findings if found.name == "floor_doubtful"]
+        for path in (right, with_poses_off(right, tmp_path / "off", 0.012))
+    ]
+    assert said[0] == []
+    assert len(said[1]) == 1 and "mm about the floor, a Kinect's depth at 0.8 m by 2" in said[1][0]
+
+
 def with_accelerometer(path: Path) -> Recording:
     """A recording every third of whose frames has an up of its own."""
     recording = open_recording(path)

@@ -40,8 +40,12 @@ NOT_HERE = {"a frame of another scene", "intrinsics of twice the size", "millime
             None,
             {"color_display_only", "arc", "trajectory_grade", "trajectory_check"},
         ),
-        # Its depth lags the motion capture, by some 28 ms.
-        ("tum_fr1_xyz_150-179", FREIBURG1, {"reader", "arc", "trajectory_delay", "trajectory_grade"}),
+        # Its depth lags the motion capture, by some 28 ms, and scatters by 13 mm about the desk by its poses.
+        (
+            "tum_fr1_xyz_150-179",
+            FREIBURG1,
+            {"reader", "arc", "trajectory_delay", "trajectory_grade", "no_floor"},
+        ),
     ],
 )
 def test_no_alarm_on_right_recordings(name: str, settings: CameraSettings | None, expected: set[str]) -> None:
@@ -61,6 +65,9 @@ def test_the_offset_of_a_motion_capture_is_found_and_taken_away() -> None:
     assert said and float(said[1]) == pytest.approx(-0.028, abs=0.008)
     moved = FREIBURG1.model_copy(update={"trajectory_delay_s": float(said[1])})
     after, _ = inspect(ROOT / "tum_fr1_xyz_150-179", moved)
+    # A build finds the desk with the same doubt: it scatters by 14 mm there, too.
+    (floor,) = [each for each in after.findings if each.name in ("no_floor", "floor_doubtful")]
+    assert floor.name == "floor_doubtful" and "14 mm about the floor" in floor.what
     assert "trajectory_delay" not in {each.name for each in after.findings}
     assert after.facts["pose_disagreement"] < 0.85 * diagnosis.facts["pose_disagreement"]  # type: ignore[operator]
 

@@ -17,7 +17,7 @@ from kinectbench.stages.segment.candidates import Candidates, find_candidates
 from kinectbench.stages.segment.choose import Segmentation, segment
 from kinectbench.stages.segment.grids import object_grid
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.up import FloorHint
+from kinectbench.stages.segment.up import floor_hint
 from kinectbench.stages.segment.witness import Witness, witness
 from kinectbench.stages.track import Trajectory
 
@@ -40,11 +40,14 @@ class Recorded:
     scene: TriangleMesh
 
     def segment(self, given: OrientedBox | None = None, plane_world: Float64 | None = None) -> Segmentation:
-        hint = FloorHint(None, plane_world)
+        hint = floor_hint(
+            self.sequence, self.trajectory, None if plane_world is None else plane_world.tolist()
+        )
         return segment(self.scene, self.trajectory, given, SEGMENTATION, hint)
 
     def suggest(self) -> Candidates:
-        return find_candidates(self.scene, self.trajectory, SEGMENTATION)
+        hint = floor_hint(self.sequence, self.trajectory)
+        return find_candidates(self.scene, self.trajectory, SEGMENTATION, hint)
 
     def witness(self, given: OrientedBox | None = None) -> Witness:
         return self.witness_of(self.segment(given), given is not None)

@@ -24,6 +24,8 @@ LOOKING_AT_RAD = np.pi / 4
 # the others by .98 and 2.5).
 MEETS_BY_CHANCE = 2.0
 LEAST_TURN_SHARE = 0.75
+# So many frames, and every so many of their pixels, tell how far the middles of the images see.
+MIDDLE_FRAMES, MIDDLE_STEP_PX = 40, 4
 # Depth is kept on a grid of about this many columns; every eighth of its pixels is a point to be found.
 DEPTH_COLUMNS = 160
 POINT_STEP = 8
@@ -72,6 +74,13 @@ def from_above(T_world_camera: Float64) -> Float64:
     right = np.cross(ahead, up)
     right = right / np.linalg.norm(right)
     return np.stack([right, np.cross(up, right), up])
+
+
+def usual_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
+    """`middle_depth_m` of some of a recording's frames (n,) that have a pose, the same for whoever asks."""
+    some = frames[np.unique(np.linspace(0, len(frames) - 1, min(MIDDLE_FRAMES, len(frames))).astype(int))]
+    thin = slice(None, None, MIDDLE_STEP_PX)
+    return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:

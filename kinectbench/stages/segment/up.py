@@ -1,7 +1,7 @@
 """Where up may be: by gravity where a recording has it, else as people hold cameras."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
@@ -10,7 +10,7 @@ import numpy as np
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.trajectory.association import poses_at
-from kinectbench.core.trajectory.coverage import from_above
+from kinectbench.core.trajectory.coverage import from_above, usual_middle_depth_m
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 
@@ -41,10 +41,13 @@ class FloorHint:
         up_world: (3,) unit, up by gravity, or None.
         plane_world: (4,) a person's plane: a, b, c, d with unit (a, b, c) up and a x + b y + c z + d = 0,
             metres; or None.
+        middle_depth_m: median depth in the middle of the images, which tells where the cameras look
+            (`looked_at`); None: where their axes meet.
     """
 
     up_world: Float64 | None = None
     plane_world: Float64 | None = None
+    middle_depth_m: float | None = None
 
 
 NOTHING_KNOWN = FloorHint()
@@ -70,9 +73,10 @@ class KnowsUp(Protocol):
 
 
 def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float] | None = None) -> FloorHint:
-    """`hint_of` a recording with the poses that are used of it."""
+    """`hint_of` a recording with the poses that are used of it, and how far its images see."""
     good = trajectory.good_frames
-    return hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
+    hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
+    return replace(hint, middle_depth_m=usual_middle_depth_m(sequence, good))
 
 
 def hint_of(

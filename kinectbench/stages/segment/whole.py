@@ -4,7 +4,7 @@ import numpy as np
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
-from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.core.trajectory.coverage import looked_at
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.stages.segment.box_anchor import check_anchor
@@ -51,7 +51,7 @@ def segment_whole(
         SegmentationError: nothing was fused, or the box holds nothing of it.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
-    near = near_scale(T_world_camera, convergence_point(T_world_camera))
+    near = near_scale(T_world_camera, looked_at(T_world_camera, hint.middle_depth_m))
     scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
     cell_m = CELL_M * scale
     surface = surface_points(mesh, cell_m)

@@ -23,7 +23,7 @@ from kinectbench.core.artefacts.trajectory import (
 from kinectbench.core.images import relative_blur
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
-from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility, middle_depth_m
+from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility, usual_middle_depth_m
 from kinectbench.core.types import Bools, Float64
 from kinectbench.stages.track.check_given import GivenCheck
 from kinectbench.stages.track.health_figures import (
@@ -40,8 +40,6 @@ from kinectbench.stages.track.tracked import Tie, Tracked
 from kinectbench.stages.track.verdict import judge, recommend
 
 COVISIBLE_KEYFRAMES = 60
-# So many frames say how far away is what is looked at, for the sake of time (own choice).
-LOOKED_AT_FRAMES = 40
 
 
 def health(
@@ -234,12 +232,7 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
 def _arc_rad(case: _Case) -> float | None:
     """The arc that the frames with a pose see what they look at from."""
     frames = np.flatnonzero(case.posed)
-    some = (
-        np.unique(frames[np.linspace(0, len(frames) - 1, LOOKED_AT_FRAMES).astype(int)])
-        if len(frames)
-        else frames
-    )
-    depth_m = middle_depth_m(case.sequence.depth_m(int(frame))[::4, ::4] for frame in some)
+    depth_m = usual_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
 
 

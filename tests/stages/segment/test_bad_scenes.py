@@ -10,9 +10,9 @@ from analytic_scenes import box, health_of, ring
 from bad_scenes import AROUND, FINE, FLOOR, FUSION, OBJECT, Recorded, recorded, table_of
 
 from kinectbench.core.errors import KinectBenchError, SegmentationError
-from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.trajectory.coverage import convergence_point
-from kinectbench.stages.segment.select import select_in_box
+from kinectbench.stages.segment.select import CELL_M, select_in_box
 from kinectbench.stages.segment.witness import unseen_side
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
@@ -276,3 +276,20 @@ def test_few_good_frames(frames):
 def test_a_box_outside_the_volume():
     with pytest.raises(SegmentationError, match=r"holds nothing.*reaches from.*--suggest"):
         plain().segment(OrientedBox((4.0, 0, 0.25), (0.5, 0.4, 0.5)))
+
+
+def test_axes_that_meet_by_chance_do_not_shrink_the_scene():
+    """A camera that is moved sideways and shaken: its axes pass each other near it, the box is 1.4 m away."""
+    middle = ring(1, 1.4, (0.0, 0.0, 0.25), (0.5,))[0]
+    poses = np.tile(middle, (9, 1, 1))
+    for k, (pose, aside_m) in enumerate(zip(poses, np.linspace(-0.15, 0.15, 9), strict=True)):
+        half_turn = (0.1 * (-1) ** k - 0.5 * aside_m) / 2
+        about_y = rotation_from_quaternion_xyzw([0.0, np.sin(half_turn), 0.0, np.cos(half_turn)])
+        pose[:3, :3] = middle[:3, :3] @ about_y
+        pose[:3, 3] += aside_m * middle[:3, 0]
+    assert np.linalg.norm(convergence_point(poses) - middle[:3, 3]) < 0.5
+    chosen = recorded([FLOOR, OBJECT], poses).segment()
+    assert chosen.cell_m == CELL_M
+    assert np.linalg.norm(chosen.floor.T_world_floor[:3, :3] @ np.array([0, 0, 1.0]) - [0, 0, 1]) < 0.01
+    corners = transform_points(chosen.floor.T_world_floor, chosen.box.corners_floor())
+    np.testing.assert_allclose(corners.max(axis=0)[2], 0.5, atol=0.03)

@@ -146,6 +146,9 @@ class Recorded:
         self.given_trajectory, self.up_world, self.up_cameras = given, up_world, up_cameras
         self.stamps_ns = np.arange(12, dtype=np.int64) * 10**8
 
+    def depth_m(self, index):
+        return np.full((48, 64), 1.2, np.float32)
+
 
 def test_gravity_is_taken_over_into_the_world_of_the_poses_that_are_used():
     cameras, other = arc(45), invert_rigid(arc(45)[0])
