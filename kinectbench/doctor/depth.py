@@ -181,7 +181,10 @@ def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
         f"half of the depth is nearer than {median / scale:.3g} m and 95 % nearer than {far / scale:.3g} m "
         f"at {scale:g} units per metre, which is {'unlikely' if severity == 'warning' else 'no room'}"
     )
-    advice = f"with `depth_scale: {better:g}` the median is {median / better:.2f} m"
+    advice = "find out its unit, and give `depth_scale` (units a metre)"
+    # Things on a table are recorded from as near as this by cameras that can.
+    if median / scale > LIKELY_MEDIAN_M[0] or severity == "stops":
+        advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
     yield Finding("depth_scale", severity, what, look.where, advice)
 
 

@@ -5,6 +5,7 @@ from functools import cached_property
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor.clocks import check_partners
+from kinectbench.doctor.codes import check_codes
 from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import check_depth, check_intrinsics
 from kinectbench.doctor.finding import Finding
@@ -46,7 +47,9 @@ def doubted_scale(recording: Recording) -> str:
     fit = fit_trajectory(look)
     if fit is not None and fit.proven:
         return ""
-    by_poses = [found for found in check_trajectory(look, fit) if found.name == "depth_scale"]
+    by_poses = [*check_codes(look, fit)] or [
+        found for found in check_trajectory(look, fit) if found.name == "depth_scale"
+    ]
     found = (by_poses or by_depth)[0]
     return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}"
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import usual_period_ns
 from kinectbench.doctor.clocks import check_clock
+from kinectbench.doctor.codes import EXPLAINED, check_codes
 from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
 from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import (
@@ -135,6 +136,11 @@ def _examined(
     still = [*check_still(look)]
     stands = any(finding.name in NO_MOTION for finding in still)
     edges, poses = fit_edges(look), None if stands else fit_trajectory(look)
+    code = [] if stands else list(check_codes(look, poses))
+    if code:
+        # All else would be judged by depth that is wrong.
+        kept = [finding for finding in found if finding.name not in EXPLAINED]
+        return {}, [*kept, *code]
     depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
     floor = seen_floor(look, ground, poses, depth_range.max_depth_m)
     late = [*_late(look, edges, poses), *check_range(look, depth_range)]

@@ -28,6 +28,7 @@ from kinectbench.doctor.fit import (
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
 from kinectbench.doctor.look import Look
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
+from kinectbench.stages.ingest.readers.pose_files import named_like_poses
 
 # Another reading is said to be right only if poses fit so much better by it.
 BETTER = 0.87
@@ -142,7 +143,10 @@ def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
         yield Finding("trajectory_unreadable", "stops", look.recording.trajectory_error, look.where, advice)
         return
     if given is None:
-        yield Finding("no_trajectory", "note", "no trajectory: the camera will be tracked", look.where)
+        beside = named_like_poses(look.recording.path)
+        what = f"no trajectory: the camera will be tracked{beside}"
+        advice = "write `trajectory.txt` as TUM has it: t tx ty tz qx qy qz qw, camera to world"
+        yield Finding("no_trajectory", "note", what, look.where, advice if beside else "")
         return
     stamps_ns = look.recording.stamps_ns
     if given.stamps_ns[0] > stamps_ns[-1] or given.stamps_ns[-1] < stamps_ns[0]:

@@ -39,6 +39,9 @@ UNDERSIDE = (
 )
 
 
+DepthCode = Literal["plain", "rotated", "float16", "ray_distance"]
+
+
 class CameraSettings(Settings):
     """Intrinsics that the recording does not say; what is given here wins over what it says."""
 
@@ -49,9 +52,10 @@ class CameraSettings(Settings):
     cx: float | None = Field(None, description="principal point in x, pixels")
     cy: float | None = Field(None, description="principal point in y, pixels")
     depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
-    depth_code: Literal["plain", "rotated"] | None = Field(
+    depth_code: DepthCode | None = Field(
         None,
-        description="of PNG depth: rotated, if its low 3 bits are its high ones; default: told by its values",
+        description="of depth in files: rotated, if its low 3 bits are its high ones; float16, if it is the "
+        "bits of a float16 in metres; ray_distance, if it is along the ray; default: told by its values",
     )
     depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
     color_topic: str | None = Field(None, description="of a bag: the topic of colour images")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png
+from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.recording import FileRecording, Recording, read_image_file
 from kinectbench.stages.ingest.rotated_depth import SAMPLED_IMAGES, find_pattern
 
@@ -33,19 +33,21 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
             f"{recording.path}: `depth_code` is of depth images in PNG files, which a {recording.format} "
             "recording has not; remove it"
         )
+    if camera.depth_code == "float16":
+        return replace(recording, depth_code="float16", depth_scale=FLOAT_SCALE)
     if camera.depth_code is not None:
-        return replace(recording, rotated=camera.depth_code == "rotated")
+        return replace(recording, depth_code=camera.depth_code)
     if camera.depth_scale is not None or recording.depth_scale != MM_SCALE:
         return recording
     pattern = find_pattern(_some_depth(recording))
     if recording.often_rotated:
-        return replace(recording, rotated=pattern.possible)
+        return replace(recording, depth_code="rotated" if pattern.possible else "plain")
     if not pattern.found:
         return recording
     what = f"{recording.path}: nearly every depth value is a multiple of 8"
     if pattern.likely:
         note = f"{what}: its bits are rotated, as SUN3D's are, and are put back; if not, `depth_code: plain`"
-        return replace(recording, rotated=True, warnings=(*recording.warnings, note))
+        return replace(recording, depth_code="rotated", warnings=(*recording.warnings, note))
     note = f"{what}: it is read in mm; if its bits are rotated, as SUN3D's are, give `depth_code: rotated`"
     return replace(recording, warnings=(*recording.warnings, note))
 

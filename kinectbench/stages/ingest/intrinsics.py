@@ -1,7 +1,7 @@
 """Intrinsics: what a recording says, what the settings say instead, and whether that fits the images."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -30,12 +30,19 @@ LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
 JSON_BYTES = 16 << 20
 # Of one frame among many: apps write a few kilobytes (own choice).
 FRAME_JSON_BYTES = 256 << 10
+MM_PER_M = 1000.0
+# Names of librealsense and of Record3D; and keys of a matrix in place of fx, fy, cx and cy.
+SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
+MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "K")
 HELD = "width, height, fx, fy, cx, cy"
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What is known about a depth camera; None = not said. Pixels; depth_scale in native units per metre."""
+    """What is known about a depth camera; None = not said. Pixels; depth_scale in native units per metre.
+
+    `notes` say how it was read, where that is not as it stands, a line each.
+    """
 
     width: int | None = None
     height: int | None = None
@@ -45,6 +52,7 @@ class Intrinsics:
     cy: float | None = None
     depth_scale: float | None = None
     color_registered: bool | None = None
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of_matrix(cls, K: Float64, depth_scale: float | None = None) -> "Intrinsics":
@@ -62,12 +70,15 @@ class Intrinsics:
         own = replace(self, width=None, height=None) if given.keys() >= set(NEEDED) else self
         return replace(own, **given)
 
-    def camera(self, size_px: tuple[int, int], path: Path) -> Camera:
+    def camera(
+        self, size_px: tuple[int, int], path: Path, beside: Callable[[Path], str] | None = None
+    ) -> Camera:
         """The camera, once it is complete and fits the images.
 
         Args:
             size_px: width and height of the depth images.
             path: the recording, for messages.
+            beside: what a message adds of files of the recording that may say what is missing.
 
         Raises:
             RecordingError: a value is missing, or another image size is declared or implied.
@@ -75,9 +86,10 @@ class Intrinsics:
         width, height = size_px
         missing = [name for name in NEEDED if getattr(self, name) is None]
         if missing:
+            said = beside(path) if beside else ""
             raise RecordingError(
                 f"{path}: the recording does not say its intrinsics ({', '.join(missing)}): give them in "
-                "benchmark.yaml as `camera: {fx: ..., fy: ..., cx: ..., cy: ...}` (pixels)"
+                f"benchmark.yaml as `camera: {{fx: ..., fy: ..., cx: ..., cy: ...}}` (pixels){said}"
             )
         declared = (self.width or width, self.height or height)
         if declared != size_px:
@@ -101,6 +113,11 @@ class Intrinsics:
         return Camera(width, height, fx, fy, cx, cy)
 
 
+def said_warnings(path: Path, said: Intrinsics, settings: CameraSettings) -> list[str]:
+    """How intrinsics were read; and `scale_warnings`."""
+    return [*said.notes, *scale_warnings(path, said.depth_scale, settings)]
+
+
 def scale_warnings(path: Path, said_scale: float | None, settings: CameraSettings) -> list[str]:
     """A warning where the settings give another depth scale than the recording itself."""
     given = settings.depth_scale
@@ -115,14 +132,16 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
-    Keys: width, height, fx, fy, cx, cy, depth_scale or depth_factor, color_registered; or
-    `intrinsic_matrix` (nine numbers, column by column, as Open3D writes it) in place of fx ... cy.
+    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered; or
+    a matrix in place of fx ... cy: `intrinsic_matrix` (nine numbers, column by column, as Open3D writes it),
+    `cam_K` or `K` (row by row). A depth_scale beside `cam_K` is BOP's, mm a unit; one below 1 is metres a
+    unit, as librealsense has it, for no unit of depth images is longer.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
     """
     raw = read_object(path, HELD)
-    known = {key: value for key, value in raw.items() if value is not None}
+    known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
     if "depth_factor" in known:
         known.setdefault("depth_scale", known["depth_factor"])
     keys = [key for key in (*NEEDED, "depth_scale", "width", "height") if key in known]
@@ -134,10 +153,24 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")
         values["color_registered"] = known["color_registered"]
-    if "intrinsic_matrix" in known:
-        matrix = _pinhole(_open3d_matrix(known["intrinsic_matrix"], path), path)
-        return replace(matrix, **values)
+    if "depth_scale" in values:
+        values |= _units_a_metre(values["depth_scale"], path, of_bop="cam_K" in known)
+    key = next((key for key in MATRIX_KEYS if key in known), None)
+    if key is not None:
+        return replace(pinhole(_open3d_matrix(known[key], path, key), path), **values)
     return Intrinsics(**values)
+
+
+def _units_a_metre(said: float, path: Path, *, of_bop: bool) -> dict[str, Any]:
+    """The depth scale in units a metre that a file means, and a note where it says another figure."""
+    if of_bop:
+        scale, how = MM_PER_M / said, "mm a unit, as BOP has it beside cam_K"
+    elif said < 1:
+        scale, how = 1 / said, "metres a unit, as librealsense has it"
+    else:
+        return {"depth_scale": said}
+    note = f"{path}: its depth_scale {said:g} is taken for {how}: 1 m is {scale:g} units"
+    return {"depth_scale": scale, "notes": (note,)}
 
 
 def read_color_calibration(path: Path) -> ColorCalibration | None:
@@ -198,7 +231,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
             f"{path}: holds {len(numbers)} numbers, not the 3x3 of a pinhole matrix (nor 3x4, 4x4, or fx fy "
             "cx cy)"
         )
-    return _pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
+    return pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
 
 
 def check_focal_lengths(said: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
@@ -260,7 +293,7 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
     """
     raw = read_object(path, ", ".join((key, *size_keys)))
     width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
-    matrix = _pinhole(_open3d_matrix(raw.get(key), path, key), path)
+    matrix = pinhole(_open3d_matrix(raw.get(key), path, key), path)
     return replace(matrix, width=width, height=height)
 
 
@@ -336,7 +369,12 @@ def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> 
     return numbers.reshape(3, 3) if by_row else numbers.reshape(3, 3).T
 
 
-def _pinhole(K: Float64, path: Path) -> Intrinsics:
+def pinhole(K: Float64, path: Path) -> Intrinsics:
+    """What a matrix (3, 3) says, pixels.
+
+    Raises:
+        RecordingError: it is no pinhole matrix.
+    """
     if not np.isfinite(K).all() or K[0, 1] or K[1, 0] or K[2].tolist() != [0, 0, 1]:
         raise RecordingError(
             f"{path}: {K.tolist()} is not a pinhole matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"

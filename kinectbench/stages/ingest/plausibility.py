@@ -118,8 +118,9 @@ class FrameChecks:
         better = min(COMMON_SCALES, key=lambda s: abs(math.log(native / s / TYPICAL_M)))
         raise RecordingError(
             f"{self._recording.path}: the median depth is {native / scale:.3g} m at {scale:g} native units "
-            f"per metre, which no room has; with `camera: {{depth_scale: {better:g}}}` in benchmark.yaml "
-            f"it is {native / better:.3g} m"
+            f"per metre, which no room has: give its unit in benchmark.yaml, `camera: {{depth_scale: ...}}` "
+            f"(units a metre; at {better:g} it would be {native / better:.3g} m); where it has poses, "
+            "`kinectbench inspect` tries scales and codes by them"
         )
 
 

@@ -17,9 +17,10 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
-from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, decode_mask, image_header
-from kinectbench.stages.ingest.rotated_depth import unrotated
+from kinectbench.settings.models import CameraSettings, DepthCode
+from kinectbench.stages.ingest.depth_codes import read_by_code
+from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px
+from kinectbench.stages.ingest.images import DamagedImageError, decode_mask, image_header, quantised
 
 # Damaged images or messages that are tried in search of one that is whole: five minutes at 30 frames a
 # second; an index may begin long before the images that were kept of it (own choice).
@@ -199,20 +200,26 @@ class FileRecording(Recording):
 
     Attributes:
         often_rotated: depth in this layout usually has rotated bits.
-        rotated: depth has rotated bits, which are put back when it is read.
+        depth_code: how its values are to be read (`settings.models.DepthCode`).
+        float_scale: units a metre of depth that is float.
+        channels: of depth in two 8-bit channels: those of the high and of the low byte; None: it is in one.
     """
 
     often_rotated: ClassVar[bool] = False
 
     places: tuple[FrameFiles, ...]
-    rotated: bool = False
+    depth_code: DepthCode = "plain"
+    float_scale: float = 1.0
+    channels: tuple[int, int] | None = None
 
     def frame(self, index: int) -> RawFrame:
         """Read the files of a frame."""
         files = self.places[index]
-        depth = decode_depth_png(read_image_file(files.depth), str(files.depth))
-        depth = self.clean_depth(depth, index)
-        depth = unrotated(depth) if self.rotated else depth
+        stored = decode_depth_file(read_image_file(files.depth), str(files.depth), self.channels)
+        native = stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale))
+        depth = read_by_code(
+            self.depth_code, self.clean_depth(np.asarray(native, np.uint16), index), self.camera
+        )
         mask = None if files.mask is None else decode_mask(read_image_file(files.mask), str(files.mask))
         if mask is not None and mask.shape != depth.shape:
             raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")
@@ -313,6 +320,8 @@ def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
         RecordingError: none of them is; the message is about the first.
     """
     try:
-        return first_whole(_size_px, (frame.depth for frame in files))
+        return first_whole(
+            lambda file: depth_size_px(read_image_file(file), str(file)), (frame.depth for frame in files)
+        )
     except DamagedImageError as error:
         raise RecordingError(f"{error}; none of the {tried(len(files))} depth images is usable") from error

@@ -269,7 +269,9 @@ def test_colour_of_another_size_where_it_is_not_registered(tmp_path: Path) -> No
 @pytest.mark.parametrize(("wrong", "median"), [(100.0, "58.6"), (100_000.0, "0.0586")])
 def test_absurd_depth_scale(tmp_path: Path, wrong: float, median: str) -> None:
     folder = write_tum(tmp_path / "r")
-    message = rf"r: the median depth is {median} m at {wrong:g} native .*depth_scale: 5000}}.*it is 1\.17 m"
+    message = (
+        rf"r: the median depth is {median} m at {wrong:g} native .*units a metre; at 5000 it would be 1\.17 m"
+    )
     with pytest.raises(RecordingError, match=message):
         ingest(folder, CameraSettings(depth_scale=wrong))
 

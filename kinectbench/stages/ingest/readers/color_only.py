@@ -1,11 +1,12 @@
-"""What is said of a path that no reader knows: colour without depth, or depth under another name."""
+"""What is said of a path that no reader knows: colour without depth, or depth in another layout or kind."""
 
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed, read_head
+from kinectbench.core.untrusted import listed, printable, read_head
 from kinectbench.stages.ingest.images import is_depth_png
+from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
@@ -14,6 +15,7 @@ LEAST_IMAGES = 5
 LOOKED_AT = 20_000
 # The head of a PNG, which tells its bits.
 HEAD_BYTES = 26
+RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 RECORD = "record with a camera that measures depth, such as a Kinect, a RealSense, or a phone with LiDAR"
 
 
@@ -26,19 +28,44 @@ def without_depth(path: Path) -> str | None:
     if path.is_file():
         video = path.suffix.lower() in VIDEO_SUFFIXES
         return f"{path}: is a video, which holds colour only: {RECORD}" if video else None
+    unread = _unread_kind(path)
+    if unread is not None:
+        return unread
     images, folders = 0, []
     for folder, files in _image_folders(path):
         images += len(files)
-        folders.append((folder, files[0]))
-    deep = next((folder for folder, file in folders if _is_depth(file)), None)
+        folders.append((folder, files))
+    deep = next((folder for folder, files in folders if _is_depth(files[0])), None)
     if deep is not None:
         return (
             f"{path}: {deep.name}/ holds 16-bit PNG images that look like depth, but in no layout that is "
             "known: name their folder depth/ and that of colour color/, and put intrinsics.json beside them"
         )
+    pictures = [file for _, files in folders for file in files if DEPTH_WORD.fullmatch(file.stem)]
+    if len(pictures) >= LEAST_IMAGES:
+        return (
+            f"{path}: its {len(pictures)} images named depth, such as {printable(pictures[0].name)}, are "
+            f"pictures in 8 bits (false colours?): {RAW}"
+        )
     if images < LEAST_IMAGES:
         return None
     return f"{path}: holds {images} colour images, but no depth that is read (16-bit PNG): {RECORD}"
+
+
+def _unread_kind(path: Path) -> str | None:
+    """What is said of depth in EXR images, which is not read."""
+    if not path.is_dir():
+        return None
+    children = [child for child in islice(listed(path), LOOKED_AT) if child.is_dir()]
+    below = [each for child in children for each in islice(listed(child), LOOKED_AT) if each.is_dir()]
+    for folder in (path, *children, *below):
+        exr = next(listed(folder, wanted=lambda name: name.lower().endswith(".exr")), None)
+        if exr is not None:
+            return (
+                f"{path}: {printable(str(exr.relative_to(path)))}: EXR images are not read; of Record3D "
+                "export the .r3d file, else write depth into depth/ as 16-bit PNG in mm, or as .npy in metres"
+            )
+    return None
 
 
 def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:

@@ -1,8 +1,8 @@
 """Plain folders: `depth/` and `color/` images with an intrinsics file, as Open3D and Redwood use them."""
 
-import re
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -11,43 +11,82 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
-from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory, trajectory_from_matrices
+from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed, printable
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.image_names import (
-    FRAME_NUMBER,
-    NUMBER_AND_STAMP,
-    counting_key,
-    stamps_of_names,
-)
-from kinectbench.stages.ingest.intrinsics import (
-    Intrinsics,
-    read_color_calibration,
-    read_intrinsics_json,
-    read_intrinsics_matrix,
-    scale_warnings,
-)
+from kinectbench.stages.ingest.depth_files import SUFFIXES, decode_depth_file, packed_channels, units_a_metre
+from kinectbench.stages.ingest.image_names import FRAME_NUMBER, NUMBER_AND_STAMP, stamps_of_names
+from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError
+from kinectbench.stages.ingest.intrinsics import Intrinsics, read_color_calibration, said_warnings
+from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.pairing import pair_images
+from kinectbench.stages.ingest.readers.folder_images import (
+    NamedImages,
+    color_images,
+    depth_images,
+    lie_beside_each_other,
+)
+from kinectbench.stages.ingest.readers.pose_files import pose_file, read_pose_file
 from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
     first_color_size,
     first_depth_size,
-    first_file,
+    first_whole,
     mask_beside,
+    read_image_file,
     visible,
 )
 
 DEPTH_SCALE = 1000.0
-PNG = re.compile(r".+\.png", re.IGNORECASE | re.DOTALL)
-COLOR_FOLDERS = ("color", "rgb", "image")
-COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
-JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json")
 # The PrimeSense camera of Redwood's scans, by the data set's own documents.
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+
+
+@dataclass(frozen=True)
+class Stored:
+    """How depth lies in its files, where that is not 16-bit PNG.
+
+    Attributes:
+        depth_scale: units a metre as it is read, if it is float.
+        float_scale: units a metre of the floats.
+        channels: the 8-bit channels of the high and the low byte.
+        warnings: what people should know, a line each.
+    """
+
+    depth_scale: float | None = None
+    float_scale: float = 1.0
+    channels: tuple[int, int] | None = None
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "Stored":
+        """By the first depth image that is whole."""
+        with suppress(DamagedImageError):
+            return first_whole(lambda frame: cls._of(frame.depth, settings), files)
+        return cls()
+
+    @classmethod
+    def _of(cls, file: Path, settings: CameraSettings) -> "Stored":
+        data = read_image_file(file)
+        channels = packed_channels(data, str(file))
+        if channels is not None:
+            high, low = (("blue", "green", "red")[channel] for channel in channels)
+            said = (
+                f"{file}: depth is read from two 8-bit channels: its high byte is {high}, its low one {low}"
+            )
+            return cls(channels=channels, warnings=(said,))
+        if file.suffix.lower() == ".png":
+            return cls()
+        units = units_a_metre(decode_depth_file(data, str(file)))
+        if units is None:
+            return cls()
+        float_scale = settings.depth_scale or units
+        said = f"{file}: its floats are taken for millimetres; if not, give `depth_scale` (units a metre)"
+        mm = settings.depth_scale is None and units != 1
+        return cls(FLOAT_SCALE, float_scale, warnings=(said,) if mm else ())
 
 
 class FolderRecording(FileRecording):
@@ -59,51 +98,60 @@ class FolderRecording(FileRecording):
 
     format: ClassVar[str] = "folder"
     looks_for: ClassVar[str] = (
-        "a folder with depth/*.png (and color/, masks/, intrinsics.json, trajectory.log or pose/)"
+        "a folder with depth/*.png, .npy or .tiff (and color/, masks/, intrinsics.json, trajectory.log or "
+        "pose/), or with 000000-depth.png beside 000000-color.jpg"
     )
     verified: ClassVar[str] = "folders and trajectories that Open3D reads alike"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a subfolder depth/ with PNG images."""
+        """Whether the folder has depth images in depth/, or beside those of colour."""
         depth = path / "depth"
-        return depth.is_dir() and any(listed(depth, wanted=PNG.fullmatch))
+        if depth.is_dir():
+            return any(listed(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
+        return lie_beside_each_other(path)
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the images, pair them by the times or numbers in their names, read camera and trajectory."""
-        depth = image_files(path / "depth", frozenset({".png"}))
-        files, recorded, paired = pair_files(depth, color_files(path), settings, path)
+        depth = depth_images(path)
+        files, recorded, paired = pair_files(depth, color_images(path), settings, path)
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
-        camera_file = first_file(path / name for name in JSON_FILES)
-        said, said_warnings = _read_intrinsics(path, camera_file, depth, size_px)
+        said, camera_file = find_intrinsics(path)
+        if camera_file is None and said == Intrinsics():
+            said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered
-        trajectory, warnings, error = read_given(lambda: _read_trajectory(path, stamps_ns, files))
+        stored = Stored.of(files, settings)
+        trajectory, warnings, error = read_given(
+            lambda: _read_trajectory(path, stamps_ns, files, depth.stems)
+        )
         return cls(
             path=path,
             places=files,
-            camera=intrinsics.camera(size_px, path),
-            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            camera=intrinsics.camera(size_px, path, named_like_intrinsics),
+            depth_scale=stored.depth_scale or intrinsics.depth_scale or DEPTH_SCALE,
+            float_scale=stored.float_scale,
+            channels=stored.channels,
             color_registered=first_color_size(files) == size_px if registered is None else registered,
             color_calibration=read_color_calibration(camera_file) if camera_file else None,
             recorded=recorded,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*paired, *said_warnings, *scale_warnings(path, said.depth_scale, settings), *warnings),
+            warnings=(*paired, *stored.warnings, *said_warnings(path, said, settings), *warnings),
         )
 
 
 def pair_files(
-    depth: Sequence[Path], color: Sequence[Path], settings: CameraSettings, path: Path
+    depth: NamedImages, color: NamedImages, settings: CameraSettings, path: Path
 ) -> tuple[tuple[FrameFiles, ...], tuple[tuple[int, ...], tuple[int, ...]], tuple[str, ...]]:
     """The frames of two lists of images, which have names only; masks are left to the reader.
 
     Args:
-        depth: in the order in which people count; `color` likewise.
-        color: may be empty.
+        depth: in the order in which people count.
+        color: likewise; may be empty.
         settings: the delay of colour.
         path: the recording's folder.
 
@@ -114,47 +162,30 @@ def pair_files(
     Raises:
         RecordingError: there is nothing to pair them by.
     """
-    depth_stems, color_stems = ([file.stem for file in files] for files in (depth, color))
     partners, color_ns = pair_images(
-        depth_stems, color_stems, delay_s=settings.color_delay_s, where=str(path)
+        depth.stems, color.stems, delay_s=settings.color_delay_s, where=str(path)
     )
-    stamps_ns = stamps_of_names(depth_stems)
-    of_depth = [None if j is None else color[j] for j in partners.of_depth]
-    order = sorted(range(len(depth)), key=stamps_ns.__getitem__)
-    files = tuple(FrameFiles(stamps_ns[i], depth[i], of_depth[i]) for i in order)
+    stamps_ns = stamps_of_names(depth.stems)
+    of_depth = [None if j is None else color.files[j] for j in partners.of_depth]
+    order = sorted(range(len(depth.files)), key=stamps_ns.__getitem__)
+    files = tuple(FrameFiles(stamps_ns[i], depth.files[i], of_depth[i]) for i in order)
     return files, (tuple(stamps_ns), color_ns), partners.warnings
 
 
-def color_files(path: Path) -> list[Path]:
-    """The colour images of a recording's folder, in the order people count; none if it has no such folder."""
-    folders = (path / name for name in COLOR_FOLDERS)
-    return next((image_files(folder, COLOR_SUFFIXES) for folder in folders if folder.is_dir()), [])
-
-
-def image_files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
-    """The images of a folder in the order people count: 2 before 10."""
-    files = (f for f in listed(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
-    return sorted(files, key=lambda file: (counting_key(file.stem), file.name))
-
-
-def _read_intrinsics(
-    path: Path, camera_file: Path | None, depth: list[Path], size_px: tuple[int, int]
-) -> tuple[Intrinsics, list[str]]:
-    if camera_file:
-        return read_intrinsics_json(camera_file), []
-    matrix_file = first_file(path / name for name in MATRIX_FILES)
-    if matrix_file:
-        return read_intrinsics_matrix(matrix_file), []
-    if NUMBER_AND_STAMP.fullmatch(depth[0].stem) and size_px == (PRIMESENSE.width, PRIMESENSE.height):
-        return PRIMESENSE, [f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"]
-    return Intrinsics(), []
+def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:
+    """Those of Redwood's camera, where names and size are those of its scans; else nothing is known."""
+    if not (NUMBER_AND_STAMP.fullmatch(stems[0]) and size_px == (PRIMESENSE.width, PRIMESENSE.height)):
+        return Intrinsics()
+    note = f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"
+    return replace(PRIMESENSE, notes=(note,))
 
 
 def _read_trajectory(
-    path: Path, stamps_ns: list[int], files: Sequence[FrameFiles]
+    path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    if (path / "trajectory.txt").is_file():
-        return read_trajectory(path / "trajectory.txt")
+    in_one = pose_file(path)
+    if in_one is not None:
+        return read_pose_file(in_one, stamps_ns, stems)
     logs = sorted(visible(path, "*.log"))
     file = path / "trajectory.log" if len(logs) != 1 else logs[0]
     if not file.is_file():

@@ -21,7 +21,8 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_matrix,
     rig_calibration,
 )
-from kinectbench.stages.ingest.readers.folder import color_files, image_files, pair_files
+from kinectbench.stages.ingest.readers.folder import pair_files
+from kinectbench.stages.ingest.readers.folder_images import color_images, in_folder
 from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
 from kinectbench.stages.ingest.recording import (
     ColorCalibration,
@@ -48,10 +49,10 @@ class ScannetFolderRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the depth images, pair them with colour, and read poses of the same name."""
-        depth = image_files(path / "depth", frozenset({".png"}))
-        if not depth:
+        depth = in_folder(path / "depth", frozenset({".png"}))
+        if not depth.files:
             raise RecordingError(f"{path / 'depth'}: holds no PNG image; export the scene again with depth")
-        files, recorded, paired = pair_files(depth, color_files(path), settings, path)
+        files, recorded, paired = pair_files(depth, color_images(path), settings, path)
         size_px = first_depth_size(files)
         said = _read_intrinsics(path, size_px, settings)
         camera = said.overridden_by(settings).camera(size_px, path)

@@ -18,7 +18,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
 from kinectbench.stages.ingest.pairing import pair_by_time
-from kinectbench.stages.ingest.readers.folder import COLOR_SUFFIXES, image_files
+from kinectbench.stages.ingest.readers.folder_images import COLOR_SUFFIXES, in_folder
 from kinectbench.stages.ingest.readers.pose_folder import finite_trajectory
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, visible
 
@@ -75,7 +75,7 @@ class Sun3dRecording(FileRecording):
 
 def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[int]]:
     """The images of a folder in the order of their stamps, and these, nanoseconds."""
-    files = image_files(folder, suffixes)
+    files = in_folder(folder, suffixes).files
     stamps_ns = stamps_of_names([file.stem for file in files])
     rows = sorted(zip(stamps_ns, files, strict=True), key=lambda row: row[0])
     return [file for _, file in rows], [stamp_ns for stamp_ns, _ in rows]

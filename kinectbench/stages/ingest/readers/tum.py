@@ -15,12 +15,8 @@ from kinectbench.core.trajectory.text_rows import text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory
 from kinectbench.core.untrusted import below, printable
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import (
-    Intrinsics,
-    read_color_calibration,
-    read_intrinsics_json,
-    scale_warnings,
-)
+from kinectbench.stages.ingest.intrinsics import read_color_calibration, said_warnings
+from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.recording import (
     Evidence,
@@ -36,7 +32,7 @@ DEPTH_SCALE = 5000.0
 class TumRecording(FileRecording):
     """A folder in the layout of the TUM RGB-D benchmark; colour is registered to depth.
 
-    Intrinsics come from `camera.json` in the folder or from the settings.
+    Intrinsics come from `camera.json` in the folder, ETH3D's `calibration.txt`, or from the settings.
     """
 
     format: ClassVar[str] = "tum"
@@ -79,8 +75,7 @@ class TumRecording(FileRecording):
             )
             for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
-        camera_json = path / "camera.json"
-        said = read_intrinsics_json(camera_json) if camera_json.is_file() else Intrinsics()
+        said, camera_file = find_intrinsics(path)
         intrinsics = said.overridden_by(settings)
         truth = path / "groundtruth.txt"
         trajectory, trajectory_warnings, error = read_given(
@@ -89,17 +84,17 @@ class TumRecording(FileRecording):
         return cls(
             path=path,
             places=files,
-            camera=intrinsics.camera(first_depth_size(files), path),
+            camera=intrinsics.camera(first_depth_size(files), path, named_like_intrinsics),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=True if said.color_registered is None else said.color_registered,
-            color_calibration=read_color_calibration(camera_json) if camera_json.is_file() else None,
+            color_calibration=read_color_calibration(camera_file) if camera_file else None,
             recorded=(tuple(depth_ns), () if why else tuple(color_ns)),
             given_trajectory=trajectory,
             trajectory_error=error,
             warnings=(
                 *warnings,
                 *partners.warnings,
-                *scale_warnings(path, said.depth_scale, settings),
+                *said_warnings(path, said, settings),
                 *trajectory_warnings,
             ),
         )

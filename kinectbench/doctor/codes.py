@@ -1,0 +1,150 @@
+"""Other scales and codes of depth, offered only where the given poses fit the depth by them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera
+from kinectbench.core.types import Float32
+from kinectbench.doctor.depth import is_likely
+from kinectbench.doctor.finding import Finding
+from kinectbench.doctor.look import Look
+from kinectbench.doctor.trajectory import PoseFit, fit_trajectory
+from kinectbench.stages.ingest.depth_codes import float16_m, ray_lengths
+from kinectbench.stages.ingest.plausibility import COMMON_SCALES
+from kinectbench.stages.ingest.recording import FileRecording
+from kinectbench.stages.ingest.rotated_depth import unrotated
+
+UInt16 = NDArray[np.uint16]
+# Renderers' usual planes, metres, and the values of a z-buffer's far plane.
+NEAR_FAR_M = ((0.1, 10.0), (0.1, 100.0), (0.01, 10.0), (0.01, 100.0), (0.05, 20.0), (0.02, 5.0), (0.5, 20.0))
+DEEPEST = 65535
+# Another code leaves less than this share of the residual. Measured: distances along the ray leave .25 to .5
+# of it where they are read as such, with fields of view of 60 and 65 degrees across.
+BETTER = 0.75
+# What another code explains, all of it judged by depth that is wrong.
+EXPLAINED = frozenset({"depth_scale", "invalid_code", "depth_8_bit"})
+
+
+@dataclass(frozen=True)
+class Code:
+    """One way to read 16-bit depth.
+
+    Attributes:
+        name: of the finding.
+        words: what the values are.
+        advice: what to write, or how to export them.
+        metres: of the values (height, width) uint16, 0 = none, and their camera.
+    """
+
+    name: str
+    words: str
+    advice: str
+    metres: Callable[[UInt16, Camera], NDArray[np.floating]]
+
+
+def check_codes(look: Look, poses: PoseFit | None) -> Iterator[Finding]:
+    """Name the scale or the code by which the given poses fit, where they do not fit as it is.
+
+    Nothing is tried where there are no poses, or where depth has been read by a code already.
+
+    Args:
+        look: at the recording.
+        poses: how the given poses fit depth as it is; None: there are none, or they fit in no way.
+    """
+    recording = look.recording
+    if recording.given_trajectory is None or (poses is not None and poses.proven):
+        return
+    if isinstance(recording, FileRecording) and recording.depth_code != "plain":
+        return
+    # Poses that fit as they are settle the scale; along the ray depth differs by little.
+    as_given = poses is not None and poses.fits and poses.reading.changes == 0
+    codes = _along_the_ray(look) if as_given else _codes(look)
+    found = [(code, fit) for code in codes if (fit := _fit(look, code)) is not None]
+    if as_given and poses is not None:
+        found = [each for each in found if each[1].residual_m < BETTER * poses.residual_m]
+    if not found:
+        return
+    code, fit = min(found, key=lambda each: each[1].best)
+    what = f"the given poses fit if depth is {code.words}: they leave {1000 * fit.residual_m:.1f} mm" + (
+        "" if poses is None else f", and {1000 * poses.residual_m:.1f} mm as it is read"
+    )
+    yield Finding(code.name, "stops", what, look.where, code.advice)
+
+
+def _codes(look: Look) -> Iterator[Code]:
+    recording = look.recording
+    for scale in COMMON_SCALES:
+        if scale != recording.depth_scale:
+            yield Code(
+                "depth_scale",
+                f"{scale:g} units a metre",
+                f"`camera: {{depth_scale: {scale:g}}}`",
+                _scaled(scale),
+            )
+    if not isinstance(recording, FileRecording):
+        return
+    for scale in (1000.0, 10000.0):
+        written = f"`camera: {{depth_code: rotated, depth_scale: {scale:g}}}`"
+        yield Code(
+            "depth_code",
+            f"stored with rotated bits, {scale:g} units a metre",
+            written,
+            _scaled(scale, unrotated),
+        )
+    yield Code(
+        "depth_code", "the bits of a float16", "`camera: {depth_code: float16}`", lambda d, _: float16_m(d)
+    )
+    yield from _along_the_ray(look)
+    for near_m, far_m in NEAR_FAR_M:
+        yield Code(
+            "depth_code",
+            f"a z-buffer between {near_m:g} and {far_m:g} m",
+            "write metres as 16-bit mm or .npy: z = n f / (f - b (f - n)), b = value / 65535, "
+            f"n = {near_m:g}, f = {far_m:g}",
+            _z_buffer(near_m, far_m),
+        )
+
+
+def _along_the_ray(look: Look) -> Iterator[Code]:
+    if not isinstance(look.recording, FileRecording):
+        return
+    along = _scaled(look.recording.depth_scale)
+    yield Code(
+        "depth_code",
+        "the distance along the ray, not along the axis",
+        "`camera: {depth_code: ray_distance}`",
+        lambda d, camera: along(d, camera) / ray_lengths(camera),
+    )
+
+
+def _scaled(
+    scale: float, decode: Callable[[UInt16], UInt16] = lambda depth: depth
+) -> Callable[[UInt16, Camera], Float32]:
+    return lambda depth, _: decode(depth).astype(np.float32) / np.float32(scale)
+
+
+def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray[np.floating]]:
+    """OpenGL's and Direct3D's window depth, linear in 1 / z between the planes."""
+    return lambda depth, _: np.where(
+        depth > 0, near_m * far_m / (far_m - depth / DEEPEST * (far_m - near_m)), 0.0
+    )
+
+
+def _fit(look: Look, code: Code) -> PoseFit | None:
+    """How the given poses fit depth that is read so, if they prove it and it is that of a room."""
+    scale, camera = look.recording.depth_scale, look.small_camera
+    shape = (camera.height, camera.width)
+    frames = []
+    for frame in look.frames:
+        if frame.depth_m.shape != shape:
+            return None
+        native = np.rint(frame.depth_m * np.float32(scale)).astype(np.uint16)
+        frames.append(replace(frame, depth_m=code.metres(native, camera).astype(np.float32)))
+    measured = np.concatenate([frame.depth_m[frame.depth_m > 0] for frame in frames])
+    if not len(measured) or not is_likely(*np.quantile(measured, [0.5, 0.95]).tolist()):
+        return None
+    fit = fit_trajectory(replace(look, frames=tuple(frames)))
+    return fit if fit is not None and fit.proven else None

@@ -1,0 +1,169 @@
+"""Depth images as people store them: 16-bit PNG, NumPy arrays, TIFF, floats in metres, two 8-bit channels."""
+
+import io
+import struct
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.encoded_images import PNG_MAGIC, decoded, image_head
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.types import Float32
+from kinectbench.core.untrusted import is_too_large
+from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, image_header
+
+UInt16 = NDArray[np.uint16]
+Channels = tuple[int, int]
+NUMPY_MAGIC = b"\x93NUMPY"
+TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
+TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
+SUFFIXES = frozenset({".png", ".npy", ".tif", ".tiff"})
+# Floats beyond are no metres of a room, but millimetres.
+FARTHEST_M, MM_PER_M = 50.0, 1000.0
+# Of neighbours whose high bytes differ by one, depth in two channels differs by less in nearly all: surfaces
+# are smooth. A picture in false colours does not know of the other channel.
+SMALL_STEP, SMALL_SHARE, LEAST_STEPS = 64, 0.8, 16
+
+
+def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) -> UInt16 | Float32:
+    """Decode a depth image.
+
+    Args:
+        data: the file.
+        name: where it comes from, for messages.
+        channels: of a PNG with 8 bits a channel: those of the high and of the low byte (B, G, R).
+
+    Returns:
+        (height, width): uint16 in native units, or float32, 0 = none, not finite values as they are.
+
+    Raises:
+        DamagedImageError: it is damaged.
+        RecordingError: it is whole, but no depth image.
+    """
+    if data.startswith(NUMPY_MAGIC):
+        return _as_depth(_numpy_array(data, name), name)
+    if data[:4] in TIFF_MAGICS:
+        _tiff_size_px(data, name)
+        return _as_depth(_pixels(data, name), name)
+    if channels is not None and data.startswith(PNG_MAGIC):
+        image_header(data, name)
+        return joined_channels(_pixels(data, name), channels)
+    return decode_depth_png(data, name)
+
+
+def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
+    """Width and height of a depth image, pixels; raises as `decode_depth_file`."""
+    if data.startswith(NUMPY_MAGIC):
+        height, width = _numpy_array(data, name).shape
+        return width, height
+    if data[:4] in TIFF_MAGICS:
+        return _tiff_size_px(data, name)
+    return image_header(data, name)[1:]
+
+
+def units_a_metre(depth: UInt16 | Float32) -> float | None:
+    """Of a float image: whether its values are metres (1) or millimetres (1000); None for whole numbers."""
+    if depth.dtype == np.uint16:
+        return None
+    measured = depth[np.isfinite(depth) & (depth > 0)]
+    return MM_PER_M if len(measured) and float(np.median(measured)) > FARTHEST_M else 1.0
+
+
+def packed_channels(data: bytes, name: str) -> Channels | None:
+    """Which channels (B, G, R) of a PNG hold the high and the low byte of depth; None: none (own rule)."""
+    if not data.startswith(PNG_MAGIC):
+        return None
+    try:
+        head = image_head(data)
+    except ValueError:
+        return None
+    if head.bits != 8 or head.color_type not in (2, 6):
+        return None
+    pixels = _pixels(data, name)
+    for channels in permutations(range(3), 2):
+        depth = joined_channels(pixels, channels).astype(np.int64)
+        sides = ((depth[:, :-1], depth[:, 1:]), (depth[:-1], depth[1:]))
+        first, second = (np.concatenate([side[k].ravel() for side in sides]) for k in (0, 1))
+        steps = (first > 0) & (second > 0) & (np.abs((first >> 8) - (second >> 8)) == 1)
+        small = np.abs(first - second)[steps] < SMALL_STEP
+        if small.size >= LEAST_STEPS and small.mean() > SMALL_SHARE:
+            return channels
+    return None
+
+
+def joined_channels(pixels: NDArray[np.generic], channels: Channels) -> UInt16:
+    """Depth of two of the channels of an image (height, width, 3 or 4) uint8: the high and the low byte."""
+    high, low = (pixels[..., channel].astype(np.uint16) for channel in channels)
+    return np.asarray(high << np.uint16(8) | low, np.uint16)
+
+
+def _pixels(data: bytes, name: str) -> NDArray[np.generic]:
+    import cv2
+
+    try:
+        return decoded(data, cv2.IMREAD_UNCHANGED)
+    except ValueError as error:
+        raise DamagedImageError(f"{name}: {error}") from error
+
+
+def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:
+    if pixels.ndim == 2 and pixels.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return pixels.astype(np.float32)
+    if pixels.ndim == 2 and pixels.dtype.kind in "ui":
+        if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
+            raise RecordingError(f"{name}: its whole numbers do not fit into 16 bits: write metres as floats")
+        return pixels.astype(np.uint16)
+    raise RecordingError(
+        f"{name}: depth is {pixels.dtype} of shape {pixels.shape}, not one channel of floats or of 16-bit "
+        "numbers"
+    )
+
+
+def _numpy_array(data: bytes, name: str) -> NDArray[np.generic]:
+    """The image in a .npy file, (height, width); nothing is unpickled."""
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, by_column, dtype = read(stream)
+    except (ValueError, EOFError, TypeError) as error:
+        raise DamagedImageError(f"{name}: the .npy file is damaged ({error})") from error
+    sides = tuple(side for side in shape if side != 1)
+    if dtype.kind not in "fui" or len(sides) != 2:
+        raise RecordingError(f"{name}: depth is {dtype} of shape {shape}, not (height, width) of numbers")
+    if is_too_large(*sides):
+        raise DamagedImageError(f"{name}: {sides} are more pixels than an image may have")
+    pixels = (
+        np.frombuffer(data, dtype, offset=stream.tell()) if _fits(data, stream.tell(), dtype, sides) else None
+    )
+    if pixels is None:
+        raise DamagedImageError(f"{name}: the .npy file is cut off")
+    return pixels.reshape(sides, order="F" if by_column else "C")
+
+
+def _fits(data: bytes, start: int, dtype: np.dtype[np.generic], sides: tuple[int, ...]) -> bool:
+    return len(data) - start == dtype.itemsize * sides[0] * sides[1]
+
+
+def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
+    """Width and height by the first directory of a TIFF, pixels."""
+    order = TIFF_MAGICS[data[:4]]
+    try:
+        (place,) = struct.unpack_from(order + "I", data, 4)
+        (count,) = struct.unpack_from(order + "H", data, place)
+        sizes = {}
+        for number in range(min(count, MOST_TIFF_TAGS)):
+            tag, kind, _ = struct.unpack_from(order + "HHI", data, place + 2 + 12 * number)
+            if tag in (TIFF_WIDTH, TIFF_HEIGHT):
+                code = "H" if kind == 3 else "I"
+                (sizes[tag],) = struct.unpack_from(order + code, data, place + 10 + 12 * number)
+        width, height = int(sizes[TIFF_WIDTH]), int(sizes[TIFF_HEIGHT])
+    except (struct.error, KeyError) as error:
+        raise DamagedImageError(f"{name}: the TIFF is damaged or cut off") from error
+    if is_too_large(width, height):
+        raise DamagedImageError(f"{name}: {width}x{height} are more pixels than an image may have")
+    return width, height

@@ -1,0 +1,97 @@
+"""The images of a plain folder: in depth/ and color/, or side by side and told apart by a word in names."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench.core.untrusted import listed, read_head
+from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
+from kinectbench.stages.ingest.image_names import counting_key
+from kinectbench.stages.ingest.images import is_depth_png
+
+COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
+COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+# YCB-Video: 000001-depth.png beside 000001-color.png; others have the word first, or between.
+DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
+COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
+# The head of a PNG, which tells its bits.
+HEAD_BYTES = 26
+
+
+@dataclass(frozen=True)
+class NamedImages:
+    """The images of one stream in the order in which people count.
+
+    Attributes:
+        files: their paths.
+        stems: what their names say of frames: without what they end in, and without the word for the stream.
+    """
+
+    files: tuple[Path, ...]
+    stems: tuple[str, ...]
+
+
+def depth_images(path: Path) -> NamedImages:
+    """The depth images of a recording's folder; none if it has none."""
+    folder = path / "depth"
+    if not folder.is_dir():
+        return beside_each_other(path, DEPTH_WORD)
+    suffixes = {file.suffix.lower() for file in listed(folder)} & DEPTH_SUFFIXES
+    # Pictures of depth may lie beside the depth itself.
+    raw = suffixes - {".png"}
+    if raw and ".png" in suffixes and not any(_is_16_bit(f) for f in listed(folder, wanted=_is_png)):
+        return in_folder(folder, frozenset(raw))
+    return in_folder(folder, frozenset({".png"}) if ".png" in suffixes else frozenset(raw))
+
+
+def color_images(path: Path) -> NamedImages:
+    """The colour images of a recording's folder; none if it has none."""
+    folder = next((path / name for name in COLOR_FOLDERS if (path / name).is_dir()), None)
+    if folder is not None:
+        return in_folder(folder, COLOR_SUFFIXES)
+    return NamedImages((), ()) if (path / "depth").is_dir() else beside_each_other(path, COLOR_WORD)
+
+
+def lie_beside_each_other(path: Path) -> bool:
+    """Whether a folder holds 16-bit depth and colour, told apart by a word in their names; reads one head."""
+    if not path.is_dir():
+        return False
+    depth = next(listed(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
+    color = next(listed(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES)), None)
+    return depth is not None and color is not None and _is_16_bit(depth)
+
+
+def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
+    """The images of a folder in the order people count: 2 before 10."""
+    files = (f for f in listed(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
+    ordered = sorted(files, key=lambda file: (counting_key(file.stem), file.name))
+    return NamedImages(tuple(ordered), tuple(file.stem for file in ordered))
+
+
+def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
+    """The images of a folder that have a word in their names."""
+    suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
+    files = listed(path, wanted=lambda name: _word(name, word, suffixes))
+    named = sorted(
+        ((_without(word, file.stem), file) for file in files), key=lambda each: counting_key(each[0])
+    )
+    return NamedImages(tuple(file for _, file in named), tuple(stem for stem, _ in named))
+
+
+def _is_png(name: str) -> bool:
+    return name.lower().endswith(".png")
+
+
+def _is_16_bit(file: Path) -> bool:
+    return is_depth_png(read_head(file, HEAD_BYTES))
+
+
+def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
+    stem, dot, suffix = name.rpartition(".")
+    return f"{dot}{suffix.lower()}" in suffixes and not name.startswith(".") and bool(word.fullmatch(stem))
+
+
+def _without(word: re.Pattern[str], stem: str) -> str:
+    """A name without the word, its two sides joined by an underscore if there are both."""
+    match = word.fullmatch(stem)
+    return "_".join(part for part in match.groups() if part) if match else stem

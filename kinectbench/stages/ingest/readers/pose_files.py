@@ -1,0 +1,97 @@
+"""Poses of all frames in one text file: TUM's rows, RTAB-Map's with ids, KITTI's and flattened matrices."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.sequence import GivenTrajectory, counts_frames
+from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
+from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_from_matrices
+from kinectbench.core.types import Float64
+from kinectbench.stages.ingest.image_names import FRAME_NUMBER
+from kinectbench.stages.ingest.intrinsics_files import names_like
+from kinectbench.stages.ingest.recording import first_file
+
+# The first that is there: ours, RTAB-Map's and many others', TUM's, that of ICL and Replica.
+POSE_FILES = ("trajectory.txt", "poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
+# Values of a row: a stamp, a position and a quaternion; the same with an id; matrices without or with their
+# last row.
+STAMPED, WITH_ID, KITTI, MATRIX = 8, 9, 12, 16
+# Names of files that may hold poses in a layout that is not read.
+LIKE_POSES = re.compile(
+    r"(?=.*(?:pose|traj|extrin|transform|odom|groundtruth|cam2world|c2w)).+"
+    r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)",
+    re.IGNORECASE,
+)
+
+
+def named_like_poses(path: Path) -> str:
+    """What a message says of files in a folder that look like poses; "" if there are none."""
+    return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
+
+
+def pose_file(path: Path) -> Path | None:
+    """The recording's file with all poses, or None."""
+    return first_file(path / name for name in POSE_FILES)
+
+
+def read_pose_file(
+    file: Path, stamps_ns: Sequence[int], stems: Sequence[str]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Read a file of poses, camera to world.
+
+    TUM's rows are of the frames of their stamps. Where only the rows have stamps, and are as many as frames,
+    each is of one frame, in their order. RTAB-Map's rows with an id are of the frames that are numbered so.
+    Matrices, 12 or 16 values a row, are of the frames in their order.
+
+    Args:
+        file: text, a pose a row.
+        stamps_ns: of the frames, strictly increasing.
+        stems: names of their depth images, without what they end in.
+
+    Raises:
+        RecordingError: a row holds something else, or which pose is of which frame cannot be told.
+    """
+    rows = text_rows(file)
+    lengths = {len(row.replace(",", " ").split()) for _, row in rows}
+    if lengths == {WITH_ID}:
+        return trajectory_from_matrices(stamps_ns, _by_id(rows, stems), str(file))
+    if lengths in ({KITTI}, {MATRIX}):
+        if len(rows) != len(stems):
+            raise RecordingError(
+                f"{file}: holds {len(rows)} poses for {len(stems)} frames: which pose is of which frame "
+                "cannot be told; write one for each frame, in their order"
+            )
+        return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
+    trajectory, warnings = read_trajectory(file)
+    frames_ns = np.array(stamps_ns, np.int64)
+    if not counts_frames(frames_ns) or counts_frames(trajectory.stamps_ns) or len(rows) != len(stems):
+        return trajectory, warnings
+    in_order, warnings = read_trajectory(file, len(stems))
+    return GivenTrajectory(frames_ns, in_order.T_world_camera), warnings
+
+
+def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
+    """Matrices of the frames whose number is the id of a row; None of the others."""
+    poses = {}
+    for where, row in rows:
+        words = row.replace(",", " ").split()
+        if not FRAME_NUMBER.fullmatch(words[-1]):
+            raise RecordingError(f"{where}: its last value is no id of a frame")
+        numbers = parse_floats(words[1:-1], where)
+        if not np.linalg.norm(numbers[3:]) > 0:
+            raise RecordingError(f"{where}: the quaternion has length zero; remove this row")
+        rotation = rotation_from_quaternion_xyzw(np.array([numbers[3:]]))[0]
+        poses[int(words[-1])] = rigid(rotation, np.array(numbers[:3]))
+    numbered = [int(stem) if FRAME_NUMBER.fullmatch(stem) else -1 for stem in stems]
+    return [poses.get(number) for number in numbered]
+
+
+def _matrix(row: str, where: str) -> Float64:
+    numbers = parse_floats(row.replace(",", " ").split(), where)
+    last = [] if len(numbers) == MATRIX else [0.0, 0.0, 0.0, 1.0]
+    return np.array([*numbers, *last]).reshape(4, 4)

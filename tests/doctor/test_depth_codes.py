@@ -1,0 +1,134 @@
+"""Scales and codes of depth are offered where the given poses fit by them, and nowhere else."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from ingest_writers import png
+from numpy.typing import NDArray
+
+from kinectbench.doctor import inspect
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_codes import ray_lengths
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.rotated_depth import rotated
+
+Metres = NDArray[np.float64]
+pytestmark = pytest.mark.xdist_group("depth codes")
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A chair in a room, 24 frames of 160 x 120 with exact poses: a plain folder, depth in mm."""
+    folder = tmp_path_factory.mktemp("codes") / "tum"
+    spec = {
+        "object": "chair:seed=1",
+        "path": {"frames": 24, "arc_rad": 2.0, "distance_m": 1.6},
+        "sensor": {"model": "phone_lidar", "width": 160, "height": 120},
+        "save_depth": False,
+    }
+    simulate(SimulationSpec.model_validate(spec), folder)
+    return folder
+
+
+def recoded(base: Path, folder: Path, encode: Callable[[Metres], NDArray[np.uint16]]) -> Path:
+    """The same as a plain folder, with its depth stored otherwise."""
+    recording = open_recording(base)
+    for name in ("depth", "color"):
+        (folder / name).mkdir(parents=True)
+    rows = []
+    given = recording.given_trajectory
+    assert given is not None
+    for index in range(len(recording)):
+        frame = recording.frame(index)
+        metres = frame.depth / recording.depth_scale
+        (folder / f"depth/{index:06d}.png").write_bytes(png(encode(metres)))
+        assert frame.color is not None
+        (folder / f"color/{index:06d}{frame.color[0]}").write_bytes(frame.color[1])
+        T = given.T_world_camera[np.abs(given.stamps_ns - frame.stamp_ns).argmin()]
+        rows.append(" ".join(repr(float(value)) for value in T.ravel()))
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    camera = recording.camera
+    (folder / "cam_K.txt").write_text(f"{camera.fx} 0 {camera.cx}\n0 {camera.fy} {camera.cy}\n0 0 1\n")
+    return folder
+
+
+def mm(metres: Metres) -> NDArray[np.uint16]:
+    return np.rint(1000 * metres).astype(np.uint16)
+
+
+def z_buffer(metres: Metres) -> NDArray[np.uint16]:
+    z = np.maximum(metres, 0.1)
+    return np.where(metres > 0, np.rint(65535 * 10 / 9.9 * (1 - 0.1 / z)), 0).astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("encode", "name", "advice"),
+    [
+        (mm, None, ""),
+        (lambda metres: np.rint(10000 * metres).astype(np.uint16), "depth_scale", "depth_scale: 10000"),
+        (lambda metres: np.rint(256 * metres).astype(np.uint16), "depth_scale", "depth_scale: 256"),
+        (lambda metres: metres.astype(np.float16).view(np.uint16), "depth_code", "depth_code: float16"),
+        (
+            lambda metres: rotated(np.rint(10000 * metres).astype(np.uint16)),
+            "depth_code",
+            "depth_code: rotated, depth_scale: 10000",
+        ),
+        (z_buffer, "depth_code", "n = 0.1, f = 10"),
+    ],
+)
+def test_what_the_poses_prove_is_offered_and_then_fits(
+    base: Path, tmp_path: Path, encode: Callable[[Metres], NDArray[np.uint16]], name: str | None, advice: str
+) -> None:
+    folder = recoded(base, tmp_path / "r", encode)
+    offered = [found for found in inspect(folder)[0].findings if found.name in ("depth_scale", "depth_code")]
+    assert [found.name for found in offered] == [name] * (name is not None)
+    if name is None:
+        return
+    assert advice in offered[0].advice and offered[0].severity == "stops"
+    written = re.search(r"camera: \{(.+)\}", offered[0].advice)
+    if written is None:  # a z-buffer is to be written again
+        return
+    followed = CameraSettings.model_validate(yaml.safe_load("{" + written[1] + "}"))
+    after, _ = inspect(folder, followed)
+    assert not after.stops and after.facts["poses_read_as"] == "as given"
+    depth, scale = (
+        open_recording(folder, followed).frame(0).depth,
+        open_recording(folder, followed).depth_scale,
+    )
+    plain = open_recording(base)
+    np.testing.assert_allclose(depth / scale, plain.frame(0).depth / plain.depth_scale, atol=0.003)
+
+
+def test_depth_along_the_ray(base: Path, tmp_path: Path) -> None:
+    lengths = ray_lengths(open_recording(base).camera)
+    folder = recoded(base, tmp_path / "r", lambda metres: mm(metres * lengths))
+    (offered,) = [found for found in inspect(folder)[0].findings if found.name == "depth_code"]
+    assert offered.advice == "`camera: {depth_code: ray_distance}`"
+    followed = CameraSettings(depth_code="ray_distance")
+    assert not inspect(folder, followed)[0].stops
+    depth, plain = open_recording(folder, followed).frame(0).depth, open_recording(base)
+    np.testing.assert_allclose(depth / 1000, plain.frame(0).depth / plain.depth_scale, atol=0.0015)
+
+
+def test_without_poses_nothing_is_offered_as_right(base: Path, tmp_path: Path) -> None:
+    folder = recoded(base, tmp_path / "r", lambda metres: np.rint(10000 * metres).astype(np.uint16))
+    (folder / "poses.txt").unlink()
+    (found,) = [found for found in inspect(folder)[0].findings if found.name == "depth_scale"]
+    assert "find out its unit" in found.advice and "which nothing here proves" in found.advice
+
+
+def test_poses_of_another_recording_offer_nothing(base: Path, tmp_path: Path) -> None:
+    """By no scale and no code do they fit."""
+    folder = recoded(base, tmp_path / "r", mm)
+    rows = (folder / "poses.txt").read_text().splitlines()
+    np.random.default_rng(0).shuffle(rows)
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    assert not [f for f in inspect(folder)[0].findings if f.name in ("depth_scale", "depth_code")]
+    assert cv2.imread(str(folder / "depth/000000.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16

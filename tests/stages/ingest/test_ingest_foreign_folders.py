@@ -1,0 +1,310 @@
+"""Folders as other programs write them: their names, their intrinsics and poses, their kinds of images."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from ingest_writers import CX, CY, FX, FY, HEIGHT, WIDTH, depth_image, write_folder, write_tum
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import FileRecording
+
+MATRIX = [FX, 0, CX, 0, FY, CY, 0, 0, 1]
+CAMERA = (WIDTH, HEIGHT, FX, FY, CX, CY)
+YAML = f"""%YAML:1.0
+---
+camera_name: "0"
+image_width: {WIDTH}
+image_height: {HEIGHT}
+camera_matrix:
+   rows: 3
+   cols: 3
+   data: {MATRIX}
+distortion_coefficients:
+   rows: 1
+   cols: 5
+   data: [ 0., 0., 0., 0., 0. ]
+"""
+
+
+def without_intrinsics(folder: Path) -> Path:
+    write_folder(folder)
+    (folder / "camera_intrinsic.json").unlink()
+    return folder
+
+
+def opened(folder: Path, settings: CameraSettings | None = None) -> FileRecording:
+    recording = open_recording(folder, settings)
+    assert isinstance(recording, FileRecording)
+    return recording
+
+
+def camera_of(recording: FileRecording) -> tuple[float, ...]:
+    camera = recording.camera
+    return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+
+
+# --- intrinsics ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "scale", "note"),
+    [
+        ("camera.json", {"cam_K": MATRIX, "depth_scale": 0.5}, 2000, "taken for mm a unit"),
+        (
+            "intrinsics.json",
+            {"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "w": WIDTH, "h": HEIGHT, "depth_scale": 0.00025},
+            4000,
+            "taken for metres a unit",
+        ),
+        ("cam_K.json", {"K": MATRIX}, 1000, ""),
+        ("calibration.txt", f"{FX} {FY} {CX} {CY}\n", 1000, ""),
+        ("calib/000000.yaml", YAML, 1000, ""),
+        ("calib.yml", YAML.replace("[ 0.,", "[ 0.1,"), 1000, "its distortion is not taken away"),
+    ],
+)
+def test_intrinsics_by_other_programs(
+    tmp_path: Path, name: str, text: object, scale: float, note: str
+) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text(text if isinstance(text, str) else json.dumps(text))
+    recording = opened(folder)
+    assert camera_of(recording) == CAMERA and recording.depth_scale == pytest.approx(scale)
+    assert any(note in line for line in recording.warnings) if note else recording.warnings == ()
+
+
+def test_the_lists_of_tum_with_a_calibration_of_eth3d(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r")
+    (folder / "camera.json").unlink()
+    (folder / "calibration.txt").write_text(f"{FX} {FY} {CX} {CY}\n")
+    assert camera_of(opened(folder)) == CAMERA
+
+
+def test_cameras_of_images_that_differ_are_refused(tmp_path: Path) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / "calib").mkdir()
+    (folder / "calib" / "0.yaml").write_text(YAML)
+    (folder / "calib" / "1.yaml").write_text(YAML.replace(str(FX), str(FX + 1)))
+    with pytest.raises(RecordingError, match=r"1\.yaml: has another camera than .*0\.yaml"):
+        open_recording(folder)
+
+
+def test_files_that_look_like_intrinsics_are_named(tmp_path: Path) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / "my_calib.npy").touch()
+    with pytest.raises(RecordingError, match=r"does not say its intrinsics .*it may stand in my_calib\.npy"):
+        open_recording(folder)
+
+
+# --- poses --------------------------------------------------------------------------------------------
+
+
+def poses() -> Float64:
+    """(4, 4, 4): cameras side by side."""
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, 0, 3] = [0.0, 0.1, 0.2, 0.3]
+    return T
+
+
+def with_id(order: list[int]) -> str:
+    """RTAB-Map's rows, times of its own and ids of frames."""
+    rows = [f"{1341841279.5 + i} {0.1 * i} 0 0 0 0 0 1 {i}" for i in order]
+    return "\n".join(["#timestamp x y z qx qy qz qw id", *rows])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "known"),
+    [
+        ("poses.txt", with_id([0, 1, 2, 3]), [0, 1, 2, 3]),
+        ("poses.txt", with_id([3, 1]), [1, 3]),
+        ("traj.txt", "\n".join(" ".join(map(str, T.ravel())) for T in poses()), [0, 1, 2, 3]),
+        ("poses.txt", "\n".join(" ".join(map(str, T[:3].ravel())) for T in poses()), [0, 1, 2, 3]),
+        (
+            "groundtruth.txt",
+            "\n".join(f"{1305031102.1 + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)),
+            [0, 1, 2, 3],
+        ),
+    ],
+)
+def test_poses_by_other_programs(tmp_path: Path, name: str, text: str, known: list[int]) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / name).write_text(text + "\n")
+    recording = opened(folder)
+    assert recording.given_trajectory is not None and not recording.trajectory_error
+    np.testing.assert_array_equal(recording.given_trajectory.stamps_ns, recording.stamps_ns[known])
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[known], atol=1e-12)
+
+
+def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "traj.txt").write_text("\n".join(" ".join(map(str, T.ravel())) for T in poses()[:3]) + "\n")
+    assert "holds 3 poses for 4 frames" in opened(folder).trajectory_error
+
+
+# --- images -------------------------------------------------------------------------------------------
+
+
+def npy(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def tiff(array: np.ndarray) -> bytes:
+    return bytes(cv2.imencode(".tiff", array)[1])
+
+
+@pytest.mark.parametrize(
+    ("encode", "settings", "warned"),
+    [
+        (lambda metres: (".npy", npy(metres)), None, False),
+        (lambda metres: (".npy", npy(np.where(metres > 0, metres, np.nan))), None, False),
+        (lambda metres: (".tiff", tiff(np.where(metres > 0, metres, np.inf))), None, False),
+        (lambda metres: (".npy", npy(metres[None])), None, False),
+        (lambda metres: (".npy", npy(np.asfortranarray(metres.astype(np.float64)))), None, False),
+        (lambda metres: (".npy", npy(1000 * metres)), None, True),
+        (lambda metres: (".npy", npy(1000 * metres)), CameraSettings(depth_scale=1000), False),
+        (lambda metres: (".tiff", tiff(metres)), None, False),
+        (lambda metres: (".npy", npy(np.rint(1000 * metres).astype(np.uint16))), None, False),
+        (lambda metres: (".tif", tiff(np.rint(1000 * metres).astype(np.uint16))), None, False),
+    ],
+)
+def test_depth_that_is_no_png(
+    tmp_path: Path,
+    encode: Callable[[np.ndarray], tuple[str, bytes]],
+    settings: CameraSettings | None,
+    warned: bool,
+) -> None:
+    """Floats in metres or millimetres, and whole numbers; each within 1 mm."""
+    folder = write_folder(tmp_path / "r")
+    expected_m = []
+    for i, image in enumerate(sorted((folder / "depth").iterdir())):
+        expected_m.append(depth_image(i, 1000.0) / 1000)
+        suffix, data = encode(expected_m[-1].astype(np.float32))
+        image.with_suffix(suffix).write_bytes(data)
+        image.unlink()
+    recording = opened(folder, settings)
+    for i, metres in enumerate(expected_m):
+        np.testing.assert_allclose(recording.frame(i).depth / recording.depth_scale, metres, atol=0.0006)
+    assert any("taken for millimetres" in line for line in recording.warnings) == warned
+
+
+@pytest.mark.parametrize(("high", "low"), [(1, 0), (2, 1), (0, 2)])
+def test_depth_in_two_channels_of_eight_bits(tmp_path: Path, high: int, low: int) -> None:
+    """As NYU's hands store it (high byte green, low byte blue), and others."""
+    folder = write_folder(tmp_path / "r")
+    for i, image in enumerate(sorted((folder / "depth").iterdir())):
+        depth = smooth(i)
+        channels = np.zeros((*depth.shape, 3), np.uint8)
+        channels[..., high], channels[..., low] = depth >> 8, depth & 255
+        cv2.imwrite(str(image), channels)
+    recording = opened(folder)
+    for i in range(4):
+        np.testing.assert_array_equal(recording.frame(i).depth, smooth(i))
+    assert any("two 8-bit channels" in line for line in recording.warnings)
+
+
+def smooth(i: int) -> np.ndarray:
+    """A floor and a wall that sees far, in mm: (height, width) uint16."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    return np.asarray(900 + 31 * i + 37 * v + 5 * u, np.uint16)
+
+
+def test_a_picture_in_false_colours_is_not_taken_for_two_channels(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    for i, image in enumerate(sorted((folder / "depth").iterdir())):
+        gray = np.clip(smooth(i) / 16, 0, 255).astype(np.uint8)
+        cv2.imwrite(str(image), cv2.applyColorMap(gray, cv2.COLORMAP_JET))
+    with pytest.raises(RecordingError, match="8-bit"):
+        opened(folder).frame(0)
+
+
+@pytest.mark.parametrize(
+    ("depth", "color"),
+    [
+        ("{:06d}-depth.png", "{:06d}-color.jpg"),
+        ("depth_{:d}.png", "rgb_{:d}.jpg"),
+        ("run_Depth_{:d}.png", "run_Color_{:d}.jpg"),
+        ("{:d}.depth.npy", "{:d}.color.jpg"),
+    ],
+)
+def test_depth_and_colour_side_by_side(tmp_path: Path, depth: str, color: str) -> None:
+    """As YCB-Video has them, and others; the word in the name tells which is which."""
+    folder = write_folder(tmp_path / "r")
+    for i in range(4):
+        to = folder / depth.format(i + 9)
+        if to.suffix == ".npy":
+            to.write_bytes(npy(depth_image(i, 1000.0)))
+        else:
+            (folder / f"depth/{i}.png").rename(to)
+        (folder / f"color/{i}.jpg").rename(folder / color.format(i + 9))
+    for name in ("depth", "color"):
+        for file in (folder / name).iterdir():
+            file.unlink()
+        (folder / name).rmdir()
+    if depth.endswith(".npy"):
+        with pytest.raises(RecordingError):  # a word beside arrays says too little
+            open_recording(folder)
+        return
+    recording = opened(folder)
+    assert recording.warnings == () and len(recording) == 4
+    for i in range(4):
+        frame = recording.frame(i)
+        np.testing.assert_array_equal(frame.depth, depth_image(i, 1000.0))
+        assert frame.color is not None and recording.places[i].color == folder / color.format(i + 9)
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ([f"run_Depth_{i}.png" for i in range(6)], "6 images named depth, .* are pictures in 8 bits"),
+        (["EXR_RGBD/depth/0.exr", "EXR_RGBD/rgb/0.jpg"], r"EXR_RGBD/depth/0\.exr: EXR images are not read"),
+    ],
+)
+def test_depth_that_is_not_read_is_named(tmp_path: Path, files: list[str], words: str) -> None:
+    for name in files:
+        file = tmp_path / "r" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        file.write_bytes(bytes(cv2.imencode(".png", picture)[1]))
+    with pytest.raises(RecordingError, match=words):
+        open_recording(tmp_path / "r")
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tiff"])
+@pytest.mark.parametrize("kept", [3, 9, 60, 200])
+def test_damaged_arrays_are_left_out(tmp_path: Path, suffix: str, kept: int) -> None:
+    """Cut off anywhere, also in their heads; nothing is unpickled."""
+    folder = write_folder(tmp_path / "r", stems=[str(i) for i in range(40)])
+    for i, image in enumerate(sorted((folder / "depth").iterdir())):
+        array = (depth_image(i % 4, 1000.0) / 1000).astype(np.float32)
+        data = npy(array) if suffix == ".npy" else tiff(array)
+        image.with_suffix(suffix).write_bytes(data[:kept] if i == 7 else data)
+        image.unlink()
+    recording = opened(folder)
+    damaged = 0
+    for index in range(len(recording)):
+        try:
+            recording.frame(index)
+        except RecordingError:
+            damaged += 1
+    assert damaged == 1
+
+
+def test_an_array_of_objects_is_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    for image in sorted((folder / "depth").iterdir()):
+        stream = io.BytesIO()
+        np.save(stream, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+        image.with_suffix(".npy").write_bytes(stream.getvalue())
+        image.unlink()
+    with pytest.raises(RecordingError, match="object"):
+        open_recording(folder)
