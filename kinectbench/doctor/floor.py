@@ -1,7 +1,9 @@
 """Whether there is a floor, by the same function as the build's, and how high the camera is above it."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,9 @@ from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.doctor.pose_delay import longest_gap_s, on_clock
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
+
+if TYPE_CHECKING:
+    from kinectbench.stages.segment.floor import Floor
 
 # Frames that are looked at alone, or together by their poses, for the sake of time (own choices).
 FRAMES, POSED_FRAMES = 6, 40
@@ -97,8 +102,12 @@ def seen_floor(
         return _heights_together(look, *posed, max_depth_m, replace(ground, recording=recording))
     count = len(look.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
-    heights_m = [_height_m(look.frames[i], look.small_camera, ground.recording) for i in indices]
-    return SeenFloor(np.array(heights_m))
+    alone = [_floor_alone(look.frames[i], look.small_camera, ground.recording) for i in indices]
+    heights_m = [np.nan if each is None else each.plane_world[3] for each in alone]
+    # What speaks against the floor of most frames does against that of the recording.
+    told = Counter(line for each in alone if each is not None for line in each.against)
+    doubts = tuple(line for line, count in told.items() if 2 * count > len(alone))
+    return SeenFloor(np.array(heights_m), doubts)
 
 
 def _without_poses(recording: Recording) -> Recording:
@@ -190,16 +199,17 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
         yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, usual_mm=1000 * usual_m)
 
 
-def _height_m(frame: SmallFrame, camera: Camera, recording: Recording) -> float:
+def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
+    """The floor in one frame, whose world is the camera's axes, metres; None if it shows none."""
     from kinectbench.stages.segment.floor import find_floor
     from kinectbench.stages.segment.seen_floor import MIN_POINTS, oriented
     from kinectbench.stages.segment.up import hint_of
 
     if frame.depth_m.shape != (camera.height, camera.width):
-        return float("nan")
+        return None
     points, normals = oriented(frame.depth_m, camera)
     if len(points) < MIN_POINTS:
-        return float("nan")
+        return None
     # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
     unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
     alone = np.eye(4)[None]
@@ -207,5 +217,5 @@ def _height_m(frame: SmallFrame, camera: Camera, recording: Recording) -> float:
     try:
         floor = find_floor(points * unit, normals, alone, FOCUS_CAMERA, 0, hint)
     except SegmentationError:
-        return float("nan")
-    return float(floor.plane_world[3]) / unit
+        return None
+    return replace(floor, plane_world=floor.plane_world * [1, 1, 1, 1 / unit])

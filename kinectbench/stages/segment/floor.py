@@ -15,6 +15,8 @@ from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.floor_planes import (
     MIN_NEAR_POINTS,
     NO_CHOICE,
+    TOLD_ABOVE_SHARE,
+    PlaneCandidate,
     PlaneChoice,
     choose_plane,
     refined_near,
@@ -27,7 +29,7 @@ from kinectbench.stages.segment.planes import (
     floor_frame,
     noise_about_m,
 )
-from kinectbench.stages.segment.up import NOTHING_KNOWN, FloorHint
+from kinectbench.stages.segment.up import MIN_UP_COSINE, NOTHING_KNOWN, FloorHint
 
 NO_FLOOR = (
     "no floor found: no plane that faces up, and below which nothing is seen, lies below most cameras{why}; "
@@ -38,6 +40,15 @@ ABOVE_CAMERAS = (
     "most cameras are below the plane that benchmark.yaml gives as `floor`; its normal must point up, in the "
     "frame of the trajectory"
 )
+# Cameras that were held upside down, as robots and ceilings hold them: their poses turned about their axes.
+HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+UPSIDE_DOWN = (
+    "the cameras are taken for held upside down: only so there is a floor; if they were, write its plane "
+    "into benchmark.yaml (`floor: {plane_world: [a, b, c, d]}`, of build/<id>/object/floor.json)"
+)
+# Of the surface, so much must lie on a floor that is seen upside down (own choice: of 30 fused scenes .15 to
+# .97 lies on the floor; of a ceiling, while cameras look at a thing below it, hardly anything is in view).
+LEAST_UPSIDE_DOWN = 0.15
 # Of the surface, what may lie below the lowest height that a scene without floor is given.
 LOWEST_SHARE = 0.001
 # The fused floor's surface strays this many of its standard deviations from the plane at most.
@@ -60,7 +71,7 @@ class Floor:
         scale: by what the cuts of the settings are multiplied for it, as cameras were near (`near_scale`).
         choice: the planes among which it was chosen; none of a person's plane.
         given: whether it is a person's plane.
-        against: what speaks against a person's plane, one line for people each.
+        against: what speaks against a person's plane, or for cameras upside down, one line for people each.
     """
 
     plane_world: Float64
@@ -158,12 +169,28 @@ def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: 
     There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
     lies on it must not pass for floor.
     """
-    choice = choose_plane(surface, T_world_camera, up_world, seed)
+    choice, against = choose_plane(surface, T_world_camera, up_world, seed), tuple[str, ...]()
+    if choice.chosen is None and up_world is None:
+        T_world_turned = T_world_camera @ HALF_TURN
+        turned = choose_plane(surface, T_world_turned, None, seed)
+        if turned.chosen is not None and _is_plain(turned.chosen, T_world_turned):
+            choice, against, T_world_camera = turned, (UPSIDE_DOWN,), T_world_turned
     if choice.chosen is None:
         raise SegmentationError(NO_FLOOR.format(why=choice.likeliest))
     plane, noise_m = refined_near(choice.chosen.plane, surface)
     tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
-    return Floor(plane, floor_frame(plane), noise_m, choice.chosen.inlier_share, tilt_rad, choice=choice)
+    share = choice.chosen.inlier_share
+    return Floor(plane, floor_frame(plane), noise_m, share, tilt_rad, choice=choice, against=against)
+
+
+def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
+    """Whether so much lies on a plane, and all look down on it so, that it must be the floor.
+
+    A wall that is looked at from above is like a floor that is looked at steeply upside down: that is none.
+    """
+    upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
+    seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= TOLD_ABOVE_SHARE
+    return seen and upright > MIN_UP_COSINE
 
 
 def _given_floor(

@@ -75,12 +75,13 @@ def test_a_wall_that_is_looked_at_straight_on_is_no_floor(elevation_deg, roll_de
         find_floor(*wall, cameras, FOCUS, 0)
 
 
-def test_gravity_says_what_cameras_held_upside_down_cannot():
+def test_cameras_held_upside_down_are_told_by_gravity_and_doubted_without_it():
     cameras = arc(40, 180)
-    with pytest.raises(SegmentationError, match="no floor found"):
-        find_floor(*FLOOR, cameras, FOCUS, 0)
-    angle_deg, height_m = off(find_floor(*FLOOR, cameras, FOCUS, 0, FloorHint(up_world=UP)))
-    assert angle_deg < 0.3 and abs(height_m) < 0.002
+    for hint, doubted in ((FloorHint(), True), (FloorHint(up_world=UP), False)):
+        floor = find_floor(*FLOOR, cameras, FOCUS, 0, hint)
+        angle_deg, height_m = off(floor)
+        assert angle_deg < 0.3 and abs(height_m) < 0.002
+        assert any("held upside down" in line for line in floor.doubts) == doubted
 
 
 def test_gravity_keeps_a_slanted_board_from_being_the_floor():
