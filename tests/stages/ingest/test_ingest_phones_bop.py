@@ -1,6 +1,7 @@
 """StrayScanner, 3D Scanner App and BOP folders, written here from their layouts."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from ingest_writers import START_NS, STEP_NS, depth_image, jpeg, png, seconds
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
@@ -220,4 +221,54 @@ def test_bop_scene_with_several_objects_or_cameras(tmp_path: Path) -> None:
     cameras["2"]["cam_K"][0] = 70.0
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
     with pytest.raises(RecordingError, match="image 2 has another camera than the first"):
+        open_recording(folder)
+
+
+CUT = {1: (0, 0), 2: (8, 3), 30: (4, 6)}
+
+
+def cut(folder: Path, whole: Path) -> Path:
+    """The same scene with each image cut out elsewhere, 48 x 40 pixels, and its principal point with it."""
+    shutil.copytree(whole, folder)
+    cameras = json.loads((folder / "scene_camera.json").read_text())
+    for number, (x, y) in CUT.items():
+        cameras[str(number)]["cam_K"][2] -= x
+        cameras[str(number)]["cam_K"][5] -= y
+        for file in folder.glob(f"*/{number:06d}*.png"):
+            image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(str(file), image[y : y + 40, x : x + 48])
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    return folder
+
+
+def test_bop_images_that_were_cut_out_are_moved_to_one_principal_point(tmp_path: Path) -> None:
+    """As T-LESS' training images: depth, colour and mask; each pixel where the whole image has it."""
+    whole = open_recording(bop(tmp_path / "whole"))
+    recording = open_recording(cut(tmp_path / "cut", tmp_path / "whole"))
+    assert "up to 8, 6 px apart: they are moved to one" in recording.warnings[0]
+    camera = recording.camera
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (56, 46, 31.5, 23.5)
+    for index, (x, y) in enumerate(CUT.values()):
+        found, expected = recording.frame(index), whole.frame(index)
+        inside = np.zeros((46, 56), bool)
+        inside[y : y + 40, x : x + 48] = True
+        np.testing.assert_array_equal(found.depth, np.where(inside, expected.depth[:46, :56], 0))
+        assert found.mask is not None and expected.mask is not None
+        np.testing.assert_array_equal(found.mask, inside & expected.mask[:46, :56])
+        assert found.color is not None and expected.color is not None
+        colors = [decode_color_bgr(each.color[1], "x") for each in (found, expected) if each.color]
+        np.testing.assert_array_equal(colors[0], np.where(inside[..., None], colors[1][:46, :56], 0))
+    given, true = recording.given_trajectory, whole.given_trajectory
+    assert given is not None and true is not None
+    np.testing.assert_array_equal(given.T_world_camera, true.T_world_camera)
+
+
+@pytest.mark.parametrize(("place", "change"), [(2, 0.4), (5, -0.2), (4, 3.0)])
+def test_bop_images_of_other_cameras_are_refused(tmp_path: Path, place: int, change: float) -> None:
+    """Principal points that differ by a part of a pixel, or other focal lengths."""
+    folder = cut(tmp_path / "cut", bop(tmp_path / "whole"))
+    cameras = json.loads((folder / "scene_camera.json").read_text())
+    cameras["30"]["cam_K"][place] += change
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    with pytest.raises(RecordingError, match=r"has another camera than the first.*whole pixels"):
         open_recording(folder)

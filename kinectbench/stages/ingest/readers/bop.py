@@ -1,21 +1,31 @@
 """One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and the masks of an object."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.geometry import rigid
+from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import is_too_large, printable
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import Intrinsics, numbers_of, read_object, scale_warnings
+from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
+from kinectbench.stages.ingest.intrinsics import (
+    MOST_FOCAL_PX,
+    Intrinsics,
+    numbers_of,
+    read_object,
+    scale_warnings,
+)
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
+    RawFrame,
     first_depth_size,
     first_file,
     without_color,
@@ -23,13 +33,27 @@ from kinectbench.stages.ingest.recording import (
 
 COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
 MM_PER_M = 1000.0
+# Matrices are one camera's if they differ by no more; its images' principal points if they differ by whole
+# pixels, up to this.
+MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
+Pixel = TypeVar("Pixel", bound=np.generic)
 
 
+@dataclass(frozen=True, kw_only=True)
 class BopRecording(FileRecording):
-    """A BOP scene; colour is registered to depth, as the format asks; its frames count seconds."""
+    """A BOP scene; colour is registered to depth, as the format asks; its frames count seconds.
+
+    Images that were cut out of one camera's, as T-LESS' for training are, have principal points that differ
+    by whole pixels: they are moved to one.
+
+    Attributes:
+        moved_px: by how much each image is moved right and down, on a larger one; empty: by nothing.
+    """
 
     format: ClassVar[str] = "bop"
     looks_for: ClassVar[str] = "a folder with scene_camera.json and depth/ (rgb/, mask_visib/, scene_gt.json)"
+
+    moved_px: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -52,9 +76,15 @@ class BopRecording(FileRecording):
             )
             for number in sorted(cameras)
         )
-        K, scale = _shared(path, cameras)
+        K, scale, moved_px = _shared(path, cameras)
         said = Intrinsics.of_matrix(K, MM_PER_M / scale)
-        size_px = first_depth_size(files)
+        width, height = first_depth_size(files)
+        right, down = (max(moved) for moved in zip(*moved_px, strict=True))
+        size_px = (width + right, height + down)
+        if is_too_large(*size_px):
+            raise RecordingError(
+                f"{path / 'scene_camera.json'}: principal points are {right}, {down} px apart"
+            )
         intrinsics = said.overridden_by(settings)
         poses = [_pose(cameras[number]) for number in sorted(cameras)]
         stamps_ns = [file.stamp_ns for file in files]
@@ -62,17 +92,51 @@ class BopRecording(FileRecording):
         return cls(
             path=path,
             places=files,
+            moved_px=moved_px if right or down else (),
             camera=intrinsics.camera(size_px, path),
             depth_scale=intrinsics.depth_scale or MM_PER_M,
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
             warnings=(
+                *_moved_line(path, right, down),
                 *without_color(path, files),
                 *warnings,
                 *scale_warnings(path, said.depth_scale, settings),
                 *lost,
             ),
         )
+
+    def frame(self, index: int) -> RawFrame:
+        """Read the files of a frame, moved."""
+        frame = super().frame(index)
+        if not self.moved_px:
+            return frame
+        by_px = self.moved_px[index]
+        mask = None if frame.mask is None else _moved(frame.mask, by_px, self.camera)
+        return replace(frame, depth=_moved(frame.depth, by_px, self.camera), mask=mask)
+
+    def color(self, index: int) -> tuple[str, bytes] | None:
+        """Colour of a frame, moved; then it is encoded anew."""
+        found = super().color(index)
+        if found is None or not self.moved_px:
+            return found
+        bgr = decode_color_bgr(found[1], str(self.places[index].color))
+        return ".png", encode_png(_moved(bgr, self.moved_px[index], self.camera))
+
+
+def _moved_line(path: Path, right: int, down: int) -> tuple[str, ...]:
+    said = f"{path}: its images have principal points up to {right}, {down} px apart: they are moved to one"
+    return (said,) if right or down else ()
+
+
+def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:
+    """An image (height, width, ...) right and down on one of the camera's size, 0 around it."""
+    (right, down), (height, width) = by_px, image.shape[:2]
+    if height + down > camera.height or width + right > camera.width:
+        return image  # of another size than the first, which is refused
+    larger = np.zeros((camera.height, camera.width, *image.shape[2:]), image.dtype)
+    larger[down : down + height, right : right + width] = image
+    return larger
 
 
 def _read_by_image(file: Path) -> dict[int, Any]:
@@ -84,25 +148,37 @@ def _read_by_image(file: Path) -> dict[int, Any]:
         raise RecordingError(f"{file}: is not a JSON object of image numbers ({error})") from error
 
 
-def _shared(path: Path, cameras: dict[int, Any]) -> tuple[Float64, float]:
-    """The matrix and depth scale (mm a unit) that all images share."""
+def _shared(path: Path, cameras: dict[int, Any]) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
+    """The matrix and depth scale (mm a unit) that all images share once each is moved by so many pixels."""
     file = path / "scene_camera.json"
-    first: tuple[Float64, float] | None = None
-    for number, camera in sorted(cameras.items()):
-        try:
-            K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise RecordingError(f"{file}: image {number} needs cam_K (9 numbers) and depth_scale") from error
-        if not (np.isfinite(K).all() and np.isfinite(scale) and scale > 0):
-            raise RecordingError(f"{file}: cam_K or depth_scale of image {number} is not usable")
-        first = first or (K, scale)
-        if not np.allclose(K, first[0], atol=1e-6) or scale != first[1]:
-            raise RecordingError(
-                f"{file}: image {number} has another camera than the first; a recording must keep one: give "
-                "a scene of one sensor"
-            )
-    assert first is not None
-    return first
+    said = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
+    K, scales = np.stack([matrix for matrix, _ in said]), np.array([scale for _, scale in said])
+    shared = K[0].copy()
+    shared[:2, 2] = K[:, :2, 2].max(axis=0)
+    away_px = shared[:2, 2] - K[:, :2, 2]
+    others = np.abs(K - shared)
+    others[:, :2, 2] = 0
+    cut = (np.abs(away_px - np.rint(away_px)) <= PARTS_PX).all(axis=1)
+    same = cut & (others <= MATRIX_TOLERANCE).all(axis=(1, 2)) & (scales == scales[0])
+    if not same.all():
+        raise RecordingError(
+            f"{file}: image {sorted(cameras)[int(same.argmin())]} has another camera than the first: a "
+            "recording must keep one focal length and depth scale, and principal points that differ by whole "
+            "pixels: give a scene of one sensor"
+        )
+    return shared, float(scales[0]), tuple((int(x), int(y)) for x, y in np.rint(away_px).tolist())
+
+
+def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[Float64, float]:
+    """The matrix (3, 3) and the depth scale (mm a unit) of an image."""
+    try:
+        K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"{file}: image {number} needs cam_K (9 numbers) and depth_scale") from error
+    usable = np.isfinite(K).all() and np.abs(K).max() < MOST_FOCAL_PX and np.isfinite(scale) and scale > 0
+    if not usable:
+        raise RecordingError(f"{file}: cam_K or depth_scale of image {number} is not usable")
+    return K, scale
 
 
 def _pose(camera: dict[str, Any]) -> Float64 | None:
