@@ -29,7 +29,9 @@ STILL_FAILS = (
 )
 
 
-OPTIONS = ("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "as_json")
+OPTIONS = (
+    *("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "verbose", "as_json"),
+)
 
 
 @takes(*OPTIONS, at_url=True)
@@ -80,6 +82,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             wait=common.wait,
             limit_s=common.time_limit,
             executor=executor,
+            verbose=common.verbose,
         )
     if common.as_json:
         common.tell([row.summary.json_value() for row in rows], ())
@@ -198,6 +201,7 @@ def build_jobs(
     told: bool = False,
     limit_s: float | None = None,
     executor: "Executor | None" = None,
+    verbose: bool = False,
 ) -> "list[BuiltRecording]":
     """`build_recordings` of jobs that are known already, on so many processes or by an executor."""
     from kinectbench.cli import console
@@ -224,10 +228,28 @@ def build_jobs(
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
         own = row.summary.warnings if row.made else (*outcome.warnings, *unused)
-        console.recording_lines(name, "warning", own, "yellow")
+        _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [reason] if reason else [], "red")
     return rows
+
+
+def _tell_warnings(name: str, own: Sequence[str], first: str | None, *, verbose: bool) -> None:
+    """What is to be said of a recording; of several warnings the one to see to first, and how many more."""
+    from kinectbench.cli import console
+
+    if verbose or first is None or first not in own:
+        console.recording_lines(name, "warning", own, "yellow")
+        return
+    console.recording_lines(name, "do this first", [first], "yellow")
+    # Whoever has just drawn a mask expects it to be used.
+    without_effect = [line for line in own if ": not used" in line and line != first]
+    console.recording_lines(name, "warning", without_effect, "yellow")
+    more = len(own) - 1 - len(without_effect)
+    if not more:
+        return
+    said = f"{more} more warning{'s' * (more > 1)}: shown by `-v`, by the report and by --json"
+    console.recording_lines(name, "note", [said], "yellow")
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":

@@ -42,6 +42,7 @@ class Common:
         shard: the part of the recordings to work on, `I/N`; None: all.
         cluster: the address of a cluster, or `local:N`; None: processes of this machine.
         time_limit: how long a recording may take, seconds; None: as long as it does.
+        verbose: whether all warnings are shown, and not only which one to see to first.
     """
 
     benchmark: Annotated[
@@ -80,6 +81,9 @@ class Common:
         float | None,
         typer.Option(metavar="SECONDS", min=1, help="a recording that takes longer fails; default: none"),
     ] = None
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="show all warnings, not only what to see to first")
+    ] = False
 
     @property
     def place(self) -> Path:

@@ -280,7 +280,11 @@ class RecordingBars:
         if self._plain and (outcome.made or outcome.error):
             what = "failed" if outcome.error else "done"
             count = f", {self._ended}{self._of}" if self._all is not None else ""
-            self._plain.say(f"{outcome.recording}: {what}{count}")
+            # Of several it may be long until all errors are told.
+            why = f": {outcome.error}" if outcome.error and self._all is not None else ""
+            self._plain.say(f"{outcome.recording}: {what}{count}{why}")
+        elif outcome.error and self._all is not None:
+            recording_lines(outcome.recording, "failed", [outcome.error], "red")
 
     def _rest(self) -> str:
         """Such as `3 failed, 97 left, 8 workers, 12 min to go`."""

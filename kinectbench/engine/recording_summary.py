@@ -31,6 +31,7 @@ class RecordingSummary(Part):
         alias="residual_mm", description="of the points from the shape, median of the pairs, mm"
     )
     warnings: tuple[str, ...] = Field(description="of all stages, one line each")
+    first: str | None = Field(None, description="of the warnings the one to see to first")
     status: str = Field(description="failed, up to date, or the seconds it took")
     error: str | None = Field(description="why it failed")
     made: tuple[str, ...] = Field(description="stages of this run")

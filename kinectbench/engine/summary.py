@@ -90,11 +90,36 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
             line for part in (sequence, health, scene, quality, views) if part for line in part.warnings
         )
         + outcome.warnings,
+        first=_to_do_first(sequence, health, quality, views),
         status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
         error=outcome.error,
         made=outcome.made,
         current=outcome.current,
     )
+
+
+def _to_do_first(
+    sequence: CameraFile | None,
+    health: TrajectoryHealth | None,
+    quality: QualityFile | None,
+    views: ViewsFile | None,
+) -> str | None:
+    """The warning to see to first; None without any.
+
+    What makes the rest wrong comes first: lengths, then poses, then the floor and what is the object; then
+    what nobody saw; then the rest, stage by stage.
+    """
+    of_object = quality.warnings if quality else ()
+    poses = (line for line in of_object if health is not None and health.verdict in line)
+    ranked = (
+        *(sequence.doubts if sequence else ()),
+        *(poses if health is not None and health.grade == "not good" else ()),
+        *(quality.known_doubts if quality else ()),
+        *(quality.advice if quality else ()),
+        *of_object,
+        *(line for part in (health, sequence, views) if part for line in part.warnings),
+    )
+    return next(iter(ranked), None)
 
 
 def _median(values: Iterable[float | None]) -> float | None:

@@ -284,6 +284,6 @@ def test_the_last_line_says_what_failed_and_how_to_go_on(
     (root / "recordings" / "chair").rename(root / "recordings" / "elsewhere")
     result = command(root, "build", "--jobs", "1")
     assert result.status == 3
-    assert result.progress[-1] == "chair: failed, 1 of 2"
+    assert result.progress[-1].startswith("chair: failed, 1 of 2: ")
     last = result.err.splitlines()[-1]
     assert last.startswith("failed: 1 of 2 recordings: chair; the rest is done. ")

@@ -15,7 +15,7 @@ views: {count: 3, min_pixels: 100}
 tracking: {check_stride_px: 4}
 """
 # What may be said beside the error.
-SAID_TOO = re.compile(r"warning: |^note: |^failed: [0-9]+ of ")
+SAID_TOO = re.compile(r"warning: |: do this first: |note: |^failed: [0-9]+ of ")
 
 
 def check_line(run: Run, status: int, words: str) -> str:

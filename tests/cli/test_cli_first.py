@@ -1,0 +1,50 @@
+"""Of several warnings of a recording the one to see to first is shown; the rest on demand."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_benchmark import Run, copied
+
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.sequence import CameraFile
+from kinectbench.core.artefacts.trajectory import TrajectoryHealth
+from kinectbench.engine.summary import _to_do_first
+
+pytestmark = pytest.mark.xdist_group("commands")
+Command = Callable[..., Run]
+
+
+def test_the_first_of_several_warnings_and_how_many_more(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    changed = ("--set", "views.seed=3", "--jobs", "1")
+    said = json.loads(command(root, "build", "table", *changed, "--json").out)[0]
+    assert len(said["warnings"]) > 2 and said["first"] in said["warnings"]
+    short = command(root, "build", "table", *changed, "--force").err.splitlines()
+    assert short[0] == f"table: do this first: {said['first']}"
+    more = len(said["warnings"]) - 1
+    assert short[1].startswith(f"table: note: {more} more warnings: shown by `-v`")
+    whole = command(root, "build", "table", *changed, "--force", "-v").err.splitlines()
+    assert [f"table: warning: {line}" for line in said["warnings"]] == whole[: more + 1]
+
+
+def test_what_makes_the_rest_wrong_comes_first() -> None:
+    """Lengths before poses, poses before the floor, that before what nobody saw."""
+    sequence = CameraFile.model_construct(doubts=("lengths",), warnings=("gaps",))
+    health = TrajectoryHealth.model_construct(grade="not good", verdict="not good: 12 mm", warnings=())
+    quality = QualityFile.model_construct(
+        doubts=("another floor",),
+        frontiers=(),
+        warnings=("another floor", "the trajectory is not good: 12 mm"),
+    )
+    assert _to_do_first(sequence, health, quality, None) == "lengths"
+    plain = CameraFile.model_construct(doubts=(), warnings=("gaps",))
+    assert _to_do_first(plain, health, quality, None) == "the trajectory is not good: 12 mm"
+    good = TrajectoryHealth.model_construct(grade="10 mm", verdict="good", warnings=())
+    assert _to_do_first(plain, good, quality, None) == "another floor"
+    nothing = QualityFile.model_construct(doubts=(), frontiers=(), warnings=())
+    assert _to_do_first(plain, good, nothing, None) == "gaps"
+    assert _to_do_first(None, None, None, None) is None
