@@ -26,7 +26,6 @@ demo: setup ## a whole benchmark from a real and simulated recordings: build, pu
 	@cd demo && echo "demo: completing every view by a small network that comes trained" && \
 	  $(KINECTBENCH) predict recae-small benchmark
 	@cd demo && echo "demo: scoring it, and simple methods beside it" && $(KINECTBENCH) score predictions --no-surface
-	@rm -r demo/predictions && echo "demo: removed demo/predictions, whose probabilities take 25 MB a view"
 
 test: setup lint types docs ## the checks of each change: ruff, mypy, the documentation's links, pytest
 	@$(BIN)/pytest -n 2 -m "not slow"

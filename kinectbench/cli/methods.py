@@ -1,12 +1,21 @@
 """The commands `train`, `predict` and `convert`: networks; they need torch."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from kinectbench.cli.common import Common, takes
+
+if TYPE_CHECKING:
+    from kinectbench.core.artefacts.method import UnfinishedFile
+    from kinectbench.core.types import Split
+    from kinectbench.release.release import Release as OpenRelease
+    from kinectbench.scoring.methods.trained import Trained
+
+Word = TypeVar("Word", bound=str)
 
 
 def _known_configs(incomplete: str) -> list[str]:
@@ -19,6 +28,13 @@ def _known_configs(incomplete: str) -> list[str]:
 Device = Annotated[
     str | None, typer.Option(help="cpu, cuda, or another of torch's; default: the GPU if there is one")
 ]
+Threshold = Annotated[
+    float | None, typer.Option(min=0, max=1, help="write packed bits, set above it; default: probabilities")
+]
+Precision = Annotated[
+    str, typer.Option(help="of probabilities: packed (8 bits, exact at all thresholds) or float16")
+]
+Score = Annotated[bool, typer.Option("--score", help="score each view at once, and write no predictions")]
 Release = Annotated[Path, typer.Argument(metavar="RELEASE", help="a published benchmark")]
 
 
@@ -88,24 +104,31 @@ def predict(
         ),
     ],
     release: Release,
-    out: Annotated[Path, typer.Option(help="folder of methods")] = Path("predictions"),
-    threshold: Annotated[
-        float | None,
-        typer.Option(min=0, max=1, help="write packed bits, set above it; default: probabilities"),
+    out: Annotated[
+        Path | None, typer.Option(help="folder of methods, predictions/; with --score: of scores, scores/")
     ] = None,
+    threshold: Threshold = None,
+    precision: Precision = "packed",
+    split: Annotated[str | None, typer.Option(help="validation or test alone; default: both")] = None,
+    score: Score = False,
+    surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
 ) -> None:
-    """Write a trained network's predictions, and method.json beside them."""
+    """Write a trained network's predictions, and method.json beside them; or score them at once."""
     from kinectbench.cli import console
     from kinectbench.scoring.methods.registry import require_torch
 
     require_torch()
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.methods.predict import notes
+    from kinectbench.scoring.methods.predict import PRECISIONS, SPLITS, notes, run_of
     from kinectbench.scoring.methods.predict import predict as run
     from kinectbench.scoring.methods.processes import chosen_device
     from kinectbench.scoring.methods.trained import folder_of, open_trained
 
+    chosen = _chosen("--precision", precision, PRECISIONS)[0]
+    splits = SPLITS if split is None else _chosen("--split", split, SPLITS)
+    if score and "test" not in splits:
+        raise typer.BadParameter("scores are of the test split", param_hint="--score --split validation")
     folder, where = folder_of(method), chosen_device(device)
     benchmark = open_release(release)
     trained = open_trained(folder, where)
@@ -113,11 +136,72 @@ def predict(
     def say(line: str) -> None:
         console.lines(trained.config.name, [line], "yellow")
 
+    if score:
+        how = run_of(trained, benchmark, threshold, chosen, where)
+        _score(common, trained, benchmark, how, splits, surface, out or Path("scores"), where)
+        return
     for line in notes(trained, benchmark):
         say(line)
     with console.bar(f"predict {trained.config.name}") as progress:
-        written = run(trained, benchmark, out, threshold=threshold, device=where, progress=progress, say=say)
+        written = run(
+            trained,
+            benchmark,
+            out or Path("predictions"),
+            threshold=threshold,
+            precision=chosen,
+            splits=splits,
+            device=where,
+            progress=progress,
+            say=say,
+        )
     common.tell_written(written)
+
+
+def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
+    """The one of some words that was asked for; one that is none of them is told."""
+    found = tuple(known for known in words if known == word)
+    if not found:
+        raise typer.BadParameter(f"'{word}': choose {' or '.join(words)}", param_hint=option)
+    return found
+
+
+def _score(
+    common: Common,
+    trained: "Trained",
+    release: "OpenRelease",
+    run: "UnfinishedFile",
+    splits: "Sequence[Split]",
+    surface: bool,
+    folder: Path,
+    device: str,
+) -> None:
+    """Predict and score, without files of predictions; then all that `score` writes beside its table."""
+    from kinectbench.cli import console
+    from kinectbench.cli.report import write_page
+    from kinectbench.cli.score import baselines_of, tell_problems, tell_scores
+    from kinectbench.core.artefacts.gallery import write_gallery
+    from kinectbench.core.artefacts.scores import SCORES_JSON
+    from kinectbench.core.voxels.resample import HALF_PIXEL
+    from kinectbench.report.gallery import loaded_cells
+    from kinectbench.scoring.methods.score_predicted import as_written, score_predicted
+
+    with console.bar(f"predict and score {trained.config.name}") as progress:
+        table = score_predicted(
+            trained, release, run, splits=splits, surface=surface, device=device, progress=progress
+        )
+    tell_problems([table])
+    table.write(folder)
+    with console.bar("gallery") as progress:
+        # The few views that a page shows are predicted again: all of them would not fit in memory.
+        cells = loaded_cells(
+            release,
+            lambda target: as_written(trained, release, run, target, device),
+            table,
+            progress=progress,
+        )
+    write_gallery(cells, folder / SCORES_JSON)
+    beside = baselines_of(release, folder, [table], HALF_PIXEL, common.workers)
+    tell_scores(common, [table], beside, write_page(common, release, folder))
 
 
 @takes("as_json")

@@ -84,9 +84,9 @@ def score(
     if gallery:
         with console.bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
-    beside = _beside(release, folder, tables, upsampling, common.workers) if baselines else []
+    beside = baselines_of(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
-    _tell(common, tables, beside, page)
+    tell_scores(common, tables, beside, page)
     return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
 
 
@@ -120,7 +120,9 @@ def _score_part(
     return SOME_FAILED if failed else 0
 
 
-def _tell(common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path) -> None:
+def tell_scores(
+    common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path
+) -> None:
     """The scores: a table for people, or the means over all categories for machines."""
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import score_table
@@ -199,7 +201,7 @@ def _tables(
         else:
             options: dict[str, Any] = {"jobs": executor or common.workers, **known, **of_one}
             tables = score_methods(release, predictions, folder, progress=progress, **options)
-    _tell_problems(tables)
+    tell_problems(tables)
     return tables
 
 
@@ -219,7 +221,7 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
         )
 
 
-def _beside(
+def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
     """The baselines that are not among the methods already."""
@@ -239,7 +241,7 @@ def _beside(
         )
 
 
-def _tell_problems(tables: "Sequence[ScoreTable]") -> None:
+def tell_problems(tables: "Sequence[ScoreTable]") -> None:
     """Warnings and failures of each method, one line each."""
     from kinectbench.cli import console
 

@@ -5,7 +5,7 @@ import contextlib
 import json
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -87,6 +87,17 @@ def gallery_cells(
         size_m = read_voxel_size(release.pair_path(target), target.sha256) if mesh else None
         return load_prediction(file, target.name + file.suffix, size_m)
 
+    return loaded_cells(release, load, table, upsampling, progress)
+
+
+def loaded_cells(
+    release: Release,
+    load: Callable[[Target], Prediction | None],
+    table: ScoreTable,
+    upsampling: str = HALF_PIXEL,
+    progress: Progress | None = None,
+) -> dict[str, Packed]:
+    """The same of predictions wherever they are; `load` gives that of a pair, None is an empty grid."""
     chosen = _chosen(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):

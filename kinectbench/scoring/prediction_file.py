@@ -2,10 +2,11 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,13 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.untrusted import COPIED_BYTES, open_plain, printable, size_of
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
-from kinectbench.core.voxels.npz import UNREADABLE, open_npz
+from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 from kinectbench.core.voxels.resample import MAX_CELLS
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES, MESHES, voxelised
+from kinectbench.scoring.packed_prediction import CODES, HALF_ONE, LEVELS, MOST_LEVELS, unpacked
 
 MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # the largest array, its header, and what a zip adds
-HALF_ONE = 0x3C00
 HALF_MINUS_ZERO = 0x8000
 ACCEPTED = "save float16 or float32 in [0, 1], or bool"
 
@@ -43,13 +44,14 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
     """Load and check one prediction.
 
     Args:
-        path: an .npy file, an .npz file of exactly one array, or a .ply or .obj mesh.
+        path: an .npy file, an .npz file of exactly one array or of a packed prediction, or a .ply or .obj
+            mesh.
         name: what error lines call it (default: the path).
         voxel_size_m: of the pair; needed for a mesh only.
 
     Returns:
         (n, n, n) bool, float16 or float32, 1 <= n <= 512, C order, native bytes, every value in [0, 1].
-        uint8 of 0 and 1, packed bits and meshes are returned as bool.
+        uint8 of 0 and 1, packed bits and meshes are returned as bool, packed probabilities as their levels.
 
     Raises:
         PredictionError: the file is unacceptable; one line.
@@ -98,9 +100,7 @@ def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[P
         if voxel_size_m is None:
             raise PredictionError("a mesh; it needs the voxel size of its pair")
         return voxelised(file, suffix, voxel_size_m)
-    with _npy(file, suffix) as (stream, size):
-        array = read_npy(stream, size, _check_claims)
-    return _checked(array), 0.0
+    return _grid(file, suffix), 0.0
 
 
 def _state(file: IO[bytes]) -> tuple[int, int, int]:
@@ -137,19 +137,50 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
         raise PredictionError(f"{name}: {error}") from None
 
 
-@contextlib.contextmanager
-def _npy(file: IO[bytes], suffix: str) -> Iterator[tuple[IO[bytes], int]]:
-    """Yield the npy stream of a file and the number of bytes in it."""
+def _grid(file: IO[bytes], suffix: str) -> Prediction:
+    """The prediction of an npy or npz file."""
     size = _checked_size(file, MAX_BYTES)
     if suffix == ".npy":
-        yield file, size
-        return
+        return _checked(read_npy(file, size, _check_claims))
     with open_npz(file, MAX_BYTES) as archive:
         entries = archive.infolist()
+        if {entry.filename for entry in entries} == {CODES + NPY, LEVELS + NPY}:
+            return _decoded(archive)
         if len(entries) != 1:
-            raise PredictionError(f"{len(entries)} arrays in the npz: it must hold exactly one")
-        with archive.open(entries[0]) as stream:
-            yield stream, entries[0].file_size
+            raise PredictionError(
+                f"{len(entries)} arrays in the npz: it must hold exactly one, or {CODES} and {LEVELS}"
+            )
+        return _checked(_read(archive, entries[0].filename, _check_claims))
+
+
+def _decoded(archive: zipfile.ZipFile) -> Prediction:
+    """A packed prediction (see `packed_prediction`)."""
+    levels = _checked(_read(archive, LEVELS + NPY, _check_levels))
+    codes = _native(_read(archive, CODES + NPY, _check_codes)).view(np.uint8)
+    if codes.max() >= len(levels):
+        index = _first(codes >= len(levels))
+        raise PredictionError(f"{codes[index]} in {CODES} at {index}: there are {len(levels)} {LEVELS}")
+    return unpacked(levels, codes)
+
+
+def _read(archive: zipfile.ZipFile, name: str, check: Callable[[NpyHeader], None]) -> NDArray[Any]:
+    with archive.open(name) as stream:
+        return read_npy(stream, archive.getinfo(name).file_size, check)
+
+
+def _check_levels(header: NpyHeader) -> None:
+    """Refuse levels that are no short list of numbers, before they are read."""
+    types = (np.float16, np.float32)
+    is_list = len(header.shape) == 1 and 1 <= header.shape[0] <= MOST_LEVELS
+    if not is_list or header.dtype.newbyteorder("=") not in types:
+        raise PredictionError(f"{LEVELS} must be 1 to {MOST_LEVELS} of float16 or float32 in [0, 1]")
+
+
+def _check_codes(header: NpyHeader) -> None:
+    """Refuse codes that are no cube of bytes, before they are read."""
+    shape = header.shape
+    if header.dtype != np.uint8 or len(shape) != 3 or len(set(shape)) != 1 or not 1 <= shape[0] <= MAX_CELLS:
+        raise PredictionError(f"{CODES} must be (n, n, n) uint8 with n from 1 to {MAX_CELLS}")
 
 
 def _checked_size(file: IO[bytes], most: int) -> int:

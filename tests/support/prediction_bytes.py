@@ -27,11 +27,12 @@ BOX = trimesh.creation.box(bounds=[[0.1, 0.2, 0.3], [0.5, 0.4, 0.9]])
 def good_files() -> list[FILE]:
     """A small file of each kind that is accepted."""
     small = np.random.default_rng(0).random((5, 5, 5)).astype(np.float16)
-    plain, packed = io.BytesIO(), io.BytesIO()
+    plain, packed, coded = io.BytesIO(), io.BytesIO(), io.BytesIO()
     np.save(plain, small)
     np.savez_compressed(packed, small)
+    np.savez_compressed(coded, levels=small[0, 0], codes=(small * 5).astype(np.uint8))
     text = BOX.export(file_type="obj")
-    grids = [("npy", plain.getvalue()), ("npz", packed.getvalue())]
+    grids = [("npy", plain.getvalue()), ("npz", packed.getvalue()), ("npz", coded.getvalue())]
     return [*grids, ("ply", BOX.export(file_type="ply")), ("obj", text.encode())]
 
 

@@ -136,6 +136,9 @@ class UnfinishedFile(Stored):
     config_sha256: str = Field(pattern=SHA256, description="of the method's configuration")
     weights_sha256: str = Field(pattern=SHA256, description="of weights.npz")
     threshold: float | None = Field(description="above which bits are set; null: probabilities")
+    precision: Literal["packed"] | None = Field(
+        None, description="packed: probabilities at 256^3 are in 8 bits; missing: none are"
+    )
     torch: str | None = Field(None, description="version of torch")
     hardware: str | None = Field(None, description="that it runs on: sums are rounded in another order there")
 

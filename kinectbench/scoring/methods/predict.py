@@ -3,9 +3,10 @@
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
-from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pack, pair_values, unpack
+from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.engine.locks import locked
 from kinectbench.release.release import Release, Target
@@ -24,10 +25,15 @@ from kinectbench.scoring.methods.prediction_folder import PredictionFolder
 from kinectbench.scoring.methods.run_folder import hardware, make_folder
 from kinectbench.scoring.methods.trained import Trained
 from kinectbench.scoring.methods.validate import completed
+from kinectbench.scoring.packed_prediction import packed
 
+Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
-# Probabilities at 256^3 take 34 MB: to squeeze them further costs more time than to make them.
-LEVEL = 1
+# How probabilities are written: packed (see `packed_prediction`), or all that the network gives.
+PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
+# Of deflate. float16 at 256^3 take 26 MB: to squeeze them further costs more time than to make them. Packed
+# ones take 6.7 MB by level 1, 6.1 MB by 4 and 5.8 MB by 6, in 0.15, 0.25 and 0.85 s a view.
+LEVEL, PACKED_LEVEL = 1, 4
 
 
 def predict(
@@ -36,11 +42,13 @@ def predict(
     out: Path,
     *,
     threshold: float | None = None,
+    precision: Precision = "packed",
+    splits: Sequence[Split] = SPLITS,
     device: str = "cpu",
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Path:
-    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json.
+    """Write `out/<name>/<recording>/<view>.npz` for every pair of some splits, and method.json.
 
     What was stopped goes on where it was, and what is complete is left, if all that decides the bytes is the
     same still (`UnfinishedFile`); else what is there is removed first.
@@ -49,7 +57,9 @@ def predict(
         trained: the network, on its device.
         release: what is predicted.
         out: a folder of methods.
-        threshold: predictions are packed bits, set above it; None: probabilities, float16.
+        threshold: predictions are packed bits, set above it; None: probabilities.
+        precision: of probabilities at 256^3: "packed" or "float16"; coarser ones are float16.
+        splits: of "validation" and "test".
         device: that the network is on.
         progress: called with (pairs done, pairs in all).
         say: called with a line where another run's predictions are removed, or another run is waited for.
@@ -64,7 +74,29 @@ def predict(
     """
     folder = out / trained.config.name
     make_folder(folder)
-    run = UnfinishedFile(
+    run = run_of(trained, release, threshold, precision, device)
+    wanted = [target for split in SPLITS if split in splits for target in release.split(split)]
+    every = [target for split in SPLITS for target in release.split(split)]
+
+    def waiting(holder: str) -> None:
+        if say:
+            say(f"{folder}: waiting for {holder}")
+
+    with locked(folder, waiting=waiting):
+        kept = PredictionFolder(folder, run, every, wanted, say)
+        seconds = _write_all(kept, trained, release, run, wanted, device, progress)
+        kept.finish(method_of(trained, release, run, seconds, device))
+    return folder
+
+
+def run_of(
+    trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
+) -> UnfinishedFile:
+    """All that decides the bytes of the predictions; arguments as of `predict`."""
+    # What is written as it is has no key: such folders of earlier versions stay current.
+    is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
+    coded = {"precision": precision} if is_fine and precision == "packed" else {}
+    return UnfinishedFile(
         version=__version__,
         benchmark_sha256=release.benchmark_sha256,
         config_sha256=trained.config.sha256,
@@ -72,25 +104,16 @@ def predict(
         threshold=threshold,
         torch=str(torch.__version__),
         hardware=hardware(device),
+        **coded,
     )
-    targets = [target for split in SPLITS for target in release.split(split)]
-
-    def waiting(holder: str) -> None:
-        if say:
-            say(f"{folder}: waiting for {holder}")
-
-    with locked(folder, waiting=waiting):
-        kept = PredictionFolder(folder, run, targets, say)
-        seconds = _write_all(kept, trained, release, threshold, device, progress)
-        kept.finish(_method(trained, release, run, seconds, device))
-    return folder
 
 
 def _write_all(
     kept: PredictionFolder,
     trained: Trained,
     release: Release,
-    threshold: float | None,
+    run: UnfinishedFile,
+    targets: Sequence[Target],
     device: str,
     progress: Progress | None,
 ) -> list[float]:
@@ -99,21 +122,17 @@ def _write_all(
     Returns:
         The seconds that the network took, of each view.
     """
-    targets = [target for split in SPLITS for target in release.split(split)]
     waiting = [target for target in targets if not kept.holds(target)]
     seconds = []
     # A file is squeezed and written while the network completes the next view.
     with memory_kept(), ThreadPoolExecutor(1) as writer:
         written: Future[None] | None = None
         for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
-            where = str(release.pair_path(target))
-            pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
-            started = time.perf_counter()
-            probability = completed(trained.network, unpack(pair.partial), trained.config, device)
-            seconds.append(time.perf_counter() - started)
+            probability, took = completed_target(trained, release, target, device)
+            seconds.append(took)
             if written:
                 written.result()
-            written = writer.submit(_write, kept, target, probability, threshold)
+            written = writer.submit(_write, kept, target, probability, run)
             if progress:
                 progress(done, len(targets))
         if written:
@@ -121,19 +140,35 @@ def _write_all(
     return seconds
 
 
+def completed_target(
+    trained: Trained, release: Release, target: Target, device: str
+) -> tuple[NDArray[np.float16], float]:
+    """The network's probabilities for a pair, (n, n, n), and the seconds that it took.
+
+    Raises:
+        PairError, ReleaseError: the pair cannot be read.
+    """
+    where = str(release.pair_path(target))
+    pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
+    started = time.perf_counter()
+    probability = completed(trained.network, unpack(pair.partial), trained.config, device)
+    return probability, time.perf_counter() - started
+
+
 def _write(
-    kept: PredictionFolder, target: Target, probability: NDArray[np.float16], threshold: float | None
+    kept: PredictionFolder, target: Target, probability: NDArray[np.float16], run: UnfinishedFile
 ) -> None:
-    kept.write(target, prediction_bytes(probability, threshold))
+    kept.write(target, prediction_bytes(probability, run))
 
 
-def prediction_bytes(probability: NDArray[np.float16], threshold: float | None) -> bytes:
-    """A prediction's file: probabilities as they are, or bits at 256^3, packed along the last axis."""
-    if threshold is None:
-        return npz_bytes({"prediction": probability}, level=LEVEL)
-    return packed_npz_bytes(
-        {"prediction": np.stack([pack(p > threshold) for p in upsampled_planes(probability)])}
-    )
+def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
+    """A prediction's file: probabilities, packed or as they are, or bits at 256^3 along the last axis."""
+    if run.threshold is not None:
+        planes = upsampled_planes(probability)
+        return packed_npz_bytes({"prediction": np.stack([pack(p > run.threshold) for p in planes])})
+    if run.precision == "packed" and (arrays := packed(probability)):
+        return npz_bytes(arrays, level=PACKED_LEVEL)
+    return npz_bytes({"prediction": probability}, level=LEVEL)
 
 
 def notes(trained: Trained, release: Release) -> list[str]:
@@ -151,9 +186,10 @@ def notes(trained: Trained, release: Release) -> list[str]:
     return found
 
 
-def _method(
-    trained: Trained, release: Release, run: UnfinishedFile, seconds: list[float], device: str
+def method_of(
+    trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
 ) -> MethodFile:
+    """What method.json says of a run; `seconds` that the network took, of each view."""
     config, training = trained.config, trained.training
     return MethodFile(
         name=config.name,
@@ -166,6 +202,7 @@ def _method(
             "config_sha256": config.sha256,
             "weights_sha256": trained.weights_sha256,
             "threshold": run.threshold,
+            "precision": run.precision,
             "torch": run.torch,
         },
         training=training.model_dump(

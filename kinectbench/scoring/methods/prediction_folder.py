@@ -24,6 +24,7 @@ WORDS = {
     "weights_sha256": "other weights",
     "config_sha256": "another configuration",
     "threshold": "another --threshold",
+    "precision": "another --precision",
     "version": "another version of kinectbench",
     "torch": "another version of torch",
     "hardware": "other hardware",
@@ -36,7 +37,8 @@ class PredictionFolder:
     Args:
         folder: of the method; it is there.
         run: which begins or goes on.
-        targets: that it predicts.
+        targets: that may be predicted; what lies there of others is nobody's.
+        wanted: those of them that it predicts. What the same run wrote of the others is kept.
         say: called with a line where predictions of another run are removed.
 
     Raises:
@@ -51,6 +53,7 @@ class PredictionFolder:
         folder: Path,
         run: UnfinishedFile,
         targets: Sequence[Target],
+        wanted: Sequence[Target],
         say: Callable[[str], None] | None = None,
     ) -> None:
         self._folder, self._run = folder, run
@@ -62,7 +65,9 @@ class PredictionFolder:
             for name, digest in written.items()
             if name in {_name(target) for target in targets} and self._digest(name) == digest
         }
-        is_whole = done is not None and done.run_sha256 == run.sha256 and len(self._kept) == len(targets)
+        is_same = done is not None and done.run_sha256 == run.sha256
+        # A file that changed since, of the wanted ones or not, is removed, and the run is begun again.
+        is_whole = is_same and all(map(self.holds, wanted)) and self._kept.keys() == written.keys()
         self._complete = done if is_whole else None
         if self._complete is None:
             self._begin(done, begun, targets, say)
@@ -197,7 +202,10 @@ def _difference(done: MethodFile | None, begun: UnfinishedFile | None, run: Unfi
     else:
         before = {}
     now = run.json_value()
-    return ", ".join(words for key, words in WORDS.items() if before.get(key) != now.get(key))
+    differing = [key for key in WORDS if before.get(key) != now.get(key)]
+    if "threshold" in differing and "precision" in differing:
+        differing.remove("precision")  # bits have none
+    return ", ".join(WORDS[key] for key in differing)
 
 
 def _removed_line(folder: Path, count: int, difference: str) -> str:
