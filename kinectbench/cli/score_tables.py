@@ -170,9 +170,10 @@ def comparison_tables(found: Comparison) -> "list[WideTable]":
     stands = [f"{name}: {_as_stated(standing)}" for name, standing in found.standings.items()]
     means.caption = "\n".join([GROUPS_NOTE, *stands, *([UNKNOWN_NOTE] if _told(shares) else [])])
     pairs = WideTable(title="differences, object by object", keep=2)
-    for column in ("methods", "scope", "difference", "p", "p (Holm)", ""):
+    for column in ("methods", "scope", "difference", "95 %", "p", "p (Holm)", ""):
         pairs.add_column(column, justify="left" if column in ("methods", "scope", "") else "right")
     for row in found.differences:
-        cells = [row.scope, f"{row.mean:+.3f}", f"{row.p:.2g}", f"{row.p_holm:.2g}", row.verdict]
+        between = "" if row.interval is None else "{:+.3f} to {:+.3f}".format(*row.interval)
+        cells = [row.scope, f"{row.mean:+.3f}", between, f"{row.p:.2g}", f"{row.p_holm:.2g}", row.verdict]
         pairs.add_row(Text(f"{row.first} - {row.second}"), *map(Text, cells))
     return [means, pairs]

@@ -13,7 +13,15 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 from kinectbench.scoring.letters import MOST_GROUPS, letters
 from kinectbench.scoring.protocols import PRIMARY
-from kinectbench.scoring.uncertainty import MAX_EXACT, holm, samples, sign_flip_ps, smallest_p
+from kinectbench.scoring.uncertainty import (
+    MAX_EXACT,
+    bootstrap_interval,
+    holm,
+    samples,
+    sign_flip_ps,
+    smallest_p,
+    student_interval,
+)
 
 ALPHA = 0.05
 ALL = "all"
@@ -32,6 +40,9 @@ class Difference:
         second: name of another.
         scope: a category, or "all": the mean over the categories.
         mean: mean of first minus second.
+        interval: lower and upper end of its 95 % interval over objects, of this one difference: unlike
+            `p_holm` it is not corrected for the number of pairs. None with fewer than three objects, or with
+            fewer in a category of "all".
         by_object: first minus second of each object, by name.
         p: of the sign-flip test, two-sided.
         p_holm: corrected for all pairs of methods compared in this scope.
@@ -43,6 +54,7 @@ class Difference:
     second: str
     scope: str
     mean: float
+    interval: tuple[float, float] | None
     by_object: Mapping[str, float]
     p: float
     p_holm: float
@@ -106,7 +118,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     found, notes, small = [], [], {}
     for scope in scopes:
         here = [column[scope] for column in columns]
-        found += _differences(names, here, scope, metric)
+        found += _differences(names, here, scope, metric, _intervals(means, metric, scope))
         count, pairs = len(here[0]), len(names) * (len(names) - 1) // 2
         if pairs * smallest_p(count) > ALPHA:
             small[scope] = too_small(count, pairs)
@@ -248,9 +260,13 @@ def _values(means: Mapping[str, ObjectMeans], metric: str, scope: str) -> dict[s
 
 
 def _differences(
-    names: Sequence[str], values: Sequence[Weighted], scope: str, metric: str
+    names: Sequence[str],
+    values: Sequence[Weighted],
+    scope: str,
+    metric: str,
+    intervals: Sequence[tuple[float, float] | None],
 ) -> list[Difference]:
-    """Every pair of methods in one scope."""
+    """Every pair of methods in one scope, each with its interval."""
     pairs = list(combinations(range(len(names)), 2))
     raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
     weights = np.array([weight for _, weight in values[0].values()])
@@ -265,8 +281,31 @@ def _differences(
         verdict = f"{better} is better (p = {corrected:.2g})"
         if corrected > ALPHA:
             verdict = "no difference shown" if smallest <= ALPHA else "too few objects to tell"
-        found.append(Difference(names[a], names[b], scope, mean, raw[n], p, corrected, smallest, verdict))
+        found.append(
+            Difference(
+                *(names[a], names[b], scope, mean, intervals[n]),
+                *(raw[n], p, corrected, smallest, verdict),
+            )
+        )
     return found
+
+
+def _intervals(
+    means: Sequence[Mapping[str, ObjectMeans]], metric: str, scope: str
+) -> list[tuple[float, float] | None]:
+    """Of the mean difference of every pair of methods: by the rules of the means of one method.
+
+    Both methods were scored on the same objects, so objects are drawn together: what is resampled, or has a
+    deviation, is each object's difference.
+    """
+    column, pairs = AVERAGED.index(metric), list(combinations(range(len(means)), 2))
+    groups = []
+    for category in means[0] if scope == ALL else [scope]:
+        values = np.stack([of[category].values[:, column] for of in means], axis=1)
+        differences = np.stack([values[:, a] - values[:, b] for a, b in pairs], axis=1)
+        groups.append((differences, means[0][category].weights))
+    found = bootstrap_interval(groups) if scope == ALL else student_interval(*groups[0])
+    return [None] * len(pairs) if found is None else [(float(low), float(high)) for low, high in found]
 
 
 def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str) -> dict[str, int]:

@@ -140,6 +140,22 @@ def test_a_difference_and_its_ranks() -> None:
     assert lower.ranks == {"chair": {"good": 1, "bad": 2}}
 
 
+def test_the_interval_of_a_difference_is_paired() -> None:
+    """By hand in a category, where what both share does not widen it; over all by resampled objects."""
+    two = ("chair", "table")
+    found = compare([method("good", 0.2, 8, two), method("bad", 0.1, 8, two)])
+    of_category, _, of_all = found.differences
+    sample = np.array([*of_category.by_object.values()])
+    assert np.ptp(sample) == pytest.approx(0.07)
+    expected = stats.t.interval(0.95, 7, sample.mean(), stats.sem(sample))
+    assert of_category.interval == pytest.approx(expected)
+    drawn = np.random.default_rng(0).choice(sample, (2, 20_000, 8)).mean(axis=(0, 2))
+    assert of_all.interval == pytest.approx(tuple(np.quantile(drawn, [0.025, 0.975])), abs=0.001)
+    assert of_all.interval is not None and of_all.interval[0] < of_all.mean < of_all.interval[1]
+    few = compare([method("good", 0.2, 2), method("bad", 0.1, 2)])
+    assert few.differences[0].interval is None
+
+
 def test_too_small_to_tell() -> None:
     found = compare([method("good", 0.2, 5), method("bad", 0.1, 5)])
     assert found.ranks == {"chair": {"good": 1, "bad": 1}}
