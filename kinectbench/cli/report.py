@@ -1,5 +1,6 @@
 """`kinectbench report`: the page, of a benchmark's build or of a release alone."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,6 +8,7 @@ import typer
 
 from kinectbench.cli.build import build_recordings, exit_status, release_here
 from kinectbench.cli.common import Baselines, Common, Ids, takes
+from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.release.release import Release
@@ -22,8 +24,13 @@ def report(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="default: index.html in the folder of scores")] = None,
     baselines: Baselines = True,
+    paper_table: Annotated[
+        bool, typer.Option("--paper-table", help="print the paper's table of the scores instead, Markdown")
+    ] = False,
 ) -> int:
     """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
+    if paper_table:
+        return _paper_table(common, ids, scores or [common.beside("scores")], out, baselines)
     from kinectbench.release.release import open_release
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
@@ -36,6 +43,33 @@ def report(
     page = write_page(common, release, scores or common.beside("scores"), out, baselines)
     common.tell_written(page.resolve())
     return exit_status(rows)
+
+
+def _paper_table(
+    common: Common, ids: Sequence[str] | None, scores: Sequence[Path], out: Path | None, baselines: bool
+) -> int:
+    """The paper's table of score files: printed, or written to a file; nothing is built for it."""
+    from dataclasses import asdict
+
+    from kinectbench.core.storage import replaced_file
+    from kinectbench.release.release import open_release
+    from kinectbench.report.paper_table import markdown, paper_tables
+    from kinectbench.report.run import baselines_of, files_named
+
+    if ids:
+        raise SettingsError("report --paper-table: is of score files, not of recordings; name --scores")
+    release = None if common.benchmark is None else open_release(release_here(common.benchmark))
+    files = files_named(scores, release.benchmark_sha256 if release else None)
+    files += baselines_of(files) if baselines else []
+    tables = paper_tables([file.table for file in files])
+    text = markdown(tables)
+    if out is None:
+        common.tell([asdict(table) for table in tables], text.splitlines())
+        return 0
+    with replaced_file(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    common.tell_written(out.resolve())
+    return 0
 
 
 def write_page(

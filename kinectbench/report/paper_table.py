@@ -1,0 +1,147 @@
+"""The paper's table of some methods' scores: IoU and cross-entropy of each category, pairs weighing alike.
+
+Source of the form: the tables at 256^3 of 3D-RecGAN++ (`scoring.published`). Pairs whose recordings say from
+which viewing angles they are stand in tables of their own, as the paper's test sets do.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+from kinectbench.core.artefacts.score_figures import ScoreRow
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable
+from kinectbench.scoring.compare import method_names
+from kinectbench.scoring.published import CATEGORIES, LABEL, REAL, SYNTHETIC, PublishedTable
+
+PROTOCOL = "paper"
+# How recordings of `import` and of `synthesize` end, and the test set of the paper that has the same angles.
+VIEWS = {"125": 125, "sv": 125, "216": 216, "cv": 216}
+TITLES = {125: "same viewing angles", 216: "cross viewing angles", None: "all pairs"}
+_ENDING = re.compile(r".+-(125|216|sv|cv)")
+NOT_KNOWN = "–"
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """One method.
+
+    Attributes:
+        method: its name.
+        published: where the paper says these figures; "" of a method that was scored.
+        iou: {category: mean over pairs}; a category without a pair is left out.
+        ce: likewise, nats a voxel.
+    """
+
+    method: str
+    published: str
+    iou: Mapping[str, float]
+    ce: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """One table.
+
+    Attributes:
+        title: of which pairs.
+        categories: the paper's in its order, then others by name; those that have pairs.
+        pairs: how many each method was scored on.
+        rows: the methods, highest mean IoU over the categories first; below them the published ones.
+    """
+
+    title: str
+    categories: tuple[str, ...]
+    pairs: int
+    rows: tuple[PaperRow, ...]
+
+
+def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
+    """The paper's tables of methods that were scored on one truth: one, or one for each kind of viewing.
+
+    Raises:
+        SettingsError: a table is not complete, or was not scored under the protocol `paper`.
+    """
+    of_methods = []
+    for name, table in zip(method_names(tables), tables, strict=True):
+        rows = table.pairs(PROTOCOL)
+        if not rows or not table.complete:
+            why = "some of its pairs are not scored" if rows else f"not scored under '{PROTOCOL}'"
+            raise SettingsError(f"{name}: {why}; score it again")
+        of_methods.append((name, rows))
+    views = sorted({_views(row) for _, rows in of_methods for row in rows}, key=lambda of: (of is None, of))
+    found = []
+    for of in views:
+        here = [(name, [row for row in rows if _views(row) == of]) for name, rows in of_methods]
+        found.append(_table(TITLES[of] if len(views) > 1 or of else TITLES[None], here, _beside(of)))
+    return found
+
+
+def _views(row: ScoreRow) -> int | None:
+    """How many viewing angles the paper's test set of such a recording has; None of any other recording."""
+    match = _ENDING.fullmatch(row.recording)
+    return VIEWS[match[1]] if match else None
+
+
+def _beside(views: int | None) -> list[PublishedTable]:
+    return [table for table in (REAL, *SYNTHETIC) if table.views == views]
+
+
+def _table(
+    title: str, methods: Iterable[tuple[str, Sequence[ScoreRow]]], beside: Sequence[PublishedTable]
+) -> PaperTable:
+    methods = [(name, rows) for name, rows in methods if rows]
+    present = {row.category for _, rows in methods for row in rows}
+    categories = (*(c for c in CATEGORIES if c in present), *sorted(present.difference(CATEGORIES)))
+    ours = [PaperRow(name, "", _means(rows, "iou"), _means(rows, "ce")) for name, rows in methods]
+    ours.sort(key=lambda row: -fmean(row.iou.values()))
+    published = [
+        PaperRow(row.method, of.title, *(_of_four(figures, categories) for figures in (row.iou, row.ce)))
+        for of in beside
+        for row in of.rows
+    ]
+    return PaperTable(title, categories, len(methods[0][1]), (*ours, *published))
+
+
+def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
+    """{category: the plain mean over its pairs}: under `paper` every pair has every figure."""
+    values: dict[str, list[float]] = {}
+    for row in rows:
+        values.setdefault(row.category, []).append(getattr(row, figure))
+    return {category: fmean(of) for category, of in values.items()}
+
+
+def _of_four(figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
+    return {name: of for name, of in zip(CATEGORIES, figures, strict=True) if name in categories}
+
+
+def markdown(tables: Sequence[PaperTable]) -> str:
+    """The tables as Markdown: a row for each method, IoU of each category and then the cross-entropies."""
+    return "\n\n".join("\n".join(_lines(table)) for table in tables) + "\n"
+
+
+def _lines(table: PaperTable) -> list[str]:
+    heads = [*(f"IoU {name}" for name in table.categories), *(f"CE {name}" for name in table.categories)]
+    lines = [
+        f"**{table.title}**: {table.pairs} pairs a method, means over pairs, every voxel counted; IoU, and "
+        "cross-entropy in nats a voxel",
+        "",
+        f"| method | {' | '.join(map(_text, heads))} |",
+        "|---" * (1 + len(heads)) + "|",
+    ]
+    for row in table.rows:
+        name = f"*{row.method}; {row.published}: {LABEL}*" if row.published else row.method
+        figures = [_figure(of.get(category)) for of in (row.iou, row.ce) for category in table.categories]
+        lines.append(f"| {_text(name)} | {' | '.join(figures)} |")
+    return lines
+
+
+def _figure(value: float | None) -> str:
+    return NOT_KNOWN if value is None else f"{value:.3f}"
+
+
+def _text(words: str) -> str:
+    """Words of others as a cell of a table in Markdown."""
+    return printable(words).replace("|", "\\|")
