@@ -1,10 +1,11 @@
 "use strict";
-// Tables that sort by a click on a heading: figures by size, words by the alphabet, gaps last.
+// Tables that sort by a click on a heading: figures by size, the best first, words by the alphabet, gaps last.
 document.querySelectorAll("table.sortable").forEach(table => {
   const headings = [...table.tHead.rows[table.tHead.rows.length - 1].cells], body = table.tBodies[0];
   const number = text => /^-?[\d.]+(e-?\d+)?( %| mm)?$/.test(text) ? parseFloat(text) : NaN;
   headings.forEach((heading, at) => heading.querySelector("button").addEventListener("click", () => {
-    const up = heading.getAttribute("aria-sort") !== "ascending";
+    const first = heading.dataset.first || "ascending", now = heading.getAttribute("aria-sort");
+    const up = (now === first) !== (first === "ascending");
     headings.forEach(other => other.removeAttribute("aria-sort"));
     heading.setAttribute("aria-sort", up ? "ascending" : "descending");
     const key = row => row.cells[at].dataset.value;

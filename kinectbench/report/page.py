@@ -161,6 +161,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bo
         "groups": beside.groups,
         "details": tables.details(ordered),
         "detail_names": list(tables.DETAILS),
+        "more_is_better": tables.MORE_IS_BETTER,
         "objects": objects,
         "listed_objects": many.object_listing(objects),
         "methods": ordered,

@@ -4,7 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kinectbench.core.artefacts.object import with_interval
-from kinectbench.core.artefacts.score_figures import SHARES, ScoreRow, SurfaceMetrics, fields_of
+from kinectbench.core.artefacts.score_figures import (
+    SHARES,
+    ScoreRow,
+    SurfaceMetrics,
+    VoxelMetrics,
+    fields_of,
+)
 from kinectbench.core.artefacts.scores import (
     OVERALL,
     CategoryAverages,
@@ -246,6 +252,13 @@ DETAILS: Mapping[str, Callable[[Averages], str]] = {
     "objects": lambda of: text_of(of.objects),
 }
 
+# Those of them that are shares, of which a first click on the heading puts the highest on top.
+MORE_IS_BETTER = frozenset(
+    str(field.title)
+    for kind in (VoxelMetrics, SurfaceMetrics)
+    for name, field in fields_of(kind).items()
+    if name in SHARES and field.title
+)
 
 # The side of these baselines limits nothing: every side of a constant gives the same grid.
 CONSTANT = ("empty", BASE_RATE)

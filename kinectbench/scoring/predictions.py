@@ -20,6 +20,8 @@ from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.truth import read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
+# Meshes that others write, and that are not read: what lies in the place of a prediction was meant as one.
+OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
 # Files of a folder of predictions that are looked at; no release has as many pairs (own choice).
 MOST_FILES = 1_000_000
 
@@ -67,11 +69,14 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
     problems: dict[Target, str] = {}
     expected = {MethodFile.FILE, UnfinishedFile.FILE}
     for target in targets:
-        expected.update(target.name + suffix for suffix in SUFFIXES)
+        expected.update(target.name + suffix for suffix in (*SUFFIXES, *OTHER_MESHES))
         candidates = [folder / target.recording / (target.view + suffix) for suffix in SUFFIXES]
         present = [path for path in candidates if path.is_symlink() or path.exists()]
         if not present:
-            missing.append(target)
+            if other := _other_mesh(folder, target):
+                problems[target] = other
+            else:
+                missing.append(target)
         elif len(present) > 1:
             suffixes = [path.suffix for path in present]
             both = "both " if len(suffixes) == 2 else ""
@@ -86,6 +91,16 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
         else:
             files[target] = present[0]
     return FoundPredictions(files, tuple(missing), problems, _stray(folder, expected), method)
+
+
+def _other_mesh(folder: Path, target: Target) -> str | None:
+    """Why the file of a target is not read that is a mesh of another kind; None if there is none."""
+    for suffix in OTHER_MESHES:
+        name = target.name + suffix
+        if (folder / name).is_file():
+            kinds = " or ".join(MESHES)
+            return f"{name}: no kind of mesh that is read; save it as {kinds}, closed, in metres"
+    return None
 
 
 def _stray(folder: Path, expected: set[str]) -> tuple[str, ...]:
@@ -139,7 +154,7 @@ def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
 
 def missing_line(target: Target) -> str:
     """One line that says which file is missing."""
-    return f"{target.name}: no prediction; expected {target.name}.npy or .npz"
+    return f"{target.name}: no prediction; expected {target.name}.npy, .npz, .ply or .obj"
 
 
 def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
@@ -160,8 +175,8 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         methods = [path for path in sorted(listed(folder)) if path.is_dir() and _answers(path, recordings)]
     if not methods:
         raise PredictionError(
-            f"{folder}: no predictions there; expected <recording>/<view>.npy or .npz, or a folder of these "
-            "per method"
+            f"{folder}: no predictions there; expected <recording>/<view>.npy, .npz, .ply or .obj, or a "
+            "folder of these per method"
         )
     for path in methods:
         if not lies_below(path, folder.resolve()):
@@ -188,7 +203,7 @@ def _answers(folder: Path, recordings: frozenset[str]) -> bool:
         named = [entry.path for entry in entries if entry.name in recordings and entry.is_dir()]
     for path in named:
         with os.scandir(path) as entries:
-            if any(Path(entry.name).suffix.lower() in SUFFIXES for entry in entries):
+            if any(Path(entry.name).suffix.lower() in (*SUFFIXES, *OTHER_MESHES) for entry in entries):
                 return True
     return False
 

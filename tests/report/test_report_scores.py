@@ -54,6 +54,12 @@ def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
     assert table.base_rate == ("0.260", "0.260") and not table.grouped
 
 
+def test_a_first_click_sorts_the_best_first() -> None:
+    """Of IoU and other shares the highest; of cross-entropy and lengths the lowest."""
+    assert {"IoU", "precision", "surface Dice"} <= tables.MORE_IS_BETTER <= {*tables.DETAILS}
+    assert not {"CE", "Chamfer, mm", "pairs"} & tables.MORE_IS_BETTER
+
+
 def test_intervals_and_groups() -> None:
     parsed = parsed_tables([made("a", 0.5, 1.0, [0.25, 0.7504]), made("b", 0.4, 1.0), made("c", 0.1, 1.0)])
     table = tables.score_table(parsed, "known", {"a": "a", "b": "ab", "c": "b"})

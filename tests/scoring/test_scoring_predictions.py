@@ -9,6 +9,7 @@ import pytest
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
 from kinectbench.scoring.predictions import check, find_predictions, split_methods
+from kinectbench.scoring.score import score
 
 GRID = np.zeros((2, 2, 2), bool)
 
@@ -43,10 +44,23 @@ def test_everything_wrong_at_once(folder: Path, release: Release, tmp_path: Path
     assert check(release, folder) == [
         "chair_01/000.npy: a link out of the folder; put the file itself",
         "chair_01/001: both .npy and .npz are there; keep one",
-        "chair_02/000: no prediction; expected chair_02/000.npy or .npz",
+        "chair_02/000: no prediction; expected chair_02/000.npy, .npz, .ply or .obj",
         "table_01/000.npy: the file is empty",
         "table_01/0.npy: answers no target of the benchmark; remove it",
     ]
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".stl", ".off"])
+def test_meshes_of_other_kinds_are_told_what_is_read(folder: Path, release: Release, suffix: str) -> None:
+    """By `check` and by `score`, also where there is nothing else."""
+    for path in folder.rglob("*.npy"):
+        path.rename(path.with_suffix(suffix))
+    name = f"chair_01/000{suffix}"
+    line = f"{name}: no kind of mesh that is read; save it as .ply or .obj, closed, in metres"
+    assert check(release, folder)[0] == line and len(check(release, folder)) == 4
+    assert split_methods(folder, release.targets) == {folder.name: folder}
+    table = score(release, folder, method="m", missing="empty")
+    assert table.failures[0].reason == line and len(table.failures) == 4 and not table.missing_as_empty
 
 
 def test_validation_is_all_or_nothing(folder: Path, release: Release) -> None:

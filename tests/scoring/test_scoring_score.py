@@ -134,7 +134,7 @@ def test_failures(release: Release, tmp_path: Path) -> None:
         {
             "recording": "chair_02",
             "view": "000",
-            "reason": "chair_02/000: no prediction; expected chair_02/000.npy or .npz",
+            "reason": "chair_02/000: no prediction; expected chair_02/000.npy, .npz, .ply or .obj",
         },
     ]
     assert [(row.recording, row.view) for row in table.rows] == [("chair_01", "001"), ("table_01", "000")]

@@ -162,7 +162,7 @@ def test_what_is_wrong_with_a_folder_is_told_at_once(release: Release, tmp_path:
         (folder / f"stray_{n:05d}").touch()
     problems = check(release, folder)
     assert problems[:4] == [
-        "chair_01/000: no prediction; expected chair_01/000.npy or .npz",
+        "chair_01/000: no prediction; expected chair_01/000.npy, .npz, .ply or .obj",
         "chair_01/001: .npy, .npz, .ply and .obj are there; keep one",
         "table_01/000.npy: cannot be read (not a plain file but a folder)",
         "chair_01/000.NPY: answers no target of the benchmark; rename it to chair_01/000.npy",
