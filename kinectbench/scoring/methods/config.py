@@ -1,5 +1,6 @@
 """The settings of a method: its network, its loss, and how it is trained. A configuration is a YAML file."""
 
+import re
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -8,6 +9,9 @@ from kinectbench.core.storage import canonical_json, name_problem, sha256_text
 from kinectbench.settings.base import Settings
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
+# One of the user's own: a class by its path.
+OWN = "own"
+CLASS_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 # Networks whose encoder and decoder are the generator's: they alone have widths and sides to choose.
 GENERATORS = ("3d-recgan++", "3d-recae")
 
@@ -15,7 +19,10 @@ GENERATORS = ("3d-recgan++", "3d-recae")
 class NetworkSettings(Settings):
     """Which network, and how large."""
 
-    kind: NetworkName = Field(description="the network, by the paper's name")
+    kind: Literal[NetworkName, "own"] = Field(description="the network, by the paper's name; own: a class")
+    class_path: str | None = Field(
+        None, description="own: `package.module:Class`, a subclass of `Network` that is installed"
+    )
     channel_divisor: int = Field(
         1, ge=1, le=64, description="hidden channels are divided by it; 1: the size that was published"
     )
@@ -34,6 +41,14 @@ class NetworkSettings(Settings):
         for name in ("output_cells", "initial_weights") if self.kind not in GENERATORS else ():
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(f"{name} cannot be chosen for {self.kind}: leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _of_own(self) -> Self:
+        if (self.kind == OWN) != (self.class_path is not None):
+            raise ValueError("class_path belongs to kind: own, and own needs it")
+        if self.class_path is not None and not CLASS_PATH.fullmatch(self.class_path):
+            raise ValueError("class_path must be like package.module:Class")
         return self
 
 

@@ -1,10 +1,14 @@
-"""The networks by name, imported when one is made. A new one is a file and a line in `NETWORKS`."""
+"""The networks by name, imported when one is made. A new one is a file and a line in `NETWORKS`.
 
-from collections.abc import Mapping
+One of the user's own needs neither: a configuration says where its class is.
+"""
+
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.untrusted import printable
 from kinectbench.scoring.methods.config import GENERATORS, NetworkName, NetworkSettings
 
 if TYPE_CHECKING:
@@ -41,17 +45,19 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
         settings: which, and how large.
         seed: of the values.
         device: where they come to lie; "meta" gives shapes without values.
+
+    Raises:
+        SettingsError: the class of the user's own is not found, or is no network.
     """
     import torch
 
     from kinectbench.scoring.methods.recae import RecAE
 
-    module, name = NETWORKS[settings.kind]
-    kind = getattr(import_module(f"kinectbench.scoring.methods.{module}"), name)
+    kind = _class_of(settings)
     sides = (settings.output_cells,) if settings.kind in GENERATORS else ()
     with torch.random.fork_rng(devices=[]), torch.device("meta" if device == "meta" else "cpu"):
         torch.manual_seed(seed)
-        network: Network = kind(settings.channel_divisor, *sides)
+        network = kind(settings.channel_divisor, *sides)
         if isinstance(network, RecAE) and settings.initial_weights == "he":
             network.start_by_he()
     if device == "meta":
@@ -61,3 +67,32 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
         if values.dim() == 5:
             values.data = values.data.contiguous(memory_format=torch.channels_last_3d)
     return network.to(device)
+
+
+def _class_of(settings: NetworkSettings) -> "Callable[..., Network]":
+    """The class of a network; errors as those of `make_network`."""
+    if settings.kind == "own":
+        return _own_class(settings.class_path or "")
+    module, name = NETWORKS[settings.kind]
+    found: Callable[..., Network] = getattr(import_module(f"kinectbench.scoring.methods.{module}"), name)
+    return found
+
+
+def _own_class(path: str) -> "Callable[..., Network]":
+    """A class by its path. It may be a stranger's word: nothing but a subclass of `Network` is called."""
+    from kinectbench.scoring.methods.network import Network
+
+    module, _, name = path.partition(":")
+    try:
+        found = getattr(import_module(module), name, None)
+    except (ImportError, SyntaxError) as error:
+        raise SettingsError(
+            f"network.class_path {path}: cannot be imported ({printable(str(error))}); install it, or name "
+            "the folder it lies in by PYTHONPATH"
+        ) from error
+    if not (isinstance(found, type) and issubclass(found, Network)):
+        raise SettingsError(
+            f"network.class_path {path}: no class of that name there that is a subclass of "
+            "kinectbench.scoring.methods.network.Network"
+        )
+    return found

@@ -52,6 +52,15 @@ WRONG = {
         ("batch: 2", "batch: 2, leave_out: chair"),
         r"tiny.yaml:4: training.leave_out: found 'chair'; wanted a list, each entry text",
     ),
+    "no class": (
+        ("3d-recae, channel_divisor: 32, output_cells: 64", "own"),
+        r"tiny.yaml:2: network: class_path belongs to kind: own, and own needs it",
+    ),
+    "a class of another": (("3d-recae,", "3d-recae, class_path: 'a:B',"), r"class_path belongs to kind: own"),
+    "no path": (
+        ("3d-recae, channel_divisor: 32, output_cells: 64", "own, class_path: nets.py"),
+        r"tiny.yaml:2: network: class_path must be like package.module:Class",
+    ),
     "missing": (("name: tiny\n", ""), r"tiny.yaml:1: name: missing; wanted text"),
 }
 
