@@ -3,11 +3,12 @@
 A release of 50 pairs of simple shapes is written with a prediction of each; a repeated pair is a target of
 its own, its prediction a hard link, so that the disk need not hold 33 GB. All are scored as one run. Prints
 the time, whether it is linear in the pairs, the memory of a worker, and whether the result depends on the
-number of workers.
+number of workers. Then the table of 100,000 pairs is made of what was counted of those 50, written and read.
 
     python benchmarks/score_many.py --jobs 2
 """
 
+import copy
 import os
 import sys
 import time
@@ -19,9 +20,15 @@ from builds import build_root
 from figures import Figure, arguments, at_most, equals, run, told
 from memory import peak_mb, watched_workers
 
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.release.release import Release, Target, open_release
-from kinectbench.scoring.score import score
+from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.pair_result import Job, count_job
+from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.score import counting_of, score
+from kinectbench.scoring.thresholds import Thresholds
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from synthetic_release import publish_synthetic
@@ -31,6 +38,8 @@ VIEWS = 5
 MAX_S = 60
 MAX_NONLINEAR = 1.2
 MAX_WORKER_MB = 1000
+TABLE_PAIRS = 100_000
+MAX_TABLE_MB = 2000
 
 
 def prepare(root: Path) -> None:
@@ -88,6 +97,37 @@ def timed(release: Release, root: Path, jobs: int) -> Timed:
     return Timed(*seconds, max(peaks.values(), default=0.0), table.text())
 
 
+def large_table(root: Path) -> tuple[int, float, float, float]:
+    """Make the table of 100,000 pairs, write it and read it, in a process of its own.
+
+    Returns:
+        Its rows, the seconds of writing and of reading, and the most memory meanwhile, MB.
+    """
+    release = open_release(root / "benchmark")
+    counting = counting_of(release, None, HALF_PIXEL, surface=False)
+    counted = [
+        count_job(Job(target, release.pair_path(target), prediction_file(root, target), 0.5, counting))
+        for target in release.targets
+    ]
+    results, rng = {}, np.random.default_rng(0)
+    for n in range(TABLE_PAIRS // PAIRS):
+        for target, one in zip(release.targets, counted, strict=True):
+            name = f"{target.recording}_{n:04d}"
+            result = copy.deepcopy(one)
+            result.tally.above[:] -= rng.integers(0, 2, result.tally.above.shape) * (result.tally.above > 0)
+            results[replace(target, recording=name, object=name)] = result
+    of = {target.category: 0.5 for target in release.targets}
+    thresholds = Thresholds(of, "fixed", (), dict.fromkeys(of, "fixed"))
+    rates = base_rates(release, 1, dict(zip(release.targets, (one.tally for one in counted), strict=True)))
+    table = make_table(release, "m", results, thresholds, rates, {}, describe(counting, "error"))
+    started, rows = time.monotonic(), len(table.rows)
+    table.write(root / "large")
+    written, facts = time.monotonic(), table.facts_sha256()
+    del results, table
+    assert read_table(root / "large" / "scores.json").facts_sha256() == facts
+    return rows, written - started, time.monotonic() - written, peak_mb()
+
+
 def _cpu_s() -> float:
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
@@ -102,6 +142,8 @@ def measure(root: Path, jobs: int, repeats: int) -> list[Figure]:
     alone_mb = peak_mb()
     few = timed(repeated(root, release, max(repeats // 4, 1)), root, jobs)
     many = timed(repeated(root, release, repeats), root, jobs)
+    with worker_pool(1) as pool:
+        rows, written_s, read_s, table_mb = submit_all(pool, large_table, [root])[0].result()
     count, ratio = repeats * PAIRS, repeats / max(repeats // 4, 1)
     return [
         told("scorings, processes", [count, jobs]),
@@ -112,6 +154,8 @@ def measure(root: Path, jobs: int, repeats: int) -> list[Figure]:
         at_most("peak memory of a worker, MB", many.worker_mb, MAX_WORKER_MB),
         at_most("the same, of a quarter, MB", few.worker_mb, MAX_WORKER_MB),
         at_most("peak memory of one process alone, MB", alone_mb, MAX_WORKER_MB),
+        told("rows of a large table; seconds to write it, and to read it", [rows, written_s, read_s]),
+        at_most("peak memory of making, writing and reading it, MB", table_mb, MAX_TABLE_MB),
         equals("tables of one process and of several are the same", alone, True),
     ]
 

@@ -190,6 +190,12 @@ OTHER_FILES = (
         "core/artefacts/method.py",
     ),
     ("gallery.npz", "some predictions at 64^3", "Gallery", "core/artefacts/gallery.py"),
+    (
+        "rows.npz",
+        "the rows of a score table that has very many",
+        "write_rows",
+        "core/artefacts/score_columns.py",
+    ),
     ("targets.csv", "the pairs of a release", "Target", "core/artefacts/targets.py"),
 )
 

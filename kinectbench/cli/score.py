@@ -224,10 +224,17 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
 def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
-    """The baselines that are not among the methods already."""
+    """The baselines that are not among the methods already; none beside a table of very many rows."""
     from kinectbench.cli import console
+    from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.scoring.baselines.beside import baselines_beside
 
+    if len(tables[0].rows) > ROWS_IN_JSON:  # all of them at once would take gigabytes
+        line = (
+            f"none beside more than {ROWS_IN_JSON} rows; `kinectbench baseline NAME` writes one to be scored"
+        )
+        console.lines("baselines", [line], "yellow")
+        return []
     protocols, names = tables[0].settings.protocols, [table.method for table in tables]
     with console.bar("baselines") as progress:
         return baselines_beside(

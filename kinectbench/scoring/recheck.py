@@ -136,7 +136,8 @@ def _differences(stated: ScoreTable, found: ScoreTable) -> Iterator[str]:
             yield f"{name}: {'not in the table' if here is None else 'its prediction cannot be scored'}"
         elif here.truth != there.truth or here.prediction not in (None, there.prediction):
             yield f"{name}: another file than the one that was scored"
-    yield from _beyond_the_rows(stated.json_value(), found.json_value())
+    rest = [table.model_copy(update={"rows": ()}).json_value() for table in (stated, found)]
+    yield from _beyond_the_rows(*rest)
 
 
 def _beyond_the_rows(stated: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[str]:

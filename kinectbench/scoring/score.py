@@ -7,6 +7,7 @@ from typing import get_args
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
+from kinectbench.core.artefacts.score_columns import MOST_ROWS
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import replaced_file
@@ -23,9 +24,6 @@ from kinectbench.scoring.protocols import check_protocols, protocols_of
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
 from kinectbench.scoring.thresholds import SEARCHED, read_thresholds
-
-# Rows of a table, one for each test pair and protocol: what `ScoreTable` has room for.
-MOST_ROWS = 30_000
 
 
 def score(

@@ -10,13 +10,13 @@ import pytest
 from scipy.special import ndtr
 from score_rows import row
 
+from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted_text import OBJECT_VALUES
 from kinectbench.report.tables import truth_of_objects
 from kinectbench.scoring import uncertainty
 from kinectbench.scoring.from_rows import from_rows
-from kinectbench.scoring.score import MOST_ROWS
 from kinectbench.scoring.uncertainty import bootstrap_interval, sign_flip_ps, student_interval
 
 EARLIER = [0.14906275222793647, 0.4262096330836071]
@@ -37,7 +37,7 @@ def test_pairs_that_are_all_unknown_are_counted_once() -> None:
     assert found.by_category is not None and found.by_category["known"]["chair"].pairs == 1
 
 
-def test_a_table_of_the_most_rows_can_be_read() -> None:
+def test_a_table_with_the_most_rows_in_it_can_be_read() -> None:
     """With all figures of a row, and what is kept of each pair and recording beside its rows."""
     frozen = json.loads((Path(__file__).parent / "frozen_scores.json").read_text(encoding="utf-8"))["rows"][
         :3
@@ -61,7 +61,7 @@ def test_a_table_of_the_most_rows_can_be_read() -> None:
         return ScoreTable.model_validate_json(json.dumps({"method": "a", **values})).text()
 
     few, many = text_of(20), text_of(220)
-    pairs = MOST_ROWS // 3
+    pairs = ROWS_IN_JSON // 3
     assert (len(many) - len(few)) / 200 * pairs < ScoreTable.MAX_BYTES
     signs = [sum(text.count(sign) for sign in ",[" + "{" * OBJECT_VALUES) for text in (few, many)]
     assert (signs[1] - signs[0]) / 200 * pairs < ScoreTable.MAX_VALUES

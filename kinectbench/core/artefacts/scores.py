@@ -1,15 +1,17 @@
 """scores.json and scores.csv: everything known of one method's scores."""
 
 import csv
+import hashlib
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.score_columns import RowsFile, read_rows, rows_as_json, write_rows
 from kinectbench.core.artefacts.score_figures import (
     FINITE,
     IN_UNIT_RANGE,
@@ -25,6 +27,7 @@ from kinectbench.core.artefacts.score_figures import (
 )
 from kinectbench.core.artefacts.score_marks import REPORTED, Mark, Sha256, ValidationUse, Verified
 from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.core.untrusted import cell
 
@@ -223,6 +226,10 @@ class ScoreTable(Stored):
         {}, description="category -> the constant that CE is compared with, and where it is from"
     )
     rows: tuple[ScoreRow, ...] = Field((), description="one for each protocol and test pair")
+    rows_file: RowsFile | None = Field(
+        None,
+        description="of more than 30,000 rows: rows.npz beside this file holds them, and `rows` is empty",
+    )
     by_category: Annotated[dict[str, ByCategory], BeforeValidator(_without_nulls)] | None = Field(
         None, description="protocol -> category -> averages; null if not complete"
     )
@@ -260,10 +267,16 @@ class ScoreTable(Stored):
 
     def facts_sha256(self) -> str:
         """SHA-256 of all that a recheck finds equal: everything but what follows from it, and `verified`."""
-        content = self.json_value()
-        return sha256_text(
-            canonical_json({key: content[key] for key in sorted(content) if key not in NO_FACTS})
-        )
+        content = self.model_copy(update={"rows": ()}).json_value()
+        digest, sign = hashlib.sha256(), "{"
+        for key in sorted(set(content) - NO_FACTS):
+            digest.update(f"{sign}{canonical_json(key)}:".encode())
+            sign = ","
+            # Row by row: all of half a million as one text take gigabytes.
+            for part in rows_as_json(self.rows) if key == "rows" else [canonical_json(content[key])]:
+                digest.update(part.encode())
+        digest.update(b"}")
+        return digest.hexdigest()
 
     def predictions_sha256(self) -> str:
         """SHA-256 of the names of the pairs and the hashes of their predictions."""
@@ -322,10 +335,26 @@ class ScoreTable(Stored):
         Raises:
             StorageError: the disk is full or read-only.
         """
+        table, beside = self, write_rows(self.rows, folder)
+        if beside is not None:
+            table = self.model_copy(update={"rows": (), "rows_file": beside})
         files = {SCORES_CSV: self.csv()} if name == SCORES_JSON else {}
-        for file, text in (files | {name: self.text()}).items():
+        for file, text in (files | {name: table.text()}).items():
             with replaced_file(folder / file) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+
+    @classmethod
+    def read_file(cls, path: Path) -> Self:
+        """Read a table, and the rows that lie beside it; errors as of `Stored.read_file`."""
+        table = super().read_file(path)
+        if table.rows_file is None:
+            return table
+        if table.rows:
+            raise StorageError(
+                f"{path}: it has 'rows' and 'rows_file', of which one must hold all; {cls.ADVICE}"
+            )
+        rows = read_rows(path.parent, table.rows_file)
+        return table.model_copy(update={"rows": rows, "rows_file": None})
 
 
 # What follows from the rows and the settings, or says nothing of the numbers.
@@ -333,12 +362,12 @@ DERIVED = (
     *("by_category", "overall", "truth_unknown_share", "all_unknown_pairs", "notes", "extremes"),
     *("iou_by_threshold", "marks"),
 )
-NO_FACTS = {*DERIVED, "verified"}
+NO_FACTS = {*DERIVED, "verified", "rows_file"}
 
 # Keys that tables of the first versions lack.
 LATER_KEYS = (
     *("threshold_source_by_category", "threshold_objects", "validation", "missing_as_empty", "marks"),
-    *("verified", "run_sha256"),
+    *("verified", "run_sha256", "rows_file"),
     *("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories"),
     "all_unknown_pairs",
 )

@@ -1,0 +1,150 @@
+"""rows.npz: the rows of a score table that has too many for its scores.json, a column for each figure.
+
+A row takes 0.95 kB as JSON and 4.8 kB to be read, as columns 0.4 kB. A figure that is null is NaN. A text is
+an index into a list of the texts that occur, since a hundred thousand pairs have few categories.
+"""
+
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, ValidationError
+
+from kinectbench.core.artefacts.score_figures import ByThreshold, Pair, ScoreRow, fields_of
+from kinectbench.core.artefacts.score_marks import Sha256
+from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import canonical_json, replaced_file, storage_errors
+from kinectbench.core.untrusted import open_plain, size_of
+from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
+
+ROWS_NPZ = "rows.npz"
+# More rows than these, 10,000 pairs under three protocols, lie in rows.npz.
+ROWS_IN_JSON = 30_000
+# 100,000 pairs under all five protocols.
+MOST_ROWS = 500_000
+# Of the most rows: 360 bytes each, and as much again for long names (own choice).
+MOST_BYTES = 2 * 360 * MOST_ROWS
+(CURVE,) = fields_of(ByThreshold)
+TEXTS = tuple(name for name in fields_of(Pair) if name != "threshold")
+NUMBERS = tuple(name for name in fields_of(ScoreRow) if name not in (*TEXTS, CURVE))
+WORDS = "{}_words"
+THRESHOLDS = 17
+# Rows that are made from columns at once (own choice): their plain values take 30 MB.
+AT_ONCE = 10_000
+_PLAIN_ROW = TypeAdapter(ScoreRow)
+
+
+class RowsFile(Part):
+    """What scores.json says of the rows that lie beside it."""
+
+    rows: int = Field(ge=0, le=MOST_ROWS, description="how many")
+    sha256: Sha256 = Field(description="SHA-256 of rows.npz")
+
+
+def rows_as_json(rows: Sequence[ScoreRow]) -> Iterator[str]:
+    """The list of rows as canonical JSON, in parts: half a million in one text take gigabytes."""
+    for at, row in enumerate(rows):
+        yield f"{',' if at else '['}{canonical_json(_PLAIN_ROW.dump_python(row, mode='json'))}"
+    yield "]" if rows else "[]"
+
+
+def write_rows(rows: Sequence[ScoreRow], folder: Path) -> RowsFile | None:
+    """Write rows.npz into a folder; of few rows write none, and remove that of an earlier table.
+
+    Returns:
+        What scores.json must say of it; None where it holds the rows itself.
+
+    Raises:
+        StorageError: the disk is full or read-only.
+    """
+    path = folder / ROWS_NPZ
+    if len(rows) <= ROWS_IN_JSON:
+        with storage_errors(path):
+            path.unlink(missing_ok=True)
+        return None
+    content = npz_bytes(_columns(rows), level=1)
+    with replaced_file(path) as temporary:
+        temporary.write_bytes(content)
+    return RowsFile(rows=len(rows), sha256=hashlib.sha256(content).hexdigest())
+
+
+def _columns(rows: Sequence[ScoreRow]) -> dict[str, NDArray[Any]]:
+    """The arrays of rows.npz."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in TEXTS:
+        found: dict[str, int] = {}
+        places = [found.setdefault(getattr(row, name), len(found)) for row in rows]
+        arrays[name], arrays[WORDS.format(name)] = np.array(places, np.int32), np.array([*found], np.str_)
+    for name in NUMBERS:
+        values = (getattr(row, name) for row in rows)
+        arrays[name] = np.fromiter((math.nan if of is None else of for of in values), np.float64, len(rows))
+    curves = np.full((len(rows), THRESHOLDS), np.nan)
+    for at, row in enumerate(rows):
+        if row.iou_by_threshold is not None:
+            curves[at] = row.iou_by_threshold
+    arrays[CURVE] = curves
+    return arrays
+
+
+def read_rows(folder: Path, said: RowsFile) -> tuple[ScoreRow, ...]:
+    """Read rows.npz, which may be a stranger's.
+
+    Args:
+        folder: that it lies in.
+        said: what the scores.json beside it says.
+
+    Raises:
+        StorageError: it is missing, damaged, larger than it may be, or not the file that is meant. One line.
+    """
+    path, count = folder / ROWS_NPZ, said.rows
+    try:
+        with open_plain(path) as file:
+            if size_of(file) > MOST_BYTES:
+                raise ValueError(f"larger than {MOST_BYTES} bytes")
+            if hashlib.file_digest(file, "sha256").hexdigest() != said.sha256:
+                raise ValueError("another file than scores.json names")
+            file.seek(0)
+            arrays = arrays_of(file, MOST_BYTES)
+        _check(arrays, count)
+        return tuple(row for start in range(0, count, AT_ONCE) for row in _rows(arrays, start))
+    except ValidationError as error:
+        first = error.errors(include_input=False)[0]
+        why = f"'{'.'.join(map(str, first['loc']))}': {first['msg']}"
+    except (*UNREADABLE, ValueError) as error:
+        why = str(error)
+    raise StorageError(f"{path}: not the rows of a score table ({why}); score the predictions again")
+
+
+def _check(arrays: dict[str, NDArray[Any]], count: int) -> None:
+    """Refuse columns of other shapes and types, and texts that are not listed."""
+    for name in (*TEXTS, *NUMBERS, CURVE):
+        column = arrays[name]
+        shape = (count, THRESHOLDS) if name == CURVE else (count,)
+        if column.shape != shape or column.dtype != (np.int32 if name in TEXTS else np.float64):
+            raise ValueError(f"'{name}' is {column.dtype} {column.shape}, wanted {shape}")
+    for name in TEXTS:
+        words, column = arrays[WORDS.format(name)], arrays[name]
+        if words.ndim != 1 or words.dtype.kind != "U":
+            raise ValueError(f"'{WORDS.format(name)}' is no list of texts")
+        if count and not (column.min() >= 0 and column.max() < len(words)):
+            raise ValueError(f"'{name}' names texts that are not in '{WORDS.format(name)}'")
+
+
+def _rows(arrays: dict[str, NDArray[Any]], start: int) -> Iterator[ScoreRow]:
+    """The rows from one on, as many as are made at once; their bounds are looked at by who reads a table."""
+    here = slice(start, start + AT_ONCE)
+    columns: dict[str, list[Any]] = {}
+    for name in TEXTS:
+        words = arrays[WORDS.format(name)].tolist()
+        columns[name] = [words[at] for at in arrays[name][here].tolist()]
+    for name in NUMBERS:
+        columns[name] = [None if math.isnan(of) else of for of in arrays[name][here].tolist()]
+    columns["cells"] = [int(of) if of is not None and of.is_integer() else of for of in columns["cells"]]
+    columns[CURVE] = [None if math.isnan(of[0]) else tuple(of) for of in arrays[CURVE][here].tolist()]
+    for values in zip(*columns.values(), strict=True):
+        yield ScoreRow(**dict(zip(columns, values, strict=True)))
