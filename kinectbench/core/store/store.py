@@ -1,10 +1,11 @@
 """A place by its URL: files are read, listed, put once or replaced there, each as a whole."""
 
+import asyncio
 import itertools
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
@@ -26,6 +27,11 @@ T = TypeVar("T")
 
 # Of one request, with its answer: a part of 8 MB at 140 kB/s. What takes longer is cut off and goes on.
 REQUEST_TIMEOUT, CONNECT_TIMEOUT = "60s", "10s"
+# Until the next of what a store lists, longer than one request takes: a store may answer with empty pages for
+# ever, each of which says that there is more.
+LISTED_S = 65.0
+# Objects asked for at once: an S3 page.
+LISTED_AT_ONCE = 1000
 # S3 takes at least 5 MB as a part, and 10,000 of them: files up to 80 GB.
 PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
 # Files that are read or put at a time (own choice).
@@ -190,9 +196,30 @@ class Store:
 
     def _first_listed(self) -> object:
         """A request that a store answers if it answers at all."""
+        return next(self._chunks(None, None, 1), None)
+
+    def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence[Any]]:
+        """What is listed, so many objects at a time; each is waited for as long as a store may take.
+
+        Raises:
+            StorageError: the next do not come.
+        """
         import obstore
 
-        return next(iter(obstore.list(self._opened(), chunk_size=1)), None)
+        pages = obstore.list(self._opened(), prefix=below, offset=after, chunk_size=at_once).__aiter__()
+        # In a thread of its own: the caller's may run an event loop, as a notebook's does.
+        with ThreadPoolExecutor(1, "listing") as pool:
+            while True:
+                try:
+                    chunk = pool.submit(asyncio.run, _next(pages)).result()
+                except TimeoutError:
+                    raise StorageError(
+                        f"{self.place(below or '')}: the store lists nothing for {LISTED_S:.0f} s and says "
+                        "that there is more; name another store, or ask whoever runs it"
+                    ) from None
+                if chunk is None:
+                    return
+                yield chunk
 
     def _opened(self, *, make: bool = False) -> "ObjectStore":
         if _first_process.setdefault("id", os.getpid()) != os.getpid():
@@ -253,16 +280,14 @@ class Store:
 
     def _list_on(self, below: str, most: int, found: list[StoredObject]) -> None:
         """Add to what was found what is listed behind it; a store that lists in no order is listed anew."""
-        import obstore
-
         try:
-            store = self._opened()
+            self._opened()
         except FileNotFoundError:  # a folder of this machine; an object store has none, and so holds nothing
             return
         in_order = all(one.name < other.name for one, other in itertools.pairwise(found))
         if not in_order or self.url.startswith(("file:", "memory:")):
             found.clear()
-        for chunk in obstore.list(store, prefix=below or None, offset=found[-1].name if found else None):
+        for chunk in self._chunks(below or None, found[-1].name if found else None, LISTED_AT_ONCE):
             found += [_object(each) for each in chunk]
             if len(found) > most:
                 raise StorageError(f"{self.place(below)}: holds more than {most} files")
@@ -301,6 +326,15 @@ def in_parallel(
             pool.shutdown(cancel_futures=True)
             raise
         return results
+
+
+async def _next(pages: AsyncIterator[Sequence[Any]]) -> Sequence[Any] | None:
+    """The next objects of a listing; None at its end.
+
+    Raises:
+        TimeoutError: they do not come.
+    """
+    return await asyncio.wait_for(anext(pages, None), LISTED_S)
 
 
 def _object(meta: Any) -> StoredObject:

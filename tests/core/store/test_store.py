@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
@@ -18,6 +18,7 @@ from s3_server import S3Server, free_port, start_s3
 from stores import proxied, s3, s3_server, url
 
 from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.store import store as store_module
 from kinectbench.core.store.address import joined, parent_of, shown, url_of
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE, MissingObjectError, StoreGoneError
 from kinectbench.core.store.store import WAITING, Store, fetch_all, in_parallel
@@ -262,6 +263,37 @@ def test_a_listing_goes_on_where_it_failed(proxied: FaultProxy, s3: str) -> None
     proxied.choose = choose
     assert [each.name for each in store.objects("many")] == names
     assert len(pages) == 5
+
+
+class _EmptyPages(BaseHTTPRequestHandler):
+    """A store that answers every listing with no object, and says that there is more."""
+
+    def do_GET(self) -> None:
+        page = (
+            b"<ListBucketResult><Name>bucket</Name><KeyCount>0</KeyCount><MaxKeys>1000</MaxKeys>"
+            b"<IsTruncated>true</IsTruncated><NextContinuationToken>on</NextContinuationToken>"
+            b"</ListBucketResult>"
+        )
+        self.send_response(200)
+        self.send_header("content-length", str(len(page)))
+        self.end_headers()
+        self.wfile.write(page)
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+def test_a_listing_of_empty_pages_ends(s3: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store_module, "LISTED_S", 1.0)
+    with ThreadingHTTPServer(("127.0.0.1", 0), _EmptyPages) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
+        begun = time.monotonic()
+        for call in (Store("s3://empty-pages").objects, Store("s3://empty-pages")._first_listed):
+            with pytest.raises(StorageError, match=r"^s3://empty-pages: the store lists nothing for 1 s"):
+                call()
+        assert time.monotonic() - begun < 10
+        server.shutdown()
 
 
 def test_calls_do_not_wait_in_memory() -> None:
