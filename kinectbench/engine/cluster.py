@@ -4,6 +4,7 @@ The scheduler keeps nothing but what is in flight: what is done lies on disk. Wh
 dies, the same command goes on from there.
 """
 
+import asyncio
 import logging
 import re
 import ssl
@@ -12,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.request import ProxyHandler, build_opener
 
 from kinectbench.core.errors import ClusterError, SettingsError
@@ -36,6 +37,9 @@ MOST_FILE_BYTES = 64 << 20
 # Seconds: between two looks at the workers; without a scheduler's answer; without any worker; until Dask's
 # page answers (own choices).
 LOOK_S, CONNECT_S, NO_WORKERS_S, DASHBOARD_S = 1.0, 20.0, 900.0, 2.0
+# Seconds without an answer of a scheduler that has answered before: a busy one may be silent for a minute
+# (own choice).
+SILENT_S = 300.0
 # A worker that was killed is started again by its nanny within seconds; after this it is gone (own choice).
 RESTART_S = 60.0
 # Of a scheduler that is started here; docs/cluster.md says how others are given them. Three tries; a worker
@@ -106,7 +110,20 @@ def _connected(address: str, local: int, stack: ExitStack) -> "Client":
     _be_quiet()  # not before: the levels of its loggers are set when it is imported
 
     class OwnClient(Client):  # type: ignore[misc]
-        """Closed by us: at its own end one that never connected waits for 40 s and prints a traceback."""
+        """Waits for a scheduler no longer than told; closed by us.
+
+        At its own end one that never connected waits for 40 s and prints a traceback.
+        """
+
+        async def _start(self, **how: Any) -> None:
+            # To connect, to be greeted and to be known; of these Dask limits only the first.
+            try:
+                await asyncio.wait_for(super()._start(**how), 3 * CONNECT_S)
+            except TimeoutError:
+                raise OSError(f"it takes calls, but said nothing for {3 * CONNECT_S:.0f} s") from None
+
+        def sync(self, *call: Any, callback_timeout: float | None = None, **how: Any) -> Any:
+            return super().sync(*call, callback_timeout=callback_timeout or SILENT_S, **how)
 
         def __del__(self) -> None:
             pass

@@ -2,6 +2,8 @@
 
 import contextlib
 import shutil
+import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -278,6 +280,35 @@ def test_where_no_scheduler_answers(
     for address in ("tcp://127.0.0.1:9", str(tmp_path / "s.json")):
         run = command(tmp_path, "build", "--cluster", address)
         check_line(run, 1, f"--cluster {address}|no scheduler answers there")
+
+
+def test_a_port_that_takes_calls_and_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_S", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with (
+            pytest.raises(ClusterError, match=r"no scheduler answers there .*said nothing for 3 s"),
+            cluster(address),
+        ):
+            pass
+
+
+def test_a_scheduler_that_falls_silent_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is stopped, not dead: its sockets stay open."""
+    monkeypatch.setattr(module, "SILENT_S", 2.0)
+    file = tmp_path / "scheduler.json"
+    run = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    where = ["--host", "127.0.0.1", "--scheduler-file", str(file)]
+    with subprocess.Popen([*run, *where], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as scheduler:
+        try:
+            while not file.is_file() or not file.read_text():
+                time.sleep(0.1)
+            with pytest.raises(ClusterError, match="lost the scheduler"), cluster(str(file)) as dask:
+                dask.slots()
+                scheduler.send_signal(signal.SIGSTOP)
+                list(dask.outcomes(doubled, [1], Heard()))
+        finally:
+            scheduler.kill()
 
 
 def test_tls_that_is_not_set_is_told_at_once(tmp_path: Path) -> None:
