@@ -174,10 +174,10 @@ class Common:
         self.tell([str(path) for path in paths], (f"wrote {path}" for path in paths))
 
     def tell_problems(self, problems: list[str], well: str) -> None:
-        """Print one line per problem, on standard error, or one line that all is well."""
+        """Print one line per problem, on standard error, or one line that all is well; a thousand at most."""
         from kinectbench.cli import console
 
-        self.tell(problems, () if problems else [well])
+        self.tell(console.at_most(problems), () if problems else [well])
         console.lines("error", problems, "red")
 
 

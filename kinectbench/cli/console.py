@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 PLAIN_WIDTH = 160
 # Of a message: what a library says of a file may quote a good part of it. Ours have up to 400 (own choice).
 LONGEST = 900
+# Lines of one kind: more than anybody reads; a stranger may have caused hundreds of thousands (own choice).
+MOST_LINES = 1000
 # Where no bar can be drawn, one is a line as often as this; what is done sooner says nothing.
 LOG_EVERY_S = 10.0
 # What each stage can say of a recording, by the field of its summary.
@@ -84,9 +86,15 @@ def say_json(value: Any) -> None:
     typer.echo(json.dumps(value))
 
 
+def at_most(messages: Sequence[str]) -> list[str]:
+    """The first `MOST_LINES` of messages, and in one more how many there are beyond."""
+    more = len(messages) - MOST_LINES
+    return [*messages[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])]
+
+
 def lines(kind: str, messages: Sequence[str], style: str) -> None:
-    """One line per message on standard error, without wrapping."""
-    for message in messages:
+    """One line per message on standard error, without wrapping; no more than `at_most`."""
+    for message in at_most(messages):
         # Names and messages hold what strangers wrote: never markup.
         text = Text.assemble((f"{one_line(kind)}:", style), " ", one_line(message))
         err.print(text, highlight=False, soft_wrap=True)

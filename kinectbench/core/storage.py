@@ -75,7 +75,7 @@ UNTOUCHED = "; what was there before is untouched"
 
 @contextlib.contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn the operating system's complaints about a full or read-only disk into one clear line."""
+    """Turn the operating system's complaints about what cannot be written into one clear line."""
     try:
         yield
     except OSError as error:
@@ -87,6 +87,7 @@ def storage_errors(path: Path) -> Iterator[None]:
             errno.EROFS: "the disk is read-only: choose a folder that can be written",
             errno.EACCES: "no permission to write there: choose another folder or change its rights",
             errno.EFBIG: "files may not grow so large here: raise the limit (`ulimit -f`) and try again",
+            errno.ENAMETOOLONG: "longer than a file's name can be here: choose a shorter one",
             errno.EPERM: "no permission to write there: choose another folder or change its rights",
         }.get(error.errno or 0)
         if not advice:

@@ -1,6 +1,7 @@
 """What the terminal shows of texts that strangers wrote: one line each, and nothing that steers it."""
 
 import io
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from rich.text import Text
 from small_benchmark import Run
 
 from kinectbench.cli import console
+from kinectbench.cli.common import Common
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
 
@@ -52,6 +54,15 @@ def test_a_message_is_one_line_whatever_is_in_it(
     watcher.say(message)
     check(terminal.getvalue(), 3)
     check(capsys.readouterr().out, 1)
+
+
+def test_a_flood_of_messages_is_cut(terminal: io.StringIO, capsys: pytest.CaptureFixture[str]) -> None:
+    flood = [f"{number}: not part of the release" for number in range(250_000)]
+    console.lines("error", flood, "red")
+    Common(as_json=True).tell_problems(flood, "all well")
+    shown, told = terminal.getvalue().splitlines(), json.loads(capsys.readouterr().out)
+    assert len(shown) == 2 * (console.MOST_LINES + 1) and len(told) == console.MOST_LINES + 1
+    assert shown[-1] == "error: and 249000 more" and told[-1] == "and 249000 more"
 
 
 def test_tables_and_titles(terminal: io.StringIO) -> None:

@@ -193,3 +193,12 @@ def test_names(name):
 def test_names_that_are_refused_everywhere(name):
     assert name_problem(name)
     assert name_problem("a++", also="+") is None and name_problem("+a", also="+")
+
+
+def test_a_name_that_the_disk_does_not_take_is_one_line(tmp_path: Path) -> None:
+    """Its temporary neighbour has a longer name than itself."""
+    with (
+        pytest.raises(StorageError, match="longer than a file's name can be"),
+        replaced_file(tmp_path / ("x" * 250)),
+    ):
+        pass

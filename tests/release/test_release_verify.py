@@ -165,6 +165,9 @@ def test_agreement_of_the_small_files(copy: Path) -> None:
 def test_damaged_sums(copy: Path) -> None:
     (copy / "SHA256SUMS").write_text("nonsense\n")
     assert verify(copy) == ["SHA256SUMS, line 1: malformed, repeated or unsafe; download it again"]
+    for name in ("x" * 256, "/".join(["x" * 200] * 6)):
+        (copy / "SHA256SUMS").write_text(f"{'0' * 64}  {name}\n")
+        assert verify(copy) == ["SHA256SUMS, line 1: longer than a file's name can be"]
     (copy / "SHA256SUMS").unlink()
     assert verify(copy) == ["SHA256SUMS: missing; make or download it again"]
     with pytest.raises(ReleaseError, match="no release there"):

@@ -21,7 +21,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.names import Named, first_clash, reserved_problem
 from kinectbench.core.storage import NAME, sha256_text
 from kinectbench.core.types import Split
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import MOST_NAME, MOST_PART_BYTES, printable
 from kinectbench.core.untrusted_text import csv_rows
 
 TARGETS_CSV = "targets.csv"
@@ -75,7 +75,7 @@ def parse_targets(text: str, where: str) -> tuple[Target, ...]:
     Tables published before pairs stated their share of unknown are read, too.
 
     Raises:
-        ReleaseError: a malformed, repeated or unsafe line; it names the line.
+        ReleaseError: a malformed, repeated, unsafe or too long line; it names the line.
     """
     try:
         rows = csv_rows(text)
@@ -185,13 +185,15 @@ def parse_sums(text: str, where: str) -> dict[str, str]:
     """Parse SHA256SUMS: {relative path: SHA-256}; every path is safe to join to the release's folder.
 
     Raises:
-        ReleaseError: a malformed, repeated or unsafe line; it names the line.
+        ReleaseError: a malformed, repeated, unsafe or too long line; it names the line.
     """
     sums: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         match = _SUM_LINE.fullmatch(line)
         if not match or not _SAFE_PATH.fullmatch(match[2]) or match[2] in sums:
             raise ReleaseError(f"{where}, line {number}: malformed, repeated or unsafe; download it again")
+        if len(match[2]) > MOST_NAME or max(map(len, match[2].split("/"))) > MOST_PART_BYTES:
+            raise ReleaseError(f"{where}, line {number}: longer than a file's name can be")
         sums[match[2]] = match[1]
     return sums
 
