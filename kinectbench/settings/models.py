@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     field_validator,
     model_serializer,
     model_validator,
@@ -30,6 +31,8 @@ BOX_KEYS = ("center_m", "size_m", "yaw_rad")
 Vector7 = Annotated[Pose, Field(strict=False)]
 # As of a trajectory's rows: no camera is farther off, and a quaternion has a length.
 FARTHEST_M, LEAST_TURN = 1e6, 1e-6
+# Seconds, twice from 1970 to today: a clock may count from its start. In ns it fits 64 bits beside a stamp.
+MOST_DELAY_S = 4e9
 # Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
 # (the rules for solids were chosen with it).
 LEAST_RANGE_M = 3.0
@@ -60,9 +63,11 @@ class CameraSettings(Settings):
     depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
     color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
     pose_topic: str | None = Field(None, description="of a bag: the topic of poses, or tf")
-    color_delay_s: float = Field(0.0, ge=-1e10, le=1e10, description="stamps of colour are late by this")
+    color_delay_s: float = Field(
+        0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="stamps of colour are late by this"
+    )
     trajectory_delay_s: float = Field(
-        0.0, ge=-1e10, le=1e10, description="stamps of given poses are late by this"
+        0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="stamps of given poses are late by this"
     )
     min_confidence: int = Field(2, ge=0, le=2, description="of an iPhone: depth below is no measurement")
     mask_object: int | None = Field(None, description="of a BOP scene: the object whose masks are read")
@@ -83,12 +88,14 @@ class BoxSettings(Settings):
         None, pattern="^[0-9a-f]{16}$", description="of that frame's depth, the first 16 digits"
     )
 
-    @field_validator("size_m")
+    @field_validator("center_m", "size_m")
     @classmethod
-    def _positive(cls, size_m: tuple[float, float, float]) -> tuple[float, float, float]:
-        if min(size_m) <= 0:
+    def _in_range(cls, given_m: tuple[float, float, float], info: ValidationInfo) -> Vector3:
+        if max(map(abs, given_m)) > FARTHEST_M:
+            raise ValueError(f"no more than {FARTHEST_M:.0f} m each: give it in metres")
+        if info.field_name == "size_m" and min(given_m) <= 0:
             raise ValueError("every edge must be longer than 0")
-        return size_m
+        return given_m
 
     @field_validator("yaw_rad")
     @classmethod
@@ -140,6 +147,8 @@ class FloorSettings(Settings):
         # Rounded normals are made ones of length 1 where the plane is used; others are a slip.
         if not 0.5 <= math.hypot(*plane_world[:3]) <= 2:
             raise ValueError("the first three numbers are the plane's normal, of length 1")
+        if abs(plane_world[3]) > FARTHEST_M:
+            raise ValueError(f"the last number, d, is no more than {FARTHEST_M:.0f}: give it in metres")
         return plane_world
 
 

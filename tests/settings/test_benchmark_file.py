@@ -162,6 +162,14 @@ def test_each_wrong_setting_gets_its_line(tmp_path: Path, old: str, new: str, ex
             "center_m: found [0, 0, '1']; wanted a list of 3 numbers",
         ),
         ("{center_m: [0, 0, 0], size_m: [1, 1, 0]}", "size_m: every edge must be longer than 0"),
+        (
+            "{center_m: [0, 0, 0], size_m: [1, 1, 1e300]}",
+            "size_m: no more than 1000000 m each: give it in metres",
+        ),
+        (
+            "{center_m: [-1e300, 0, 0], size_m: [1, 1, 1]}",
+            "center_m: no more than 1000000 m each: give it in metres",
+        ),
         ("{center_m: [0, 0, 0]}", "size_m: missing; wanted a list of 3 numbers"),
         (
             "{center_m: [0, 0, 0], size_m: [1, 1, 1], yaw_rad: 45}",
@@ -178,6 +186,24 @@ def test_wrong_boxes(tmp_path: Path, box: str, expected: str) -> None:
     message = complaint(tmp_path, GOOD.replace("camera: {fx: 525}", f"box: {box}"))
     dot = ": " if expected.startswith("found") else "."
     assert message == f"benchmark.yaml:7: recordings.chair.box{dot}{expected}"
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (
+            "floor: {plane_world: [0, 0, 1, 1e300]}",
+            "floor.plane_world: the last number, d, is no more than 1000000: give it in metres",
+        ),
+        (
+            "camera: {trajectory_delay_s: 1e10}",
+            "camera.trajectory_delay_s: found 1e10; wanted a number from -4000000000.0 to 4000000000.0",
+        ),
+    ],
+)
+def test_numbers_out_of_all_range(tmp_path: Path, line: str, expected: str) -> None:
+    message = complaint(tmp_path, GOOD.replace("camera: {fx: 525}", line))
+    assert message == f"benchmark.yaml:7: recordings.chair.{expected}"
 
 
 @pytest.mark.parametrize(

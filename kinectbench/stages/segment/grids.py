@@ -35,7 +35,7 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: b
     margin_m = min(MARGIN_M, MARGIN_VOXELS * voxel_size_m)
     size_m = np.array(box.size_m) + 2 * margin_m
     size_m[2] = box.center_m[2] + box.size_m[2] / 2 + margin_m + FLOOR_LAYERS * voxel_size_m
-    blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS)).astype(int)
+    blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS))  # as floats: as integers the product may overflow
     if blocks.prod() > MAX_VOXELS // CUBE_VOXELS**3:
         what, advice = "the object", "give a box around the object"
         if given:

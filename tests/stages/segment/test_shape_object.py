@@ -107,6 +107,9 @@ def test_too_large_an_object():
     said = r"the given box is 60\.1 x 60\.1 x .* too large for voxels of 5 mm; give a smaller one"
     with pytest.raises(SegmentationError, match=said):
         object_grid(OrientedBox((0, 0, 45), (60, 60, 90)), FLOOR, 0.005, given=True)
+    for size_m in (1e5, 1e6, 1e7):  # the voxels of the second are more than 2^63
+        with pytest.raises(SegmentationError, match="too large for voxels of 5 mm"):
+            object_grid(OrientedBox((0, 0, 1), (size_m, size_m, size_m)), FLOOR, 0.005, given=True)
 
 
 def test_an_object_as_large_as_a_room_is_refused_at_the_usual_voxels():
