@@ -17,6 +17,7 @@ from kinectbench.core.storage import pretty_json
 from kinectbench.lab.simulate.writers.frame import Rig
 from kinectbench.lab.simulate.writers.matroska import _calibration as simulated_calibration
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest import sources
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import azure_kinect, open_recording
 from kinectbench.stages.ingest.readers.azure_calibration import DEPTH_MODES, AzureCalibration
@@ -291,6 +292,25 @@ def test_a_track_of_impossible_size_is_refused(tmp_path: Path, size_px: tuple[in
     path = write(tmp_path / "r.mkv", calibration(), mode="BGRA", color_px=size_px)
     with pytest.raises(RecordingError, match=f"a track of {size_px[0]}x{size_px[1]} pixels is of no camera"):
         open_recording(path)
+
+
+def test_a_track_of_an_unknown_codec_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "r.mkv", calibration())
+    path.write_bytes(path.read_bytes().replace(b"V_MJPEG", b"V_XJPEG"))
+    with pytest.raises(RecordingError, match="a track of 0x0 pixels is of no camera"):
+        open_recording(path)
+
+
+def test_no_more_images_are_looked_for_than_a_recording_may_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, looked = write(tmp_path / "r.mkv", calibration(), frames=60), []
+    start = azure_kinect._start
+    monkeypatch.setattr(azure_kinect, "_start", lambda *of: looked.append(of) or start(*of))
+    monkeypatch.setattr(sources, "MOST_FRAMES", 20)
+    with pytest.raises(RecordingError, match="more than the 20 frames"):
+        open_recording(path)
+    assert len(looked) <= 2 * 21  # of each of two tracks
 
 
 def test_a_file_that_was_cut_off_is_read_to_its_end(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from kinectbench.stages.ingest.readers.azure_calibration import (
     AzureCalibration,
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.sources import check_count
 from kinectbench.stages.ingest.undistortion import Undistortion
 
 if TYPE_CHECKING:
@@ -221,12 +222,13 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
     Raises:
         RecordingError: no camera takes such images; memory is asked for by their size.
     """
-    if min(track.width, track.height) <= 0 or is_too_large(track.width, track.height):
+    # A track of a codec that FFmpeg does not know has neither.
+    width, height = (int(getattr(track, side, 0)) for side in ("width", "height"))
+    if min(width, height) <= 0 or is_too_large(width, height):
         raise RecordingError(
-            f"{path}: a track of {track.width}x{track.height} pixels is of no camera; the file is damaged, "
-            "copy it again"
+            f"{path}: a track of {width}x{height} pixels is of no camera; the file is damaged, copy it again"
         )
-    return track.width, track.height
+    return width, height
 
 
 def _color_mode(track: "VideoStream") -> str:
@@ -250,14 +252,20 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, Any]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Where every depth and colour image lies, in the order of the file; and what is wrong with it."""
+    """Where every depth and colour image lies, in the order of the file; and what is wrong with it.
+
+    Raises:
+        RecordingError: there are more than a recording may have.
+    """
     import av
 
     found: dict[str, list[Place]] = {"DEPTH": [], "COLOR": [], "IR": []}
     trouble = []
     with open_plain(path) as file:
         try:
-            for packet in container.demux(video=tuple(range(len(container.streams.video)))):
+            packets = container.demux(video=tuple(range(len(container.streams.video))))
+            for count, packet in enumerate(packets):
+                check_count(path, max(len(found["DEPTH"]), len(found["COLOR"]), count // len(TRACKS)))
                 name = names.get(packet.stream.index, "IR")
                 if name == "IR" or packet.pts is None or not packet.size or packet.pos is None:
                     continue
