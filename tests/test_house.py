@@ -130,7 +130,6 @@ RAW = {
     "report/gallery.py": "text in the page",
     "scoring/baselines/predict.py": "predictions, as any method's",
     "scoring/methods/predict.py": "predictions, as any method's",
-    "scoring/methods/weights.py": "owner of weights.npz",
     "settings/edit.py": "values of YAML",
 }
 RAW_CALLS = {

@@ -13,7 +13,14 @@ from kinectbench.scoring.methods.network import Network
 from kinectbench.scoring.methods.recgan import RecGAN
 from kinectbench.scoring.methods.registry import make_network
 from kinectbench.scoring.methods.run_folder import CONFIG
-from kinectbench.scoring.methods.weights import FILE, check_fit, read_weights, set_weights, shapes_of_network
+from kinectbench.scoring.methods.weights import (
+    FILE,
+    bytes_of,
+    check_fit,
+    headers_of,
+    set_weights,
+    shapes_of_network,
+)
 from kinectbench.settings.words import listed
 
 # A folder for each network that is shipped, as `train` writes it, without its checkpoint.
@@ -81,8 +88,8 @@ def open_trained(folder: Path, device: str = "cpu") -> Trained:
     training = TrainingFile.read(folder)
     path = folder / FILE
     shapes = shapes_of_network(make_network(config.network, device="meta"))
-    arrays = read_weights(path, shapes)
-    check_fit(shapes, arrays, str(path))  # before there is a network, which may be large
+    # Before there is a network, which may be large.
+    check_fit(shapes, headers_of(path, bytes_of(shapes)), str(path))
     network = make_network(config.network)
-    set_weights(network, arrays, str(path))
+    set_weights(network, path)
     return Trained(config, network.to(device).eval(), sha256_file(path), training)

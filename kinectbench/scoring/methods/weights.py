@@ -3,6 +3,7 @@
 import math
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,17 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import replaced_file
-from kinectbench.core.untrusted import printable
-from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
+from kinectbench.core.untrusted import open_plain, printable
+from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy_header
+from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 
 FILE = "weights.npz"
 # Varley's 1.72 GB is the largest network here (own choice).
 MOST_BYTES = 4 << 30
 KINDS = tuple(np.dtype(kind) for kind in (np.float16, np.float32, np.float64, np.int64))
+OTHER_KIND = "what are no finite numbers in float16, float32, float64 or int64, low bytes first"
+# Values that are read at a time: 8 MB of the widest kind (own choice).
+SLAB_VALUES = 1 << 20
 # Of a value in the widest of these; and of an array, its header.
 WIDEST_BYTES, HEADER_BYTES = 8, 1 << 10
 
@@ -36,38 +41,86 @@ def write_weights(arrays: Arrays, path: Path) -> None:
                 np.lib.format.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
 
 
-def read_weights(path: Path, shapes: Shapes | None = None) -> dict[str, NDArray[Any]]:
+def read_weights(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays of a file that may come from anybody.
 
-    Args:
-        path: the file.
-        shapes: of the network that they are for, by name: a file that unpacks to more than this takes in
-            float64 is refused before it is unpacked. None: of whatever network.
+    Raises:
+        StorageError: it is missing, damaged, too large for any network, or no such file.
+    """
+    found = {
+        name: np.empty(header.shape, header.dtype) for name, header in headers_of(path, MOST_BYTES).items()
+    }
+    for name, begin, values in _slabs(path, MOST_BYTES):
+        found[name].reshape(-1)[begin : begin + len(values)] = values
+    return found
+
+
+def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[Any]]]:
+    """Yield the values of a file, flat, some at a time: name of the array, number of the first, values (n,).
+
+    A network may be as large as the memory; so may an array. Raises as `read_weights`.
+    """
+    with _opened(path, most_bytes) as archive:
+        for entry in archive.infolist():
+            name = entry.filename.removesuffix(NPY)
+            with archive.open(entry) as stream:
+                header = read_npy_header(stream)
+                total, width = math.prod(header.shape), header.dtype.itemsize
+                if entry.file_size != header.data_offset + header.data_bytes:
+                    raise NpyError("another length than it claims")
+                for begin in range(0, total, SLAB_VALUES):
+                    wanted = width * min(SLAB_VALUES, total - begin)
+                    content = stream.read(wanted)
+                    if len(content) < wanted:
+                        raise NpyError("cut short")
+                    values = np.frombuffer(bytearray(content), header.dtype)
+                    _refuse(path, name, _problem(name, values))
+                    yield name, begin, values
+                stream.read(1)  # reaching the end checks the archive's checksum
+
+
+def headers_of(path: Path, most_bytes: int) -> dict[str, NpyHeader]:
+    """What the arrays of a file say of themselves, by name; none is unpacked.
 
     Raises:
-        StorageError: it is missing, damaged, too large for the network, or no such file.
+        StorageError: as `read_weights`; an array is of another kind than weights are.
     """
-    most = MOST_BYTES
-    if shapes is not None:
-        most = sum(WIDEST_BYTES * math.prod(shape) + HEADER_BYTES for shape in shapes.values())
+    headers = dict[str, NpyHeader]()
+    with _opened(path, most_bytes) as archive:
+        for entry in archive.infolist():
+            with archive.open(entry) as stream:
+                header = read_npy_header(stream)
+            name = entry.filename.removesuffix(NPY)
+            if header.dtype not in KINDS:
+                _refuse(path, name, OTHER_KIND)
+            if header.fortran_order:
+                _refuse(path, name, "its values column by column: store np.ascontiguousarray of it")
+            headers[name] = header
+    return headers
+
+
+def _refuse(path: Path, name: str, problem: str) -> None:
+    if problem:
+        raise StorageError(f"{path}: '{printable(name)}' holds {problem}; get the file again")
+
+
+@contextmanager
+def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
+    """An npz of at most so many bytes unpacked; what goes wrong with it within the block is a line."""
     try:
-        arrays = load_arrays(path, most)
+        with open_plain(path) as file, open_npz(file, most_bytes) as archive:
+            yield archive
     except FileNotFoundError:
         raise StorageError(f"{path}: missing; train the method again, or get its folder whole") from None
     except UNREADABLE as error:
         raise StorageError(f"{path}: cannot be read as weights ({error}); get the file again") from error
-    for name, array in arrays.items():
-        if problem := _problem(name, array):
-            raise StorageError(f"{path}: '{printable(name)}' holds {problem}; get the file again")
-    return arrays
 
 
 def _problem(name: str, array: NDArray[Any]) -> str:
     """What no network can hold; "" if it can."""
-    if array.dtype not in KINDS:
-        return "what are no finite numbers in float16, float32, float64 or int64, low bytes first"
-    # A float64 may be larger than what the network has.
-    if not (np.abs(array) <= np.finfo(np.float32).max).all():
+    # A float64 may be larger than what the network has. Of NaN neither is so.
+    most = np.finfo(np.float32).max
+    if not -most <= array.min() <= array.max() <= most:
         return "what are no finite numbers"
     return "negative variances" if name.endswith("running_var") and (array < 0).any() else ""
 
@@ -82,22 +135,33 @@ def arrays_of_network(network: Any) -> dict[str, NDArray[Any]]:
     return {name: values.detach().cpu().numpy() for name, values in network.state_dict().items()}
 
 
-def set_weights(network: Any, arrays: Arrays, where: str) -> None:
-    """Give a torch module its values.
+def set_weights(network: Any, path: Path) -> None:
+    """Give a torch module its values, from a file whose headers fit; a part at a time is in memory.
 
     Raises:
-        StorageError: a name or a shape does not fit; a line for each, that begins with `where`.
+        StorageError: as `read_weights`.
     """
     import torch
 
-    check_fit(shapes_of_network(network), arrays, where)
+    state = network.state_dict()
     with torch.no_grad():
-        for name, values in network.state_dict().items():
-            values.copy_(torch.from_numpy(np.array(arrays[name])))
+        for name, begin, values in _slabs(path, bytes_of(shapes_of_network(network))):
+            whole = state[name]
+            if begin == 0:  # a convolution's may lie in memory in another order
+                in_order = whole.is_contiguous()
+                flat = whole.view(-1) if in_order else torch.empty(whole.numel(), dtype=whole.dtype)
+            flat[begin : begin + len(values)] = torch.from_numpy(values)
+            if not in_order and begin + len(values) == len(flat):
+                whole.copy_(flat.view(whole.shape))
 
 
-def check_fit(wanted: Shapes, arrays: Arrays, where: str) -> None:
-    """Refuse arrays that are not those of a network.
+def bytes_of(shapes: Shapes) -> int:
+    """What a file for a network of these shapes, by name, unpacks to at most."""
+    return sum(WIDEST_BYTES * math.prod(shape) + HEADER_BYTES for shape in shapes.values())
+
+
+def check_fit(wanted: Shapes, arrays: Mapping[str, NpyHeader], where: str) -> None:
+    """Refuse arrays, by their headers, that are not those of a network.
 
     Raises:
         StorageError: a name or a shape does not fit; a line for each, that begins with `where`.
@@ -106,7 +170,7 @@ def check_fit(wanted: Shapes, arrays: Arrays, where: str) -> None:
         raise StorageError(*(f"{where}: {problem}" for problem in problems[:20]))
 
 
-def misfits(wanted: Shapes, arrays: Arrays) -> Iterator[str]:
+def misfits(wanted: Shapes, arrays: Mapping[str, NpyHeader]) -> Iterator[str]:
     """Yield a line for each array that is missing, of another shape, or not wanted."""
     for name, shape in wanted.items():
         if name not in arrays:

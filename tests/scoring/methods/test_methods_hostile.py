@@ -2,6 +2,7 @@
 
 import resource
 import shutil
+import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from peak_memory import peak_mb
 from small_method import TINY
 from tensor_bundle_writer import MAGIC, block, crc32c, entry, field, masked, table, varint
 
@@ -217,6 +219,34 @@ def test_weights_that_would_give_no_numbers_are_told(
     write_weights({name: np.full(3, value)}, tmp_path / "weights.npz")
     with pytest.raises(StorageError, match=words):
         read_weights(tmp_path / "weights.npz")
+
+
+def test_weights_stored_column_by_column_are_told(tmp_path: Path) -> None:
+    np.savez(tmp_path / "weights.npz", a=np.ones((3, 4), np.float32).T)
+    with pytest.raises(StorageError, match=r"'a' holds its values column by column: store np\.ascontig"):
+        read_weights(tmp_path / "weights.npz")
+
+
+WITHIN = """
+import sys
+from pathlib import Path
+import torch
+from kinectbench.scoring.methods.weights import headers_of, set_weights
+network = torch.nn.Linear(20_000, 1000)
+if sys.argv[1]:
+    headers_of(Path(sys.argv[1]), 1 << 30)
+    set_weights(network, Path(sys.argv[1]))
+    assert network.weight[-1, -1] == 0 and network.bias[-1] == 1
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the memory")
+def test_weights_take_hardly_more_than_their_network(tmp_path: Path) -> None:
+    """Zeros in the widest kind: a file of 160 kB that unpacks to 160 MB, for a network of 80 MB."""
+    path = tmp_path / "weights.npz"
+    np.savez_compressed(path, weight=np.zeros((1000, 20_000)), bias=np.ones(1000))
+    assert path.stat().st_size < 200_000
+    assert peak_mb(WITHIN, str(path)) < peak_mb(WITHIN, "") + 120
 
 
 def raw_block(entries: bytes) -> bytes:
