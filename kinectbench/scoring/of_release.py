@@ -6,10 +6,13 @@ coverage are found by `recheck`.
 
 from collections.abc import Iterator
 
+from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.untrusted import printable
+from kinectbench.core.voxels.pair_file import SHARE_DECIMALS
 from kinectbench.release.release import Release
+from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
@@ -35,13 +38,26 @@ def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
-    """Rows of pairs that are not in the test split, or of other things."""
+    """Rows of pairs that are not in the test split, of other things, or of another truth's unknown."""
     for row in table.rows:
         target = test.get(row.pair)
         if target is None:
             yield f"{printable(row.pair, 60)} is no pair of the test split"
         elif (row.object, row.category) != (target.object, target.category):
             yield f"{row.pair} is of {target.object}, a {target.category}; the table says otherwise"
+        elif target.unknown_share is not None:
+            yield from (f"{row.pair} {words}" for words in _unknown(row, target.unknown_share))
+
+
+def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
+    """What a row says of the unknown share of its pair's true shape that the release says otherwise.
+
+    What the protocols leave out that look at a part of the shape, only the pair file tells.
+    """
+    if row.unknown_share is not None and abs(row.unknown_share - share) > 10**-SHARE_DECIMALS:
+        yield f"has {row.unknown_share:g} of its true shape unknown; the release says {share:g}"
+    elif row.iou is None and (row.protocol == "paper" or (row.protocol == PRIMARY and share < 1)):
+        yield f"is left out under {row.protocol} as all unknown; the release says {share:g} of its shape"
 
 
 def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
