@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
@@ -15,12 +16,13 @@ from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
+from kinectbench.scoring.declared import read_method
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.score import check_missing, score
 from kinectbench.scoring.thresholds import FROM_FILE
 
-# What a recheck does not compare: who counted, whose name it is, and words.
+# What is not compared as it stands: who counted; and what is compared in its own way.
 NOT_COMPARED = {"method", "package_version", "rows", "warnings", "hashes", "settings", "baseline", "verified"}
 
 
@@ -70,7 +72,7 @@ def recheck(
         jobs=jobs,
         progress=progress,
     )
-    differences = list(_differences(stated, found))
+    differences = [*_words(stated, found, folder), *_differences(stated, found)]
     if not differences:
         _verified(stated, found).write(path.parent, path.name)
     return differences
@@ -117,6 +119,17 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
     if len(names) != 1:
         raise SettingsError(f"{path}: its upsampling is not one of {', '.join(CONVENTIONS)}; score again")
     return names[0]
+
+
+def _words(stated: ScoreTable, found: ScoreTable, folder: Path) -> Iterator[str]:
+    """Another name than that of the predictions, and warnings that are not in the table any more."""
+    method = read_method(folder)
+    if method is not None and stated.method not in (method.name, folder.resolve().name):
+        name, said = printable(stated.method), printable(method.name)
+        yield f"'method' states '{name}'; the predictions are of '{said}', as {MethodFile.FILE} says"
+    for line in found.warnings:
+        if line not in stated.warnings:
+            yield f"'warnings' does not have: {line}"
 
 
 def _differences(stated: ScoreTable, found: ScoreTable) -> Iterator[str]:

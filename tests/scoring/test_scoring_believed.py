@@ -3,6 +3,7 @@ and only predictions that were scored again make a table verified.
 """
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -247,6 +248,25 @@ def test_a_consistent_forgery_is_found_by_a_recheck(
     differences = recheck(release, path, net / "net")
     assert any(line.startswith(words) for line in differences), differences
     assert path.read_bytes() == before
+
+
+def test_a_recheck_holds_name_and_warnings_against_the_predictions(
+    net: Path, release: Release, tmp_path: Path
+) -> None:
+    method = {"name": "net", "benchmark_sha256": "0" * 64}  # of another release: a warning
+    predictions = Path(shutil.copytree(net / "net", tmp_path / "net"))
+    (predictions / "method.json").write_text(json.dumps(method))
+    score(release, predictions, method="net").write(tmp_path)
+    path = tmp_path / "scores.json"
+    whole = json.loads(path.read_text())
+    for change, words in (
+        ({"warnings": []}, "'warnings' does not have: method.json: the predictions are for another release"),
+        ({"method": "better"}, "'method' states 'better'; the predictions are of 'net'"),
+    ):
+        path.write_text(json.dumps(whole | change))
+        assert [line[: len(words)] for line in recheck(release, path, predictions)] == [words]
+    path.write_text(json.dumps(whole))
+    assert recheck(release, path, predictions) == []
 
 
 def as_if_from_a_file(of: dict[str, Any]) -> None:
