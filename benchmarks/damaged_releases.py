@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from fuzz.releases import RELEASE, make_release
 
+from kinectbench.core.artefacts.targets import benchmark_sha256
 from kinectbench.core.errors import KinectBenchError
 from kinectbench.release.check.verify import verify
 
@@ -100,7 +101,11 @@ def _of_bytes(pair: str, last: str, mesh: str, depth: str) -> Iterator[Damage]:
     yield Damage(
         "a pair and its checksum forged",
         lambda f: void(flip(f / pair), resum(f, pair)),
-        ("SHA256SUMS: not the list that benchmark.json names", "targets.csv, line 2: another SHA-256", pair),
+        (
+            "benchmark.json: its benchmark_sha256 is not of SHA256SUMS",
+            "targets.csv, line 2: another SHA-256",
+            pair,
+        ),
     )
 
 
@@ -438,7 +443,7 @@ def seal(release: Path) -> None:
     names = sorted(p.relative_to(release).as_posix() for p in release.rglob("*") if p.is_file())
     lines = {n: f"{sha256(release / n)}  {n}\n" for n in names if n not in ("SHA256SUMS", "benchmark.json")}
     metadata = json.loads((release / "benchmark.json").read_text())
-    metadata["benchmark_sha256"] = hashlib.sha256("".join(lines.values()).encode()).hexdigest()
+    metadata["benchmark_sha256"] = benchmark_sha256("".join(lines.values()), json.dumps(metadata))
     (release / "benchmark.json").write_text(json.dumps(metadata))
     lines["benchmark.json"] = f"{sha256(release / 'benchmark.json')}  benchmark.json\n"
     (release / "SHA256SUMS").write_text("".join(lines[name] for name in sorted(lines)))

@@ -13,6 +13,7 @@ from random import Random
 from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer
 from fuzz.places import of_folder, put
+from kinectbench.core.artefacts.targets import benchmark_sha256
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 # One test pair, one of validation.
@@ -107,8 +108,11 @@ def seal(release: Path) -> None:
     }
     benchmark = release / "benchmark.json"
     if _is_listed(benchmark):
-        whole = hashlib.sha256("".join(lines[name] for name in sorted(lines)).encode()).hexdigest().encode()
-        content = benchmark.read_bytes()
+        content, said = benchmark.read_bytes(), "".join(lines[name] for name in sorted(lines))
+        try:
+            whole = benchmark_sha256(said, content.decode()).encode()
+        except (ValueError, RecursionError, AttributeError):  # no JSON any more, or no object
+            whole = b"0" * 64
         put(benchmark, re.sub(rb'("benchmark_sha256": *")[0-9a-f]{64}', rb"\g<1>" + whole, content))
         lines[benchmark.name] = f"{_sha256(benchmark)}  {benchmark.name}\n"
     if _is_listed(release / SUMS):

@@ -33,8 +33,8 @@ def verify(
     """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
     from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
+    from kinectbench.release.check.verify import is_of_first_identity, verify_checksums
     from kinectbench.release.check.verify import verify as find_problems
-    from kinectbench.release.check.verify import verify_checksums
 
     if checksums and rebuild is not None:
         raise SettingsError(
@@ -54,7 +54,9 @@ def verify(
                 problems += find_problems(here, progress, checksums_only=checksums)
         if rebuild is not None and not problems:
             problems = _rebuild(here, rebuild, work, common.workers)
-    common.tell_problems(problems, f"{shown(release)}: all well")
+        first = not problems and is_of_first_identity(here)
+    more = "; its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
+    common.tell_problems(problems, f"{shown(release)}: all well{more if first else ''}")
     return CANNOT_BE_USED if problems else 0
 
 

@@ -14,6 +14,7 @@ from kinectbench.core.artefacts.targets import (
     TARGETS_CSV,
     Target,
     benchmark_sha256,
+    list_of_files,
     parse_sums,
     parse_targets,
 )
@@ -116,7 +117,7 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
     _refuse_many(store, sums)
     if BENCHMARK_JSON not in sums:
         raise ReleaseError(_changed(store, BENCHMARK_JSON))
-    _refuse_other(out, info.benchmark_sha256)
+    _refuse_other(out, text)
     table = _checked_text(store, TARGETS_CSV, sums.get(TARGETS_CSV))
     targets = chosen(parse_targets(table, store.place(TARGETS_CSV)), part or Part())
     if not targets:
@@ -130,7 +131,7 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
     fetched = 0
     if missing or remains(out):
         with owned(out):
-            _refuse_other(out, info.benchmark_sha256)
+            _refuse_other(out, text)
             fetched = _bring_all(store, out, text, missing, _counter(progress, len(names)))
     if progress:
         progress(len(names), len(names))
@@ -227,14 +228,15 @@ def _head(store: Store) -> tuple[str, ReleaseInfo]:
         ReleaseError: there is no release, or they do not.
     """
     try:
-        info = ReleaseInfo.parse(_text(store, BENCHMARK_JSON), store.place(BENCHMARK_JSON))
+        stated = _text(store, BENCHMARK_JSON)
+        info = ReleaseInfo.parse(stated, store.place(BENCHMARK_JSON))
         text = _text(store, SHA256SUMS)
     except MissingObjectError:
         raise ReleaseError(
             f"{store.place()}: no release there ({BENCHMARK_JSON} or {SHA256SUMS} is missing); "
             "correct the URL, or wait until it is published"
         ) from None
-    if benchmark_sha256(text) != info.benchmark_sha256:
+    if benchmark_sha256(text, stated) != info.benchmark_sha256:
         raise ReleaseError(
             f"{store.place(SHA256SUMS)}: not the list that {BENCHMARK_JSON} names; if it is being published, "
             "try again later"
@@ -311,14 +313,14 @@ def _mirror(store: Store, out: Path, name: str) -> None:
         store.fetch(name, out / name, MOST_FILE_BYTES)
 
 
-def _refuse_other(out: Path, sha256: str) -> None:
-    """Refuse a folder that holds another release, or anything else."""
+def _refuse_other(out: Path, text: str) -> None:
+    """Refuse a folder that holds another release than that of this SHA256SUMS, or anything else."""
     if not out.exists():
         return
     if not out.is_dir():
         raise ReleaseError(f"{out}: a file; name another folder by --out")
     if (out / SHA256SUMS).is_file():
-        if benchmark_sha256(release_text(out / SHA256SUMS)) == sha256:
+        if list_of_files(release_text(out / SHA256SUMS)) == list_of_files(text):
             return
         raise ReleaseError(f"{out}: holds another release; name another folder by --out, or remove it")
     if any(not is_ours(path.name) for path in out.iterdir()):

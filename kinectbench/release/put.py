@@ -44,17 +44,20 @@ class _Place:
         text: `SHA256SUMS` of a release; empty if there is none.
         sums: what it says: the hash of every file by its name.
         info: `benchmark.json` of a release; None if there is none.
+        stated: its text.
     """
 
     sizes: Mapping[str, int]
     text: str
     sums: Mapping[str, str]
     info: ReleaseInfo | None
+    stated: str
 
     @property
     def is_whole(self) -> bool:
         """Whether it is a release to whoever fetches it."""
-        return self.info is not None and self.info.benchmark_sha256 == benchmark_sha256(self.text)
+        said = self.info
+        return said is not None and said.benchmark_sha256 == benchmark_sha256(self.text, self.stated)
 
     @property
     def is_known(self) -> bool:
@@ -101,9 +104,8 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
         _put(folder, store, [name for name in wanted if name != BENCHMARK_JSON], progress)
     removed = sum(name not in sums and name != SHA256SUMS for name in there.sizes)
     put = {*wanted, BENCHMARK_JSON} if wanted else set[str]()
-    replaced = (
-        None if there.info is None or there.info.benchmark_sha256 == benchmark_sha256(text) else there.info
-    )
+    identity = benchmark_sha256(text, release_text(folder / BENCHMARK_JSON))
+    replaced = None if there.info is None or there.info.benchmark_sha256 == identity else there.info
     return PutSummary(len(put), len(sums) + 1 - len(put), removed, replaced)
 
 
@@ -145,7 +147,7 @@ def _clear(store: Store, there: _Place, same: set[str], begins: bool) -> None:
 def _look(store: Store) -> _Place:
     """What lies at a place. SHA256SUMS and benchmark.json are names that others use, too: they are read."""
     sizes = {each.name: each.size for each in store.objects()}
-    text, sums, info = "", dict[str, str](), None
+    text, sums, info, stated = "", dict[str, str](), None, ""
     try:
         if SHA256SUMS in sizes:
             found = store.read(SHA256SUMS, TEXT_BYTES).decode()
@@ -156,10 +158,11 @@ def _look(store: Store) -> _Place:
         pass
     try:
         if BENCHMARK_JSON in sizes:
-            info = ReleaseInfo.parse(store.read(BENCHMARK_JSON).decode(), BENCHMARK_JSON)
+            stated = store.read(BENCHMARK_JSON).decode()
+            info = ReleaseInfo.parse(stated, BENCHMARK_JSON)
     except (ReleaseError, UnicodeDecodeError):
         pass
-    return _Place(sizes, text, sums, info)
+    return _Place(sizes, text, sums, info, stated)
 
 
 def _refuse_other(store: Store, there: _Place) -> None:

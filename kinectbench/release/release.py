@@ -155,8 +155,11 @@ def open_release(path: Path) -> Release:
     stated = release_text(path / BENCHMARK_JSON)
     metadata = ReleaseInfo.parse(stated, shown(path / BENCHMARK_JSON))
     sums_text = release_text(path / SHA256SUMS)
-    if benchmark_sha256(sums_text) != metadata.benchmark_sha256:
-        raise ReleaseError(f"{shown(path / SHA256SUMS)}: not the published list; download the release again")
+    if benchmark_sha256(sums_text, stated) != metadata.benchmark_sha256:
+        raise ReleaseError(
+            f"{shown(path)}: {BENCHMARK_JSON} and {SHA256SUMS} are not the published ones; download the "
+            "release again"
+        )
     sums = parse_sums(sums_text, shown(path / SHA256SUMS))
     # What is parsed is what was hashed: a file may change between two looks at it.
     published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}

@@ -17,6 +17,7 @@ import pytest
 from bounds import within
 
 import kinectbench
+from kinectbench.core.artefacts.targets import benchmark_sha256
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.core.voxels.npz import load_arrays, npz_bytes
@@ -54,9 +55,8 @@ def seal(folder: Path) -> Path:
             file["sha256"] = sha256(file["contentUrl"])
     (folder / "croissant.json").write_text(json.dumps(croissant))
     lines = {name: f"{sha256(name)}  {name}\n" for name in sorted(old)}
-    text = "".join(line for name, line in lines.items() if name != "benchmark.json")
     metadata = json.loads((folder / "benchmark.json").read_text())
-    metadata["benchmark_sha256"] = hashlib.sha256(text.encode()).hexdigest()
+    metadata["benchmark_sha256"] = benchmark_sha256("".join(lines.values()), json.dumps(metadata))
     (folder / "benchmark.json").write_text(json.dumps(metadata))
     lines["benchmark.json"] = f"{sha256('benchmark.json')}  benchmark.json\n"
     (folder / "SHA256SUMS").write_text("".join(lines[name] for name in sorted(lines)))

@@ -126,7 +126,7 @@ def changed_release(release: Release, folder: Path) -> str:
     sums = {name: sha256_file(folder / name) for name in release.sums if name != gone}
     text = "".join(f"{sha256}  {name}\n" for name, sha256 in sums.items())
     stated = json.loads((folder / BENCHMARK_JSON).read_text())
-    stated["benchmark_sha256"] = benchmark_sha256(text)
+    stated["benchmark_sha256"] = benchmark_sha256(text, json.dumps(stated))
     (folder / BENCHMARK_JSON).write_text(json.dumps(stated))
     text = text.replace(sums[BENCHMARK_JSON], sha256_file(folder / BENCHMARK_JSON))
     (folder / SHA256SUMS).write_text(text)

@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo, Set
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.types import Underside
 from kinectbench.release.check.rebuild import Source, _settings
-from kinectbench.release.publish.card import _quality, underside_line
+from kinectbench.release.publish.card import figures, underside_line
 from kinectbench.release.publish.datasheet import datasheet
 from kinectbench.release.publish.publish import _public_settings
 from kinectbench.release.publish.publish_recording import _stage
@@ -59,7 +59,7 @@ def test_one_line_says_whose_word_it_is(words: tuple[Underside | None], begins: 
 
 def test_card_and_datasheet_say_it() -> None:
     infos = {"a": recording("closed", 0.125), "b": recording("unseen", 0.0), "c": recording(None)}
-    card = _quality(ReleaseInfo.model_construct(recordings=infos))
+    card = figures(ReleaseInfo.model_construct(recordings=infos))
     table = card.splitlines()
     assert table[0].endswith("| seen from below only, of the solid | underside, as stated |")
     assert table[2].endswith("| 12.5 % | closed |") and table[4].endswith("|  |  |")

@@ -1,7 +1,7 @@
 """benchmark.json: what a release says of itself; and publish.json, what was published last from a build."""
 
 import contextlib
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -15,6 +15,11 @@ FORMAT_VERSION = 1
 BENCHMARK_JSON = "benchmark.json"
 SHA256 = "^[0-9a-f]{64}$"
 UNSPECIFIED = "unspecified"
+# Which `benchmark_sha256` a release has; without the key it is the first, of the list of files alone.
+SHA256_VERSION_KEY = "benchmark_sha256_version"
+SHA256_VERSION: Literal[2] = 2
+# No part of what the second is computed from: itself, and the two that parts name each other by.
+HASH_KEYS = ("benchmark_sha256", "private_benchmark_sha256", "public_benchmark_sha256")
 DOWNLOAD_AGAIN = "make or download it again"
 
 
@@ -84,7 +89,11 @@ class ReleaseInfo(ReleaseFile):
     format_version: int = Field(description="of the release's layout")
     package_version: str = Field(description="version of kinectbench that published it")
     benchmark_sha256: str = Field(
-        pattern=SHA256, description="SHA-256 of SHA256SUMS without the line of benchmark.json"
+        pattern=SHA256,
+        description="SHA-256 of SHA256SUMS without the line of benchmark.json, and of the rest of this file",
+    )
+    benchmark_sha256_version: Literal[2] | None = Field(
+        None, description="how it is computed; missing: without the rest of this file"
     )
     framing: Framing = Field(description="of every pair")
     partial_rule: PartialRule = Field(description="of every pair")

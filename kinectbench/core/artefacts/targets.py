@@ -2,8 +2,8 @@
 
 SHA256SUMS has a line for every file but itself, in the format of `sha256sum -c`, sorted by path.
 `benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, which can therefore hold
-it: it names the published bytes whatever the version of the package that published them. In a shell:
-`grep -v '  benchmark.json$' SHA256SUMS | sha256sum`.
+it, and of what benchmark.json says beside its hashes. Earlier releases, whose benchmark.json has no
+`benchmark_sha256_version`, have that of the list alone: `grep -v '  benchmark.json$' SHA256SUMS | sha256sum`.
 """
 
 import csv
@@ -15,14 +15,20 @@ from typing import Any, ClassVar, get_args
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, SHA256, ReleaseFile
+from kinectbench.core.artefacts.benchmark import (
+    BENCHMARK_JSON,
+    HASH_KEYS,
+    SHA256,
+    SHA256_VERSION_KEY,
+    ReleaseFile,
+)
 from kinectbench.core.artefacts.views import UNKNOWN_SHARE
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.names import Named, first_clash, reserved_problem
-from kinectbench.core.storage import NAME, sha256_text
+from kinectbench.core.storage import NAME, canonical_json, sha256_text
 from kinectbench.core.types import Split
 from kinectbench.core.untrusted import MOST_NAME, MOST_PART_BYTES, printable
-from kinectbench.core.untrusted_text import csv_rows
+from kinectbench.core.untrusted_text import csv_rows, strict_json
 
 TARGETS_CSV = "targets.csv"
 SPLITS_JSON = "splits.json"
@@ -198,7 +204,24 @@ def parse_sums(text: str, where: str) -> dict[str, str]:
     return sums
 
 
-def benchmark_sha256(text: str) -> str:
-    """What identifies a release, from the text of its SHA256SUMS."""
-    lines = text.splitlines(keepends=True)
-    return sha256_text("".join(line for line in lines if not line.endswith(f"  {BENCHMARK_JSON}\n")))
+def list_of_files(sums: str) -> str:
+    """The text of SHA256SUMS without the line of benchmark.json."""
+    lines = sums.splitlines(keepends=True)
+    return "".join(line for line in lines if not line.endswith(f"  {BENCHMARK_JSON}\n"))
+
+
+def benchmark_sha256(sums: str, stated: str) -> str:
+    """What identifies a release, by the version that its benchmark.json names.
+
+    Args:
+        sums: the text of SHA256SUMS.
+        stated: the text of benchmark.json, which was parsed before.
+
+    Raises:
+        ValueError, RecursionError: it is no JSON.
+    """
+    content: dict[str, Any] = strict_json(stated)
+    if content.get(SHA256_VERSION_KEY) is None:
+        return sha256_text(list_of_files(sums))
+    covered = {key: value for key, value in content.items() if key not in HASH_KEYS}
+    return sha256_text(list_of_files(sums) + canonical_json(covered))

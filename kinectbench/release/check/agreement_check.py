@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
+from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
 from kinectbench.core.artefacts.targets import (
     EARLIER_COLUMNS,
@@ -15,22 +16,29 @@ from kinectbench.core.artefacts.targets import (
     targets_text,
 )
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsError, StorageError
 from kinectbench.core.untrusted import printable, quoted
+from kinectbench.release.check.figure_check import (
+    lineage_problems,
+    own_problems,
+    quality_problems,
+    refused_problems,
+)
 from kinectbench.release.check.object_check import recording_of
 from kinectbench.release.contents import (
     CARD,
     CITATION,
     CROISSANT,
     DATACITE,
+    DATASHEET,
     LICENSE,
     MAX_READ_BYTES,
     SPLIT_TARGETS,
     Contents,
     release_json,
 )
+from kinectbench.release.publish import card, datasheet
 from kinectbench.release.publish.attribution import common_license, license_text, markdown
-from kinectbench.release.publish.card import counts_table
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
 from kinectbench.settings.yaml_nodes import compose, items
@@ -57,6 +65,11 @@ class Stated:
     targets: tuple[Target, ...]
     metadata: ReleaseInfo
     sums: Mapping[str, str]
+
+    @property
+    def says_twice(self) -> bool:
+        """Whether other files say what benchmark.json says in known words: earlier ones may differ."""
+        return self.metadata.benchmark_sha256_version is not None
 
     def views_of(self, recording: str) -> set[str]:
         """The views of a recording that have pairs, as targets.csv says."""
@@ -102,6 +115,9 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
         LINEAGE_JSON: _lineage_problems,
     }
     checks |= {f"{SPLIT_TARGETS}/{split}.csv": partial(_split_problems, split) for split in SPLITS}
+    if stated.says_twice:
+        yield from own_problems(stated.metadata)
+        checks[DATASHEET] = _datasheet_problems
     checks |= {
         f"views/{name}/views.json": partial(_views_problems, name) for name in stated.metadata.recordings
     }
@@ -115,6 +131,13 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
                 yield str(error)
             except (StorageError, KeyError, TypeError, AttributeError, ValueError):
                 yield f"{name}: does not have the keys that it should"
+    if stated.says_twice:
+        for name, info in stated.metadata.recordings.items():
+            if (file := f"objects/{name}/{QualityFile.FILE}") in whole:
+                try:
+                    yield from quality_problems(file, contents.text(file), info)
+                except (KinectBenchError, ValueError) as error:
+                    yield str(error)
     yield from _told_truth(contents, stated.metadata)
 
 
@@ -161,11 +184,28 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     for what, said in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
         if said not in text and markdown(said) not in text:
             yield f"does not state the {what} '{printable(said)}' of {BENCHMARK_JSON}"
-    rows = dict.fromkeys(counts_table(stated.targets).splitlines())
+    yield from _missing(
+        text, card.counts_table(stated.targets), f"the row '{{}}', which {TARGETS_CSV} counts"
+    )
+    if stated.says_twice:
+        metadata = stated.metadata
+        rows = f"{card.figures(metadata)}\n{card.origins_table(metadata.recordings)}"
+        yield from _missing(text, rows, f"the row '{{}}' of {BENCHMARK_JSON}")
+
+
+def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
+    yield from _missing(
+        text, datasheet.figures(stated.metadata.recordings), f"the line '{{}}' of {BENCHMARK_JSON}"
+    )
+
+
+def _missing(text: str, wanted: str, said: str) -> Iterator[str]:
+    """Clauses about the lines of `wanted` that a text does not have; `said` has a place for each."""
+    rows = dict.fromkeys(wanted.splitlines())
     found = {line for _, line in _lines(text) if line in rows}
     for row in rows:
         if row not in found:
-            yield f"does not have the row '{printable(row, 200)}', which {TARGETS_CSV} counts"
+            yield f"does not have {said.format(printable(row, 200))}"
 
 
 def _license_problems(text: str, stated: Stated) -> Iterator[str]:
@@ -215,7 +255,8 @@ def _datacite_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
-    recordings = Lineage.parse(text, LINEAGE_JSON).recordings
+    lineage = Lineage.parse(text, LINEAGE_JSON)
+    recordings = lineage.recordings
     for name in sorted(set(recordings) ^ set(stated.metadata.recordings)):
         what = "has no" if name in stated.metadata.recordings else "has a"
         yield f"{what} recording {printable(name)}"
@@ -223,6 +264,8 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
         here = stated.views_of(name)
         if row.views is not None and {view.view for view in row.views} != here:
             yield f"other views of {printable(name)} than in {TARGETS_CSV}"
+    if stated.says_twice:
+        yield from lineage_problems(lineage, stated.metadata)
 
 
 def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
@@ -236,7 +279,10 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
     """Whether views.json has the views that have pairs, and of held-back ones nothing of the truth."""
-    rows = ViewsFile.parse(text, ViewsFile.FILE).views
+    views = ViewsFile.parse(text, ViewsFile.FILE)
+    rows = views.views
+    if stated.says_twice and not stated.metadata.hides(recording):
+        yield from refused_problems(views, stated.metadata.recordings[recording])
     listed = {row.view for row in rows if row.pair is not False}
     here = stated.views_of(recording)
     if here - listed or (listed - here and any(row.pair is not None for row in rows)):

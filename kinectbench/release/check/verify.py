@@ -105,6 +105,17 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
         return lines + _identity(contents, text, damaged)[1]
 
 
+def is_of_first_identity(path: Path) -> bool:
+    """Whether the `benchmark_sha256` of a release is of its files alone, and not of benchmark.json as well.
+
+    Raises:
+        ReleaseError: benchmark.json cannot be read.
+    """
+    with open_contents(path) as contents:
+        info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+    return info.benchmark_sha256_version is None
+
+
 def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
     """A line about the bytes of one file, or None."""
     entry = contents.entries.get(name)
@@ -188,11 +199,16 @@ def _identity(
 ) -> tuple[ReleaseInfo | None, list[str]]:
     """benchmark.json, None if it cannot be read; a line if it names another list of files, or cannot be."""
     try:
-        metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+        stated = contents.text(BENCHMARK_JSON)
+        metadata = ReleaseInfo.parse(stated, BENCHMARK_JSON)
     except ReleaseError as error:
         return None, [] if BENCHMARK_JSON in damaged else [str(error)]
-    if metadata.benchmark_sha256 != benchmark_sha256(sums_text) and BENCHMARK_JSON not in damaged:
-        return metadata, [f"{SHA256SUMS}: not the list that {BENCHMARK_JSON} names"]
+    if metadata.benchmark_sha256 != benchmark_sha256(sums_text, stated) and BENCHMARK_JSON not in damaged:
+        if metadata.benchmark_sha256_version is None:
+            return metadata, [f"{SHA256SUMS}: not the list that {BENCHMARK_JSON} names"]
+        return metadata, [
+            f"{BENCHMARK_JSON}: its benchmark_sha256 is not of {SHA256SUMS} and of what it says"
+        ]
     return metadata, []
 
 

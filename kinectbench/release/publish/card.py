@@ -136,7 +136,7 @@ def card(
         example=example.file,
         truth=INPUT_LINES if hidden else TRUTH_LINES,
         shown="partial_256" if hidden else "full",
-        quality=_quality(info),
+        quality=figures(info),
         origins=origins_table(info.recordings),
         warnings="\n".join(f"- {line}" for line in warnings) or "None.",
     )
@@ -193,8 +193,8 @@ def counts_table(targets: Sequence[Target]) -> str:
     return _markdown(["category", "objects", *(f"{split} pairs" for split in SPLITS)], rows)
 
 
-def _quality(info: ReleaseInfo) -> str:
-    """The figures of each recording's quality.json, in words, and by whose word undersides are closed."""
+def figures(info: ReleaseInfo) -> str:
+    """Pairs, refused views and figures of each recording's quality.json, and whose word undersides are."""
     words = {name: quality_words(recording.quality) for name, recording in info.recordings.items()}
     every = [*(label for label, _, _ in QUALITY.values()), UNDERSIDE]
     labels = [label for label in every if any(label in row for row in words.values())]

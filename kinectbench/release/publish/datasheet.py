@@ -79,7 +79,7 @@ def datasheet(
         framing=settings.pairs.framing,
         partial_rule=settings.pairs.partial_rule,
         color=color,
-        figures=_figures(infos),
+        figures=figures(infos),
         quality_warnings=_listed(
             [f"{name}: {line}" for name, info in sorted(infos.items()) for line in info.quality.warnings]
         ),
@@ -100,7 +100,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
     return _listed([f"{', '.join(names)}: {source}" for source, names in by_source.items()])
 
 
-def _figures(infos: Mapping[str, RecordingInfo]) -> str:
+def figures(infos: Mapping[str, RecordingInfo]) -> str:
     """Median and range of what was measured, one line each; and by whose word undersides are closed."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():

@@ -11,6 +11,7 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import (
     BENCHMARK_JSON,
     FORMAT_VERSION,
+    SHA256_VERSION,
     UNSPECIFIED,
     Distribution,
     RecordingInfo,
@@ -163,6 +164,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         format_version=FORMAT_VERSION,
         package_version=__version__,
         benchmark_sha256="0" * 64,
+        benchmark_sha256_version=SHA256_VERSION,
         framing=head.framing,
         partial_rule=head.partial_rule,
         distribution=Distribution(allowed=not reasons, reasons=reasons),
@@ -192,7 +194,7 @@ def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
 def _seal(folder: Path, info: ReleaseInfo) -> str:
     """Write benchmark.json and the checksums; returns the release's identity."""
     sums = {path.relative_to(folder).as_posix(): sha256_file(path) for path in release_files(folder)}
-    identity = benchmark_sha256(sums_text(sums))
+    identity = benchmark_sha256(sums_text(sums), info.text())
     info.model_copy(update={"benchmark_sha256": identity}).write(folder)
     sums[BENCHMARK_JSON] = sha256_file(folder / BENCHMARK_JSON)
     (folder / SHA256SUMS).write_text(sums_text(sums), encoding="utf-8")

@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import (
     targets_text,
 )
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.storage import pretty_json, sha256_text
+from kinectbench.core.storage import canonical_json, pretty_json, sha256_text
 
 RECORDING: dict[str, Any] = {
     "object": "red_chair",
@@ -161,6 +161,11 @@ def test_checksums_name_the_release() -> None:
     text = sums_text(sums)
     assert text.splitlines()[0] == f"{'ab' * 32}  benchmark.json"
     assert parse_sums(text, "SHA256SUMS") == sums
-    assert benchmark_sha256(text) == sha256_text(f"{'cd' * 32}  pairs/chair_01/000.npz\n")
+    files = f"{'cd' * 32}  pairs/chair_01/000.npz\n"
+    assert benchmark_sha256(text, '{"name": "a"}') == sha256_text(files)
+    assert benchmark_sha256(text, json.dumps(BENCHMARK)) == sha256_text(files)
+    second = BENCHMARK | {"benchmark_sha256_version": 2}
+    covered = {key: value for key, value in second.items() if not key.endswith("benchmark_sha256")}
+    assert benchmark_sha256(text, json.dumps(second)) == sha256_text(files + canonical_json(covered))
     with pytest.raises(ReleaseError, match="line 1"):
         parse_sums(f"{'ab' * 32}  ../outside\n", "SHA256SUMS")

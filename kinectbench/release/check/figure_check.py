@@ -1,0 +1,98 @@
+"""Check what benchmark.json says against every other file of the release that says it, too.
+
+Of releases whose benchmark.json has `benchmark_sha256_version`; earlier ones may say it in other words.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, RecordingInfo, ReleaseInfo
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.provenance import Lineage
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.untrusted import printable
+from kinectbench.release.publish.attribution import reasons_against_distribution
+
+# Of the settings, for all pairs at once.
+OF_PAIRS = ("framing", "partial_rule")
+
+
+def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
+    """Yield a line for each thing that benchmark.json says twice, and not alike."""
+    of_pairs = metadata.settings.pairs
+    for key in OF_PAIRS:
+        said = getattr(of_pairs, key)
+        if said is not None and said != getattr(metadata, key):
+            yield f"{BENCHMARK_JSON}: settings.pairs.{key} '{said}' where {key} is '{getattr(metadata, key)}'"
+    told = metadata.distribution
+    reasons = reasons_against_distribution(metadata.recordings)
+    if told is not None and (told.reasons != reasons or told.allowed is bool(reasons)):
+        yield f"{BENCHMARK_JSON}: distribution is not as licence and source of its recordings have it"
+    for name, info in metadata.recordings.items():
+        if metadata.hides(name) and info.quality.json_value():
+            yield f"{BENCHMARK_JSON}: holds the quality of {printable(name)}, which is held back"
+    for row in metadata.settings.recordings or ():
+        here = metadata.recordings.get(str(row.get("id")))
+        for key in _other_keys(row, here, metadata) if here else ():
+            where = f"settings.recordings of {printable(str(row['id']))}"
+            yield f"{BENCHMARK_JSON}: {where} has another {key} than recordings"
+
+
+def _other_keys(row: Mapping[str, Any], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
+    """Keys of a recording's settings that its entry has otherwise; null: as the benchmark has it."""
+    defaults = {
+        "object": row["id"],
+        "license": metadata.license,
+        "source": metadata.settings.source or UNSPECIFIED,
+    }
+    for key in ("category", "split", *defaults):
+        wanted = row.get(key)
+        if key in row and (defaults.get(key) if wanted is None else wanted) != getattr(info, key):
+            yield key
+
+
+def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
+    """Yield a line if a recording's quality.json is not what benchmark.json has of it.
+
+    Args:
+        name: of the file.
+        text: of it.
+        info: of its recording.
+    """
+    there, here = (
+        {key: value for key, value in quality.json_value().items() if key != "method"}
+        for quality in (QualityFile.parse(text, name), info.quality)
+    )
+    other = sorted(key for key in there.keys() | here.keys() if there.get(key) != here.get(key))
+    if other:
+        yield f"{name}: another {printable(', '.join(other), 200)} than in {BENCHMARK_JSON}"
+
+
+def refused_problems(views: ViewsFile, info: RecordingInfo) -> Iterator[str]:
+    """Yield a clause if views.json has not as many frames and views refused as benchmark.json."""
+    refused = len(views.refused) + sum(row.pair is False for row in views.views)
+    if refused != info.refused:
+        yield f"{refused} frames and views refused where {BENCHMARK_JSON} has {info.refused}"
+
+
+def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
+    """Yield a clause for each setting of a stage that benchmark.json has otherwise, and each other origin."""
+    settings = metadata.settings.json_value()
+    of_recordings = {str(row.get("id")): row for row in metadata.settings.recordings or ()}
+    for name, recording in lineage.recordings.items():
+        info = metadata.recordings.get(name)
+        for key in ("license", "source") if info else ():
+            if getattr(recording, key) != getattr(info, key):
+                yield f"another {key} of {printable(name)} than in {BENCHMARK_JSON}"
+        for stage, made in recording.stages.items():
+            for key, value in made.settings.items():
+                section = settings.get(key)
+                own = of_recordings.get(name, {})
+                other = list[str]()
+                if isinstance(value, dict) and isinstance(section, dict):
+                    other = [f"{key}.{k}" for k in value.keys() & section.keys() if value[k] != section[k]]
+                elif key in own and own[key] != value:
+                    other = [key]
+                for setting in sorted(other):
+                    said = printable(f"{setting} of stage {stage} of {name}", 200)
+                    yield f"another {said} than the settings in {BENCHMARK_JSON}"
