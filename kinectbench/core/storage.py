@@ -4,9 +4,11 @@ import contextlib
 import errno
 import hashlib
 import json
+import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -67,6 +69,33 @@ def write_below(path: Path, content: bytes) -> None:
     """Write a file; the folders on its way are made where they are missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
+
+
+def append_plain(path: Path, text: str) -> None:
+    """Write a text to the end of a plain file that lies there itself, or of a new one, without waiting.
+
+    Args:
+        path: of the file; its folder is made if it is missing.
+        text: written as UTF-8.
+
+    Raises:
+        StorageError: a link, a folder, a pipe or a device is there, or the disk is full or read-only.
+    """
+    refused = StorageError(f"{path}: is no file that could be added to; remove it")
+    # A pipe that nobody reads is no such device; a link is a loop.
+    how = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            handle = os.open(path, how, 0o666)
+        except OSError as error:
+            if error.errno in (errno.ENXIO, errno.ELOOP, errno.EISDIR):
+                raise refused from error
+            raise
+        with os.fdopen(handle, "a", encoding="utf-8") as file:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise refused
+            file.write(text)
 
 
 # How every line about a disk that cannot be written ends.

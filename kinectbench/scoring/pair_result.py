@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from kinectbench.core.artefacts.counted import JOURNAL, JOURNALS, PART_JOURNAL, CountedPair, PairResult
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.storage import canonical_json, sha256_text, storage_errors
+from kinectbench.core.storage import append_plain, canonical_json, sha256_text
 from kinectbench.core.untrusted import read_plain_text
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
@@ -151,16 +151,13 @@ class Journal:
         """Remember a result.
 
         Raises:
-            StorageError: the disk is full or read-only.
+            StorageError: the disk is full or read-only, or what lies there is no plain file.
         """
         counted = CountedPair(pair=job.target.name, key=job.key(result.digest), result=result)
         earlier = self.earlier(counted.pair)
         if self._path is None or (earlier is not None and earlier.key == counted.key):
             return
-        with storage_errors(self._path):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(counted.line())
+        append_plain(self._path, counted.line())
 
     def remove(self) -> None:
         """All is done: the table holds it."""

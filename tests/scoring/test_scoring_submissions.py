@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from prediction_bytes import FILES, good_files, read_one
 
 from kinectbench.core.artefacts.counted import JOURNAL
-from kinectbench.core.errors import PredictionError
+from kinectbench.core.errors import PredictionError, StorageError
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
@@ -319,6 +319,19 @@ def test_the_journal_keeps_every_bit_and_no_damaged_line(release: Release, tmp_p
     for damaged in ({}, [], *(plain | {"result": result} for result in results)):
         (tmp_path / JOURNAL).write_text(json.dumps(damaged) + "\n")
         assert Journal(tmp_path).earlier(target.name) is None
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a link", "a folder"])
+def test_a_journal_that_is_no_plain_file_is_not_written(release: Release, tmp_path: Path, kind: str) -> None:
+    """A pipe would be waited for; a link leads out of the folder."""
+    target, path, outside = release.split("test")[0], tmp_path / JOURNAL, tmp_path / "outside"
+    outside.write_text("mine")
+    {"a pipe": os.mkfifo, "a link": lambda to: to.symlink_to(outside), "a folder": Path.mkdir}[kind](path)
+    result = count_job(job := Job(target, release.pair_path(target), None, None, Counting(("known",))))
+    assert not isinstance(result, str)
+    with pytest.raises(StorageError, match="is no file that could be added to; remove it"):
+        Journal(tmp_path).add(job, result)
+    assert outside.read_text() == "mine"
 
 
 @settings(max_examples=150, deadline=None)

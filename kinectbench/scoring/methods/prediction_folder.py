@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from kinectbench.core.artefacts.method import PREDICTED, MethodFile, PredictedFile, UnfinishedFile
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import replaced_file, storage_errors, write_below
+from kinectbench.core.storage import append_plain, replaced_file, storage_errors, write_below
 from kinectbench.core.untrusted import lies_below, open_plain, read_plain_text
 from kinectbench.release.release import Target
 from kinectbench.scoring.prediction_file import blake3_of
@@ -173,11 +173,11 @@ class PredictionFolder:
         return True
 
     def _note(self, names: Sequence[str]) -> None:
-        path = self._folder / PREDICTED
-        with storage_errors(path), path.open("a", encoding="utf-8") as file:
-            for name in names:
-                line = PredictedFile(run_sha256=self._run.sha256, file=name, digest=self._kept[name]).line()
-                file.write(line)
+        lines = (
+            PredictedFile(run_sha256=self._run.sha256, file=name, digest=self._kept[name]).line()
+            for name in names
+        )
+        append_plain(self._folder / PREDICTED, "".join(lines))
 
     def _digest(self, name: str) -> str | None:
         """Of a file as it is; None if it cannot be read."""
