@@ -11,7 +11,7 @@ import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.untrusted import open_plain
@@ -71,30 +71,36 @@ def write_below(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def append_plain(path: Path, text: str) -> None:
-    """Write a text to the end of a plain file that lies there itself, or of a new one, without waiting.
-
-    Args:
-        path: of the file; its folder is made if it is missing.
-        text: written as UTF-8.
+def open_to_add(path: Path) -> IO[str]:
+    """Open a plain file that lies there itself, or a new one, to read and to add to, without waiting.
 
     Raises:
-        StorageError: a link, a folder, a pipe or a device is there, or the disk is full or read-only.
+        StorageError: a link, a folder, a pipe or a device is there.
+        OSError: it cannot be made or opened.
     """
     refused = StorageError(f"{path}: is no file that could be added to; remove it")
-    # A pipe that nobody reads is no such device; a link is a loop.
-    how = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    how = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        handle = os.open(path, how, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):  # a link, a folder, a socket
+            raise refused from error
+        raise
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise refused
+    return os.fdopen(handle, "a+", encoding="utf-8", errors="replace")
+
+
+def append_plain(path: Path, text: str) -> None:
+    """Write a text, as UTF-8, to the end of a file that `open_to_add` opens; its folder is made.
+
+    Raises:
+        StorageError: as `open_to_add`, or the disk is full or read-only.
+    """
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            handle = os.open(path, how, 0o666)
-        except OSError as error:
-            if error.errno in (errno.ENXIO, errno.ELOOP, errno.EISDIR):
-                raise refused from error
-            raise
-        with os.fdopen(handle, "a", encoding="utf-8") as file:
-            if not stat.S_ISREG(os.fstat(handle).st_mode):
-                raise refused
+        with open_to_add(path) as file:
             file.write(text)
 
 

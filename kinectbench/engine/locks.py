@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO
 
 from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import storage_errors
+from kinectbench.core.storage import open_to_add, storage_errors
 from kinectbench.core.untrusted import listed
 
 LOCK = ".lock"
@@ -46,7 +46,7 @@ def locked(
     """
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / LOCK).open("a+", encoding="utf-8", errors="replace")
+        lock = open_to_add(folder / LOCK)
     with lock:
         if not _taken(lock, folder, fcntl.LOCK_EX | fcntl.LOCK_NB):
             holder = _holder(folder / LOCK)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from kinectbench.core.storage import storage_errors
+from kinectbench.core.storage import open_to_add, storage_errors
 
 LOCK = ".lock"
 # The names that `replaced_file` gives, those of earlier versions included: .000.npz.1f2e3d4c.part
@@ -58,7 +58,7 @@ def _lock(path: Path, held: contextlib.ExitStack) -> bool:
     """
     while True:
         with contextlib.ExitStack() as closing:
-            file = closing.enter_context(path.open("a", encoding="utf-8"))
+            file = closing.enter_context(open_to_add(path))
             try:
                 fcntl.flock(file, fcntl.LOCK_EX)
             except OSError as error:

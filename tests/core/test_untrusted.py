@@ -10,7 +10,7 @@ import pytest
 from bounds import within
 
 from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import name_problem, replaced_file, storage_errors
+from kinectbench.core.storage import append_plain, name_problem, replaced_file, storage_errors
 from kinectbench.core.untrusted import (
     below,
     cell,
@@ -202,3 +202,16 @@ def test_a_name_that_the_disk_does_not_take_is_one_line(tmp_path: Path) -> None:
         replaced_file(tmp_path / ("x" * 250)),
     ):
         pass
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a link", "a folder"])
+def test_what_is_added_to_is_a_plain_file(tmp_path: Path, kind: str) -> None:
+    path, outside = tmp_path / "lock", tmp_path / "outside"
+    outside.write_text("mine")
+    {"a pipe": os.mkfifo, "a link": lambda to: to.symlink_to(outside), "a folder": Path.mkdir}[kind](path)
+    with pytest.raises(StorageError, match="is no file that could be added to; remove it"):
+        append_plain(path, "theirs")
+    assert outside.read_text() == "mine"
+    append_plain(tmp_path / "new" / "lock", "é")
+    append_plain(tmp_path / "new" / "lock", "t")
+    assert (tmp_path / "new" / "lock").read_text(encoding="utf-8") == "ét"
