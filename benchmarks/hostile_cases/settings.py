@@ -101,6 +101,7 @@ def cases() -> Iterator[Case]:
     )
 
 
+FAR = HEAD + "recordings: [{id: r, path: r, category: chair, %s}]\n"
 TEXTS: dict[str, tuple[str, str | Callable[[], str]]] = {
     "a billion laughs": ("H1", HEAD + bomb_yaml()),
     "a billion laughs as recordings": ("H1", HEAD + bomb_yaml("recordings")),
@@ -122,6 +123,9 @@ TEXTS: dict[str, tuple[str, str | Callable[[], str]]] = {
     "a comment of 10 MB": ("M6", lambda: HEAD + "#" * (10 << 20) + "\n"),
     "a text of 10 MB": ("M6", lambda: HEAD + "license: '" + "x" * (10 << 20) + "'\n"),
     "40 MB": ("M6", lambda: HEAD + "#" * (40 << 20) + "\n"),
+    "a box of 1e300 m": ("L", FAR % "box: {center_m: [0, 0, 0], size_m: [1e300, 1, 1]}"),
+    "a plane at 1e300 m": ("L", FAR % "floor: {plane_world: [0, 0, 1, 1e300]}"),
+    "a delay of 1e300 s": ("L", FAR % "camera: {trajectory_delay_s: 1e300}"),
     "escapes": ("M5", HEAD + '"a\\e[2Jb\\nerror: x": 1\n'),
     "not UTF-8 as it says": ("M3", "%YAML 9.9\n---\nname: \x85\u2028\n"),
 }
