@@ -34,7 +34,7 @@ def metadata(count: int = len(INFOS)) -> Any:
 
 
 def stated(targets: tuple[Target, ...] = (TARGET,)) -> Any:
-    return SimpleNamespace(metadata=metadata(), targets=targets)
+    return SimpleNamespace(metadata=metadata(), targets=targets, says_twice=False)
 
 
 LICENSES = {
