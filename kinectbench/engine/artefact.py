@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 10,
     "track": 9,
     "fuse": 5,
-    "segment": 30,
+    "segment": 31,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,

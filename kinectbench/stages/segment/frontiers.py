@@ -34,6 +34,8 @@ ENOUGH, HELD_RAD = 0.8, np.radians(25.0)
 # From so much of a unit vector up or down it is told as straight above or below, up to so much upward and
 # downward as level (own choices).
 STEEP, LEVEL, LOWER = 0.9, 0.35, 0.05
+# Directions are told in such steps: nobody walks around a thing more exactly (own choice).
+TURN_STEP_DEG, HALF_TURN_DEG = 10, 180
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,10 @@ class Frontier:
     inside_solid_share: float
     underside: bool = False
 
-    @property
-    def advice(self) -> str:
-        """One line for the person who records: what nobody saw, and where to stand, by `look_from` alone."""
+    def advice(self, first_rad: float) -> str:
+        """One line for the person who records: what nobody saw, and where to stand (`where_to_stand`)."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
-        where = where_to_stand(self.look_from, self.center_m[2])
+        where = where_to_stand(self.look_from, self.center_m[2], first_rad)
         if self.underside:
             say = "or say in benchmark.yaml whether its `underside` is closed or open"
             return f"nobody saw the underside, {size}: record {where}, {say}"
@@ -78,17 +79,33 @@ class Frontier:
         return f"nobody looked into the opening {at}, {size}: record {where}"
 
 
-def where_to_stand(look_from: tuple[float, float, float], height_m: float) -> str:
+def turned(towards_rad: float, first_rad: float) -> str:
+    """How far around the object a direction is from where the recording begins, facing it, in words.
+
+    Args:
+        towards_rad: of the direction, from above, counterclockwise from x of the floor frame.
+        first_rad: likewise, of the first camera.
+    """
+    turn_deg = np.degrees(np.angle(np.exp(1j * (towards_rad - first_rad))))
+    rounded = TURN_STEP_DEG * round(abs(turn_deg) / TURN_STEP_DEG)
+    if not rounded:
+        return "where the recording begins"
+    if rounded == HALF_TURN_DEG:
+        return "opposite to where the recording begins"
+    # Facing the object, whoever goes counterclockwise around it goes to the right.
+    return f"{rounded} degrees to the {'right' if turn_deg > 0 else 'left'} of where the recording begins"
+
+
+def where_to_stand(look_from: tuple[float, float, float], height_m: float, first_rad: float) -> str:
     """From where to look at a point, in words.
 
     Args:
         look_from: unit vector, floor frame: from the point to the camera.
         height_m: of the point above the floor.
+        first_rad: direction of the first camera from the object, from above, counterclockwise from x.
     """
     up, height = look_from[2], f"{100 * height_m:.0f} cm"
-    # Not -0.0.
-    x, y = (round(along, 1) + 0.0 for along in look_from[:2])
-    towards = f"from the direction ({x:.1f}, {y:.1f}) of the floor frame"
+    towards = f"from {turned(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
     if abs(up) > STEEP:
         return "from above" if up > 0 else f"from below, lower than {height}"
     if up < -LOWER:

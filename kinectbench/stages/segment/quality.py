@@ -83,7 +83,8 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
-    unsupported, advice = _unsupported(chosen, together), tuple(frontier.advice for frontier in frontiers)
+    unsupported = _unsupported(chosen, together)
+    advice = tuple(frontier.advice(seen.first_rad) for frontier in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
     warnings = (*seen.warnings, *advice, *_asked(together, rules.underside), *fused)
     boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
@@ -98,7 +99,7 @@ def measure_quality(
         estimated_iou_low=round(estimate.low, 4),
         estimated_iou_high=round(estimate.high, 4),
         estimated_iou_reasons=estimate.reasons,
-        frontiers=tuple(_frontier_part(frontier) for frontier in frontiers),
+        frontiers=tuple(_frontier_part(frontier, seen.first_rad) for frontier in frontiers),
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
         unknown_air_share=round(unknown_air, 4),
@@ -125,7 +126,7 @@ def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
     return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
 
 
-def _frontier_part(frontier: Frontier) -> FrontierPart:
+def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
     """A frontier as quality.json writes it: rounded."""
     (length, width), (x, y, z), (u, v, w) = (
         (round(value, 4) for value in vector)
@@ -137,7 +138,7 @@ def _frontier_part(frontier: Frontier) -> FrontierPart:
         size_m=(length, width),
         center_m=(x, y, z),
         look_from=(u, v, w),
-        advice=frontier.advice,
+        advice=frontier.advice(first_rad),
         volume_m3=round(frontier.volume_m3, 6),
         inside_share=round(frontier.inside_share, 4),
         solid_share=round(frontier.solid_share, 4),

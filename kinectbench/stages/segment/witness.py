@@ -14,6 +14,7 @@ from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.choose import Segmentation
 from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.frontiers import turned
 from kinectbench.stages.segment.given_floor import GIVEN
 
 COLUMNS = 160
@@ -109,7 +110,11 @@ class UnseenSide:
 
 @dataclass(frozen=True)
 class Witness:
-    """What quality.json says of it: a line for people for each thing that is wrong, and which are doubts."""
+    """What quality.json says of it: a line for people for each thing that is wrong, and which are doubts.
+
+    `first_rad` is the direction of the first camera from the object, from above, counterclockwise from x of
+    the floor frame.
+    """
 
     good_frames: int
     unseen_side: UnseenSidePart
@@ -118,6 +123,7 @@ class Witness:
     beyond_share: float
     warnings: tuple[str, ...]
     doubts: tuple[str, ...]
+    first_rad: float = 0.0
 
 
 def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
@@ -189,15 +195,16 @@ def witness(
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
-    side = unseen_side(T_floor_camera, np.array(chosen.box.center_m))
+    center = np.array(chosen.box.center_m)
+    side = unseen_side(T_floor_camera, center)
+    first_rad = float(np.arctan2(*(T_floor_camera[0, :2, 3] - center[:2])[::-1]))
     moving = moving_frames(sequence, trajectory, scene, chosen.floor)
     doubts = (*_of_floor(chosen.floor), *chosen.doubts)
     warnings = [*_of_trajectory(trajectory), *doubts]
     if side.share > 0:
-        x, y = np.cos(side.towards_rad), np.sin(side.towards_rad)
         warnings.append(
-            f"no frame looks at the object's side towards ({x:.1f}, {y:.1f}) of the floor frame, "
-            f"{side.share:.0%} of the way around: what is there is inferred; show it to the camera, too"
+            f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, {side.share:.0%} of "
+            "the way around: what is there is inferred; show it to the camera, too"
         )
     if len(good) < MIN_FRAMES:
         warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")
@@ -218,4 +225,5 @@ def witness(
         towards_rad=np.radians(round(np.degrees(side.towards_rad), 1)),
         share=round(side.share, 4),
     )
-    return Witness(len(good), figures, moving, max_depth_m, round(too_far, 4), tuple(warnings), doubts)
+    share, told = round(too_far, 4), tuple(warnings)
+    return Witness(len(good), figures, moving, max_depth_m, share, told, doubts, first_rad)
