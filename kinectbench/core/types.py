@@ -25,5 +25,8 @@ Split = Literal["train", "validation", "test"]
 # no space behind it that is open to the air; open: there is; unseen: nobody looked.
 Underside = Literal["closed", "open", "unseen"]
 # How the cube of a pair is placed, and how 4 x 4 x 4 of its cells become one.
+# How 16-bit depth is to be read: as it is; with its low 3 bits as its high ones; as the bits of a float16 in
+# metres; as the distance along the ray.
+DepthCode = Literal["plain", "rotated", "float16", "ray_distance"]
 Framing = Literal["object", "view"]
 PartialRule = Literal["any", "majority"]

@@ -17,7 +17,7 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.names import Category, Name, Named, first_clash
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.core.types import Framing, PartialRule, Split, Underside
+from kinectbench.core.types import DepthCode, Framing, PartialRule, Split, Underside
 from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.settings.base import Settings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings
@@ -40,9 +40,6 @@ UNDERSIDE = (
     "closed: no space behind the underside that is open to the air (aprons make a chair open below); "
     "open: there is; unseen: nobody looked"
 )
-
-
-DepthCode = Literal["plain", "rotated", "float16", "ray_distance"]
 
 
 class CameraSettings(Settings):

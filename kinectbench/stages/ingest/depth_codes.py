@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera
-from kinectbench.settings.models import DepthCode
+from kinectbench.core.types import DepthCode
 from kinectbench.stages.ingest.images import quantised
 from kinectbench.stages.ingest.rotated_depth import unrotated
 

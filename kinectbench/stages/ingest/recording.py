@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
-from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.types import Bools, DepthCode, Float64, Int64
 from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
-from kinectbench.settings.models import CameraSettings, DepthCode
+from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_codes import read_by_code
 from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px
 from kinectbench.stages.ingest.images import DamagedImageError, decode_mask, image_header, quantised
@@ -200,7 +200,7 @@ class FileRecording(Recording):
 
     Attributes:
         often_rotated: depth in this layout usually has rotated bits.
-        depth_code: how its values are to be read (`settings.models.DepthCode`).
+        depth_code: how its values are to be read (`core.types.DepthCode`).
         float_scale: units a metre of depth that is float.
         channels: of depth in two 8-bit channels: those of the high and of the low byte; None: it is in one.
     """

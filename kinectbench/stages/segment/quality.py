@@ -1,5 +1,7 @@
 """What the recording itself says about how good its ground truth is."""
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,8 +89,7 @@ def measure_quality(
     advice = tuple(frontier.advice(seen.first_rad) for frontier in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
     warnings = (*seen.warnings, *advice, *_asked(together, rules.underside), *fused)
-    boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
-    whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
+    whole, of_odd, of_even = _box_parts(box, shapes[1:], chosen.floor)
     return QualityFile(
         format_version=1,
         verdict="look at the warnings" if warnings else "good",
@@ -118,6 +119,12 @@ def measure_quality(
         beyond_share=seen.beyond_share,
         method=method(rules),
     )
+
+
+def _box_parts(box: OrientedBox, halves: Iterable[SolidShape], floor: Floor) -> Iterator[BoxPart]:
+    """The box around the solid and those of the halves, turned as it is, as quality.json writes them."""
+    for each in (box, *(solid_box(half, floor, box.yaw_rad) for half in halves)):
+        yield BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD)
 
 
 def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
