@@ -53,9 +53,7 @@ class CameraSettings(Settings):
     cy: float | None = Field(None, description="principal point in y, pixels")
     depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
     depth_code: DepthCode | None = Field(
-        None,
-        description="of depth in files: rotated, if its low 3 bits are its high ones; float16, if it is the "
-        "bits of a float16 in metres; ray_distance, if it is along the ray; default: told by its values",
+        None, description="how depth in files is to be read; default: told by its values"
     )
     depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
     color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
