@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.text_rows import read_text
 from kinectbench.core.untrusted import listed, printable
+from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import (
+    NEEDED,
     Intrinsics,
     pinhole,
     read_intrinsics_json,
@@ -19,17 +22,17 @@ from kinectbench.stages.ingest.intrinsics import (
 from kinectbench.stages.ingest.recording import first_file, visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
-# calibration.txt is ETH3D's: fx fy cx cy.
-MATRIX_FILES = (
-    *("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt", "K.txt"),
-    *("calibration.txt", "camera_intrinsics.txt", "camera.txt"),
-)
+MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
+# These may hold something else by other programs, and then say nothing. ETH3D's calibration.txt: fx fy cx cy.
+LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
 # As OpenCV and ROS write cameras; RTAB-Map exports one of each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
 YAML_BYTES, MOST_YAML = 64 << 10, 200
-YAML_MATRIX = re.compile(r"^camera_matrix:(?:.*\n)+?\s+data:\s*\[([^\]]*)\]", re.MULTILINE)
+YAML_MATRIX = re.compile(r"^camera_matrix:(?:.*\n){1,8}?[ \t]+data:[ \t]*\[([^\]]{,2000})\]", re.MULTILINE)
 YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
-YAML_DISTORTION = re.compile(r"^distortion_coefficients:(?:.*\n)+?\s+data:\s*\[([^\]]*)\]", re.MULTILINE)
+YAML_DISTORTION = re.compile(
+    r"^distortion_coefficients:(?:.*\n){1,8}?[ \t]+data:[ \t]*\[([^\]]{,2000})\]", re.MULTILINE
+)
 # Names of files that may hold intrinsics in a layout that is not read.
 LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
@@ -38,8 +41,10 @@ LIKE_INTRINSICS = re.compile(
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 
-def find_intrinsics(path: Path) -> tuple[Intrinsics, Path | None]:
+def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
     """What the files of a recording's folder say of its depth camera; and the JSON file among them, or None.
+
+    Where a person gives all that they would say, the others are not read: they may be of other cameras.
 
     Raises:
         RecordingError: the file does not hold what its name says.
@@ -50,6 +55,12 @@ def find_intrinsics(path: Path) -> tuple[Intrinsics, Path | None]:
     matrix_file = first_file(path / name for name in MATRIX_FILES)
     if matrix_file is not None:
         return read_intrinsics_matrix(matrix_file), None
+    if all(getattr(settings, key) is not None for key in NEEDED):
+        return Intrinsics(), None
+    for file in (path / name for name in LOOSE_FILES):
+        with suppress(RecordingError):
+            if file.is_file():
+                return read_intrinsics_matrix(file), None
     files = [file for folder in YAML_FOLDERS for file in visible(path / folder, YAML_NAMES)]
     return _of_yaml(sorted(files)), None
 

@@ -2,6 +2,8 @@
 
 import io
 import json
+import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -95,6 +97,34 @@ def test_cameras_of_images_that_differ_are_refused(tmp_path: Path) -> None:
     (folder / "calib" / "1.yaml").write_text(YAML.replace(str(FX), str(FX + 1)))
     with pytest.raises(RecordingError, match=r"1\.yaml: has another camera than .*0\.yaml"):
         open_recording(folder)
+
+
+@pytest.mark.parametrize("name", ["calibration.txt", "camera.txt", "calib/0.yaml"])
+def test_what_is_no_intrinsics_does_not_stand_in_the_way(tmp_path: Path, name: str) -> None:
+    """Other programs' files of those names, and cameras that contradict each other beside a person's word."""
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text(YAML if name.endswith("yaml") else "P0: 7.1 0 6.0\n")
+    if name.endswith("yaml"):
+        (folder / "calib" / "1.yaml").write_text(YAML.replace(str(FX), str(FX + 1)))
+    else:
+        with pytest.raises(RecordingError, match=f"it may stand in .*{re.escape(name)}"):
+            open_recording(folder)
+    assert camera_of(opened(folder, CameraSettings(fx=FX, fy=FY, cx=CX, cy=CY))) == CAMERA
+
+
+def test_a_hostile_yaml_is_read_in_no_time(tmp_path: Path) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    for text in (
+        "camera_matrix:" + "\n" * 60_000,
+        "camera_matrix:\n" * 4_000,
+        "camera_matrix:\n data: [" + "1 " * 30_000,
+    ):
+        (folder / "calib.yaml").write_text(text)
+        started = time.process_time()
+        with pytest.raises(RecordingError, match="does not say its intrinsics"):
+            open_recording(folder)
+        assert time.process_time() - started < 2
 
 
 def test_files_that_look_like_intrinsics_are_named(tmp_path: Path) -> None:

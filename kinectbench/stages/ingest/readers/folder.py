@@ -28,7 +28,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     lie_beside_each_other,
 )
 from kinectbench.stages.ingest.readers.pose_files import pose_file, read_pose_file
-from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
+from kinectbench.stages.ingest.readers.pose_folder import pose_folder, read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
@@ -119,7 +119,7 @@ class FolderRecording(FileRecording):
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
-        said, camera_file = find_intrinsics(path)
+        said, camera_file = find_intrinsics(path, settings)
         if camera_file is None and said == Intrinsics():
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
@@ -183,15 +183,16 @@ def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]
 def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    in_one = pose_file(path)
-    if in_one is not None:
-        return read_pose_file(in_one, stamps_ns, stems)
+    ours = path / "trajectory.txt"
     logs = sorted(visible(path, "*.log"))
     file = path / "trajectory.log" if len(logs) != 1 else logs[0]
-    if not file.is_file():
+    if not ours.is_file() and file.is_file():
+        matrices = _read_log(file, len(stamps_ns))
+        return trajectory_from_matrices(stamps_ns, matrices, str(file))
+    in_one = ours if ours.is_file() else None if pose_folder(path) else pose_file(path)
+    if in_one is None:
         return read_pose_folder(path, files)
-    matrices = _read_log(file, len(stamps_ns))
-    return trajectory_from_matrices(stamps_ns, matrices, str(file))
+    return read_pose_file(in_one, stamps_ns, stems)
 
 
 def _read_log(file: Path, frames: int) -> list[Float64]:

@@ -16,8 +16,8 @@ from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.recording import first_file
 
-# The first that is there: ours, RTAB-Map's and many others', TUM's, that of ICL and Replica.
-POSE_FILES = ("trajectory.txt", "poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
+# The first that is there: RTAB-Map's and many others', TUM's, that of ICL and Replica.
+POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
 # Values of a row: a stamp, a position and a quaternion; the same with an id; matrices without or with their
 # last row.
 STAMPED, WITH_ID, KITTI, MATRIX = 8, 9, 12, 16

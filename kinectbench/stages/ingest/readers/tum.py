@@ -75,7 +75,7 @@ class TumRecording(FileRecording):
             )
             for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
-        said, camera_file = find_intrinsics(path)
+        said, camera_file = find_intrinsics(path, settings)
         intrinsics = said.overridden_by(settings)
         truth = path / "groundtruth.txt"
         trajectory, trajectory_warnings, error = read_given(
