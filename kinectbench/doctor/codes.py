@@ -55,11 +55,11 @@ def check_codes(look: Look, poses: PoseFit | None) -> Iterator[Finding]:
         poses: how the given poses fit depth as it is; None: there are none, or they fit in no way.
     """
     recording = look.recording
-    if recording.given_trajectory is None or (poses is not None and poses.proven):
+    if recording.given_trajectory is None:
         return
     if isinstance(recording, FileRecording) and recording.depth_code != "plain":
         return
-    # Poses that fit as they are settle the scale; along the ray depth differs by little.
+    # Poses that fit as they are settle the scale, but along the ray depth differs by little.
     as_given = poses is not None and poses.fits and poses.reading.changes == 0
     codes = _along_the_ray(look) if as_given else _codes(look)
     found = [(code, fit) for code in codes if (fit := _fit(look, code)) is not None]

@@ -31,6 +31,7 @@ CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 # Levels of 8 bits, evenly spaced: a Kinect has as few in a small room, but they lie wider with distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
+HIGHEST = 65535
 # What poses that fit settle: by another scale or other intrinsics they would not.
 SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect", "camera_height"})
 VALID_SHARE = 0.35
@@ -120,9 +121,12 @@ def _readable(look: Look) -> Iterator[Finding]:
         what = f"{len(look.damaged)} of {count} frames looked at are damaged; the first: {look.damaged[0]}"
         severity: Severity = "stops" if share >= HARMLESS_DAMAGE else "warning"
         yield Finding("damaged_frames", severity, what, look.where, "copy or export them again")
+    step = look.depth_step_px
+    small = {(frame.depth_m.shape[0] * step, frame.depth_m.shape[1] * step) for frame in look.frames}
     sizes = {frame.depth.shape for frame in look.whole}
-    if len(sizes) > 1:
-        shown = " and ".join(f"{width}x{height}" for height, width in sorted(sizes))
+    if len(sizes) > 1 or len(small) > 1:
+        known = sizes if len(sizes) > 1 else small
+        shown = " and ".join(f"{width}x{height}" for height, width in sorted(known))
         what = f"depth images are {shown}: a recording must keep one size"
         yield Finding("depth_sizes", "stops", what, look.where, "separate the two cameras or settings")
 
@@ -139,13 +143,13 @@ def _byte_order(look: Look) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """The median step between measured neighbours in a row, as a share of the median depth."""
+    """The mean step between measured neighbours in a row, as a share of the median depth."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
-    both = (left > 0) & (right > 0)
+    # The highest value often stands for none.
+    both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
     if not both.any():
         return 0.0
-    step = np.clip(np.abs(left - right)[both], 0, None)
-    return float((step.mean() + 1e-3) / np.median(left[both]))
+    return float((np.abs(left - right)[both].mean() + 1e-3) / np.median(left[both]))
 
 
 def _levels(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:

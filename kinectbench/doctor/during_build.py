@@ -41,15 +41,16 @@ def doubted_scale(recording: Recording) -> str:
     """
     look = take_look(recording)
     by_depth = [found for found in check_depth(look) if found.name == "depth_scale"]
-    if not by_depth:
-        return ""
     # Poses tell the scale, the depth alone only that it is unlikely.
     fit = fit_trajectory(look)
+    for found in check_codes(look, fit):
+        doubt = "the depth's scale may be wrong" if found.name == "depth_scale" else "depth may be coded"
+        return f"{found.where}: {doubt}: {found.what}; {found.advice}"
+    if not by_depth:
+        return ""
     if fit is not None and fit.proven:
         return ""
-    by_poses = [*check_codes(look, fit)] or [
-        found for found in check_trajectory(look, fit) if found.name == "depth_scale"
-    ]
+    by_poses = [found for found in check_trajectory(look, fit) if found.name == "depth_scale"]
     found = (by_poses or by_depth)[0]
     return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}"
 

@@ -150,6 +150,8 @@ def _examined(
         found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
     # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
     explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
+    if any(f.name == "depth_scale" for f in found):
+        late = [f for f in late if f.name != "far_depth"]
     found = found + [
         finding
         for finding in late

@@ -45,6 +45,8 @@ OTHER_SCALE = 0.97
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
            1e-3: "milliseconds read as seconds", 1e-6: "microseconds read as seconds",
            1e-9: "nanoseconds read as seconds"}  # fmt: skip
+# Stamps in another unit span the recording, or so much of it (own choice).
+LEAST_SPAN = 0.1
 POSED_SHARE = 0.9
 SMALL_ARC_DEG = 270.0
 
@@ -185,7 +187,8 @@ def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]
         f"{end_s:.10g} s)"
     )
     for factor, said in FACTORS.items():
-        if first_s * factor <= end_s and last_s * factor >= start_s:
+        meets = first_s * factor <= end_s and last_s * factor >= start_s
+        if meets and (last_s - first_s) * factor > LEAST_SPAN * (end_s - start_s):
             what = f"{what}: their stamps are {said}"
             return Finding("trajectory_time_unit", "stops", what, look.where, f"multiply them by {factor:g}")
     line = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + first_s - start_s)

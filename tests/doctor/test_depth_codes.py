@@ -12,9 +12,10 @@ from ingest_writers import png
 from numpy.typing import NDArray
 
 from kinectbench.doctor import inspect
+from kinectbench.doctor.during_build import doubted_scale
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
-from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.depth_codes import ray_lengths
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.rotated_depth import rotated
@@ -132,3 +133,29 @@ def test_poses_of_another_recording_offer_nothing(base: Path, tmp_path: Path) ->
     (folder / "poses.txt").write_text("\n".join(rows) + "\n")
     assert not [f for f in inspect(folder)[0].findings if f.name in ("depth_scale", "depth_code")]
     assert cv2.imread(str(folder / "depth/000000.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+
+
+def test_a_build_that_fails_names_the_code(base: Path, tmp_path: Path) -> None:
+    """Where depth along the ray leaves no floor, say: not a line about the recording."""
+    lengths = ray_lengths(open_recording(base).camera)
+    folder = recoded(base, tmp_path / "r", lambda metres: mm(metres * lengths))
+    assert "depth may be coded: the given poses fit if depth is the distance along the ray" in doubted_scale(
+        open_recording(folder)
+    )
+    assert doubted_scale(open_recording(base)) == ""
+
+
+def test_holes_of_65535_are_no_exchanged_bytes(base: Path, tmp_path: Path) -> None:
+    def with_holes(metres: Metres) -> NDArray[np.uint16]:
+        holes = np.random.default_rng(0).random(metres.shape) < 0.15
+        return np.where(holes, 65535, mm(metres)).astype(np.uint16)
+
+    said = {found.name for found in inspect(recoded(base, tmp_path / "r", with_holes))[0].findings}
+    assert "invalid_code" in said and "byte_order" not in said
+
+
+def test_depth_images_of_two_sizes_end_in_one_line(base: Path, tmp_path: Path) -> None:
+    folder = recoded(base, tmp_path / "r", mm)
+    (folder / "depth/000007.png").write_bytes(png(np.full((60, 40), 900, np.uint16)))
+    diagnosis, _ = inspect(folder, tracking=TrackingSettings())
+    assert "depth_sizes" in {found.name for found in diagnosis.findings}

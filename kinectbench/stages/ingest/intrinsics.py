@@ -31,6 +31,8 @@ JSON_BYTES = 16 << 20
 # Of one frame among many: apps write a few kilobytes (own choice).
 FRAME_JSON_BYTES = 256 << 10
 MM_PER_M = 1000.0
+# No unit of depth images is so long: such a scale is in units a metre.
+MOST_MM_A_UNIT = 100.0
 # Names of librealsense and of Record3D; and keys of a matrix in place of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "K")
@@ -157,13 +159,20 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         values |= _units_a_metre(values["depth_scale"], path, of_bop="cam_K" in known)
     key = next((key for key in MATRIX_KEYS if key in known), None)
     if key is not None:
-        return replace(pinhole(_open3d_matrix(known[key], path, key), path), **values)
+        matrix = pinhole(_open3d_matrix(known[key], path, key), path)
+        for name in NEEDED:
+            if not math.isclose(values.get(name, getattr(matrix, name)), getattr(matrix, name), rel_tol=1e-3):
+                raise RecordingError(
+                    f"{path}: '{name}' is {values[name]:g} and that of '{key}' {getattr(matrix, name):g}: "
+                    "correct one of them, or give fx, fy, cx, cy under `camera:`"
+                )
+        return replace(matrix, **values)
     return Intrinsics(**values)
 
 
 def _units_a_metre(said: float, path: Path, *, of_bop: bool) -> dict[str, Any]:
     """The depth scale in units a metre that a file means, and a note where it says another figure."""
-    if of_bop:
+    if of_bop and said < MOST_MM_A_UNIT:
         scale, how = MM_PER_M / said, "mm a unit, as BOP has it beside cam_K"
     elif said < 1:
         scale, how = 1 / said, "metres a unit, as librealsense has it"

@@ -173,6 +173,33 @@ def test_poses_by_other_programs(tmp_path: Path, name: str, text: str, known: li
     np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[known], atol=1e-12)
 
 
+@pytest.mark.parametrize(("first", "words"), [(0, ""), (1, "its numbers are +1 off those of the frames")])
+def test_poses_counted_from_one_are_of_the_frames_counted_from_zero(
+    tmp_path: Path, first: int, words: str
+) -> None:
+    folder = write_folder(tmp_path / "r")
+    rows = [f"{first + i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    recording = opened(folder)
+    assert recording.given_trajectory is not None
+    np.testing.assert_array_equal(recording.given_trajectory.stamps_ns, recording.stamps_ns)
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses(), atol=1e-12)
+    assert any(words in line for line in recording.warnings) if words else recording.warnings == ()
+
+
+def test_a_camera_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / "camera.json").write_text(json.dumps({"cam_K": MATRIX, "fx": 2 * FX}))
+    with pytest.raises(RecordingError, match=r"'fx' is .* and that of 'cam_K'"):
+        open_recording(folder)
+
+
+def test_depth_images_of_two_kinds_are_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "depth" / "9.npy").write_bytes(npy(depth_image(0, 1000.0)))
+    assert any("1 .npy images beside the 4 .png are not read" in line for line in opened(folder).warnings)
+
+
 def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "traj.txt").write_text("\n".join(" ".join(map(str, T.ravel())) for T in poses()[:3]) + "\n")

@@ -15,6 +15,7 @@ LEAST_IMAGES = 5
 LOOKED_AT = 20_000
 # The head of a PNG, which tells its bits.
 HEAD_BYTES = 26
+KINDS = "16-bit PNG, .npy, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 RECORD = "record with a camera that measures depth, such as a Kinect, a RealSense, or a phone with LiDAR"
 
@@ -49,7 +50,7 @@ def without_depth(path: Path) -> str | None:
         )
     if images < LEAST_IMAGES:
         return None
-    return f"{path}: holds {images} colour images, but no depth that is read (16-bit PNG): {RECORD}"
+    return f"{path}: holds {images} colour images, but no depth that is read ({KINDS}): {RECORD}"
 
 
 def _unread_kind(path: Path) -> str | None:

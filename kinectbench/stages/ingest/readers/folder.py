@@ -26,6 +26,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     color_images,
     depth_images,
     lie_beside_each_other,
+    unread_depth,
 )
 from kinectbench.stages.ingest.readers.pose_files import pose_file, read_pose_file
 from kinectbench.stages.ingest.readers.pose_folder import pose_folder, read_pose_folder
@@ -140,7 +141,13 @@ class FolderRecording(FileRecording):
             recorded=recorded,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*paired, *stored.warnings, *said_warnings(path, said, settings), *warnings),
+            warnings=(
+                *unread_depth(path, depth),
+                *paired,
+                *stored.warnings,
+                *said_warnings(path, said, settings),
+                *warnings,
+            ),
         )
 
 

@@ -1,6 +1,7 @@
 """The images of a plain folder: in depth/ and color/, or side by side and told apart by a word in names."""
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,6 +43,21 @@ def depth_images(path: Path) -> NamedImages:
     if raw and ".png" in suffixes and not any(_is_16_bit(f) for f in listed(folder, wanted=_is_png)):
         return in_folder(folder, frozenset(raw))
     return in_folder(folder, frozenset({".png"}) if ".png" in suffixes else frozenset(raw))
+
+
+def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
+    """A line where depth/ holds images of another kind than those that are read."""
+    folder = path / "depth"
+    if not folder.is_dir() or not read.files:
+        return ()
+    kinds = Counter(file.suffix.lower() for file in listed(folder) if not file.name.startswith("."))
+    others = {kind: count for kind, count in sorted(kinds.items()) if kind in DEPTH_SUFFIXES}
+    others.pop(read.files[0].suffix.lower(), None)
+    if not others:
+        return ()
+    counted = " and ".join(f"{count} {kind}" for kind, count in others.items())
+    kind = read.files[0].suffix.lower()
+    return (f"{folder}: {counted} images beside the {len(read.files)} {kind} are not read: keep one kind",)
 
 
 def color_images(path: Path) -> NamedImages:

@@ -9,6 +9,7 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
+from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_from_matrices
 from kinectbench.core.types import Float64
@@ -69,9 +70,17 @@ def read_pose_file(
         return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
     trajectory, warnings = read_trajectory(file)
     frames_ns = np.array(stamps_ns, np.int64)
-    if not counts_frames(frames_ns) or counts_frames(trajectory.stamps_ns) or len(rows) != len(stems):
+    if not counts_frames(frames_ns) or len(rows) != len(stems):
+        return trajectory, warnings
+    numbered = counts_frames(trajectory.stamps_ns)
+    if numbered and (len(trajectory.stamps_ns) < len(rows) or set(trajectory.stamps_ns) == set(frames_ns)):
         return trajectory, warnings
     in_order, warnings = read_trajectory(file, len(stems))
+    if numbered:
+        # Counted from 0 or 1: by equal numbers each pose would be of the frame beside its own.
+        in_order, shift = trajectory, int(trajectory.stamps_ns[0] - frames_ns[0]) // NS_PER_S
+        said = f"{file}: its numbers are {shift:+d} off those of the frames: rows are taken in their order"
+        warnings = [*warnings, said]
     return GivenTrajectory(frames_ns, in_order.T_world_camera), warnings
 
 
