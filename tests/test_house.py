@@ -127,6 +127,7 @@ RAW = {
     "release/publish/privacy.py": "any model's content, scrubbed",
     "release/publish/schemas.py": "JSON schemas",
     "release/publish/small_files.py": "Croissant",
+    "release/publish/view_pictures.py": "rows as ImageFolder reads them",
     "report/gallery.py": "text in the page",
     "scoring/baselines/predict.py": "predictions, as any method's",
     "scoring/methods/predict.py": "predictions, as any method's",

@@ -54,11 +54,15 @@ def shrunk(picture: Rgb, size_px: int) -> Rgb:
 
 def data_uri(picture: Rgb, quality: int = 82) -> str:
     """Encode RGB (height, width, 3) as a JPEG `data:` address."""
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(picture, quality)).decode()
+
+
+def jpeg(picture: Rgb, quality: int = 82) -> bytes:
+    """Encode RGB (height, width, 3) as a JPEG file."""
     import cv2
 
     bgr = np.ascontiguousarray(picture[..., ::-1])
-    _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
+    return bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
 def read_color(path: Path) -> Rgb:

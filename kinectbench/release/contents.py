@@ -23,6 +23,8 @@ DATASHEET = "datasheet.md"
 PREVIEW = "index.html"
 SCHEMAS = "schemas"
 SPLIT_TARGETS = "targets"
+# previews/<split>/: a table of pairs, and a picture of each.
+PREVIEWS, ROWS = "previews", "metadata.jsonl"
 # The bytes of each object, and of each view.
 OBJECT_FILES = ("mesh.ply", "volume.npz")
 # objects/<recording>.glb, and the most that it has: enough for 60,000 triangles with normals (own choice).
@@ -34,7 +36,7 @@ CHANGELOG = "CHANGELOG.md"
 LINK = "a link; in an archive only plain files are read"
 # A text of a release, or another file that is read whole.
 MAX_READ_BYTES = 64 << 20
-# Files and folders of a release: 95,000 pairs of 1,900 recordings (own choice); listing them takes 300 MB.
+# Files and folders of a release: 70,000 pairs of 1,400 recordings (own choice); listing them takes 300 MB.
 MOST_FILES = 300_000
 # A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to
 # 1.25 GiB, and shrinks to a tenth or less (own choice).

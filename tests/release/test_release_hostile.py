@@ -43,7 +43,7 @@ def seal(folder: Path) -> Path:
         return hashlib.sha256((folder / name).read_bytes()).hexdigest()
 
     old = dict(line.split("  ")[::-1] for line in (folder / "SHA256SUMS").read_text().splitlines())
-    for table in (folder / "targets.csv", *folder.glob("targets/*.csv")):
+    for table in (folder / "targets.csv", *folder.glob("targets/*.csv"), *folder.glob("previews/*/*.jsonl")):
         text = table.read_bytes().decode()
         for name, was in old.items():
             if name.startswith("pairs/"):

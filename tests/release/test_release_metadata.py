@@ -12,17 +12,19 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 from pydantic import ValidationError
-from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
+from synthetic_release import RECORDINGS, resum, synthetic_settings, write_build, write_json
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import COLUMNS
+from kinectbench.core.images import read_color
+from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.attribution import citation_text
 from kinectbench.release.publish.card import origins_table
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.publish.schemas import JSON_FILES, schema_problems, schema_texts
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, open_release
 
 NAMES = [recording[0] for recording in RECORDINGS]
 SCHEMAS = Path(__file__).resolve().parents[2] / "kinectbench" / "release" / "publish" / "schemas"
@@ -107,11 +109,54 @@ def test_head_of_the_card(release: Release) -> None:
     (config,) = head["configs"]
     rows = []
     for entry in config["data_files"]:
-        lines = (release.folder / entry["path"]).read_text().splitlines()
+        name = entry["path"].removesuffix("/**")
+        lines = (release.folder / f"targets/{entry['split']}.csv").read_text().splitlines()
         assert lines[0].split(",") == list(COLUMNS)
         assert all(f",{entry['split']}," in line for line in lines[1:])
         rows += lines[1:]
+        shown = [
+            json.loads(line) for line in (release.folder / name / "metadata.jsonl").read_text().splitlines()
+        ]
+        assert [row["view"] for row in shown] == [line.split(",")[2] for line in lines[1:]]
     assert sorted(rows) == (release.folder / "targets.csv").read_text().splitlines()[1:]
+
+
+def test_each_row_of_a_viewer_has_a_picture(build: Path, tmp_path: Path) -> None:
+    """`file_name` names it, as ImageFolder asks; of a view with colour that is beside depth."""
+    sizes = {}
+    for color in (False, True):
+        settings = synthetic_settings(publish={"color": color})
+        folder = publish(settings, build, tmp_path / f"{color}", NAMES).folder
+        assert verify(folder) == []
+        for target in open_release(folder).targets:
+            here = folder / "previews" / target.split
+            rows = [json.loads(line) for line in (here / "metadata.jsonl").read_text().splitlines()]
+            (row,) = [row for row in rows if row["file"] == target.file]
+            size = read_color(here / row.pop("file_name")).shape
+            assert row == {name: getattr(target, name) for name in COLUMNS}
+            sizes.setdefault(target.name, []).append(size)
+    assert all(plain == (6, 8, 3) for plain, _ in sizes.values())
+    assert any(wide == (6, 16, 3) for _, wide in sizes.values())
+
+
+@pytest.mark.parametrize("change", ["row", "gone", "more"])
+def test_pictures_that_are_not_those_of_the_pairs(change: str, build: Path, tmp_path: Path) -> None:
+    folder = publish(synthetic_settings(), build, tmp_path / "b", ["chair_02"]).folder
+    name, other = "previews/test/chair_02/000.jpg", "previews/test/chair_02/900.jpg"
+    rows, picture = folder / "previews/test/metadata.jsonl", folder / name
+    if change == "row":
+        rows.write_text(rows.read_text().replace('"view": "000"', '"view": "001"'))
+    elif change == "gone":
+        picture.unlink()
+    else:
+        shutil.copy(picture, folder / other)
+    resum(folder, "previews/test/metadata.jsonl")
+    sums = folder / "SHA256SUMS"
+    lines = [
+        line for line in sums.read_text().splitlines(keepends=True) if change != "gone" or name not in line
+    ]
+    sums.write_text("".join(lines) + (f"{sha256_file(picture)}  {other}\n" if change == "more" else ""))
+    assert any(line.startswith("previews/test/metadata.jsonl: ") for line in verify(folder))
 
 
 @pytest.mark.parametrize("license", ["unspecified", "our own terms"])

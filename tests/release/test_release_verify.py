@@ -131,9 +131,11 @@ def test_a_share_of_unknown_that_the_grids_do_not_have(copy: Path) -> None:
     for path in tables:  # as in a release published before
         path.write_text("".join(f"{text.rpartition(',')[0]}\n" for text in path.read_text().splitlines()))
     resum(copy, *names)
+    other = "not the lines of targets.csv whose split is"
     assert verify(copy) == [
         "benchmark.json: its benchmark_sha256 is not of SHA256SUMS and of what it says",
         "croissant.json: another SHA-256 for targets.csv than in SHA256SUMS",
+        *(f"previews/{split}/metadata.jsonl: {other} {split}" for split in ("validation", "test")),
     ]
 
 
@@ -158,6 +160,8 @@ def test_agreement_of_the_small_files(copy: Path) -> None:
         "croissant.json: another SHA-256 for targets.csv than in SHA256SUMS",
         "lineage.json: other views of chair_01 than in targets.csv",
         "targets/test.csv: not the lines of targets.csv whose split is test",
+        "previews/test/metadata.jsonl: not the lines of targets.csv whose split is test",
+        "previews/test/metadata.jsonl: chair_01/000.jpg and the pairs of targets.csv do not agree",
         "views/chair_01/views.json: other views with a pair than in targets.csv",
     ]
 

@@ -33,6 +33,8 @@ from kinectbench.release.contents import (
     DATASHEET,
     LICENSE,
     MAX_READ_BYTES,
+    PREVIEWS,
+    ROWS,
     SPLIT_TARGETS,
     Contents,
     release_json,
@@ -41,6 +43,7 @@ from kinectbench.release.publish import card, datasheet
 from kinectbench.release.publish.attribution import common_license, license_text, markdown
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
+from kinectbench.release.publish.view_pictures import row_picture, rows_text
 from kinectbench.settings.yaml_nodes import compose, items
 
 # Of an object whose truth is held back.
@@ -118,6 +121,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     if stated.says_twice:
         yield from own_problems(stated.metadata)
         checks[DATASHEET] = _datasheet_problems
+    checks |= {f"{PREVIEWS}/{split}/{ROWS}": partial(_rows_problems, split) for split in SPLITS}
     checks |= {
         f"views/{name}/views.json": partial(_views_problems, name) for name in stated.metadata.recordings
     }
@@ -275,6 +279,18 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
         expected.append(targets_text(here, EARLIER_COLUMNS))
     if text not in expected:
         yield f"not the lines of {TARGETS_CSV} whose split is {split}"
+
+
+def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
+    """Whether previews/ has a row and a picture of each pair of a split, and no others."""
+    here = [target for target in stated.targets if target.split == split]
+    if text != rows_text(here):
+        yield f"not the lines of {TARGETS_CSV} whose split is {split}"
+    folder = f"{PREVIEWS}/{split}/"
+    there = {name.removeprefix(folder) for name in stated.sums if name.startswith(folder)} - {ROWS}
+    odd = sorted(there ^ {row_picture(target) for target in here})
+    if odd:
+        yield f"{printable(odd[0], 200)} and the pairs of {TARGETS_CSV} do not agree"
 
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:

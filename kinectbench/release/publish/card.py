@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.types import Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
-from kinectbench.release.contents import LICENSE, SPLIT_TARGETS
+from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown
 
 # Key of quality.json -> what it is called, how it is written, factor.
@@ -89,11 +89,13 @@ class CardTexts:
         source: end of the first sentence: "A benchmark for ... shape completion from".
         beside: what the folders beside `pairs/` hold.
         origin: source of a recording that states none; empty: it has to.
+        pictured: whether previews/ has a picture of each pair.
     """
 
     source: str
     beside: str
     origin: str = ""
+    pictured: bool = False
 
 
 RECORDED = CardTexts(
@@ -102,6 +104,7 @@ RECORDED = CardTexts(
     "each object in `objects/`. `datasheet.md` says what the benchmark is for and what is wrong with it,\n"
     "`lineage.json` where every pair comes from, `schemas/` what every file holds; `index.html` shows every "
     "object.",
+    pictured=True,
 )
 
 
@@ -140,10 +143,10 @@ def card(
         origins=origins_table(info.recordings),
         warnings="\n".join(f"- {line}" for line in warnings) or "None.",
     )
-    return f"---\n{_head(info, targets, license)}---\n\n{body}"
+    return f"---\n{_head(info, targets, license, texts.pictured)}---\n\n{body}"
 
 
-def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
+def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: bool) -> str:
     """The card's YAML: https://huggingface.co/docs/hub/datasets-cards."""
     known = HUGGING_FACE.get(license)
     content: dict[str, Any] = {"license": known or ("unknown" if license == UNSPECIFIED else "other")}
@@ -151,17 +154,19 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str) -> str:
         content |= {"license_name": re.sub(r"[^a-z0-9.-]+", "-", license.lower()).strip("-")}
         content |= {"license_link": LICENSE}
     categories = sorted({target.category for target in targets})
+    path = f"{PREVIEWS}/{{}}/**" if pictured else f"{SPLIT_TARGETS}/{{}}.csv"
     present = [split for split in SPLITS if any(target.split == split for target in targets)]
     content |= {
         "pretty_name": info.name,
         "task_categories": ["image-to-3d"],
         "tags": ["3d", "shape-completion", "rgb-d", "voxels", "benchmark", *categories],
         "size_categories": [next(name for limit, name in SIZES if len(targets) < limit)],
+        # One table alone: `datasets` reads all tables of a card as it reads the first.
         "configs": [
             {
                 "config_name": "targets",
                 "default": True,
-                "data_files": [{"split": s, "path": f"{SPLIT_TARGETS}/{s}.csv"} for s in present],
+                "data_files": [{"split": s, "path": path.format(s)} for s in present],
             }
         ],
     }

@@ -21,6 +21,7 @@ FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
     PAIR_FILES: ("pairs/*/*.npz", [NPZ, "text/plain"], "the pairs: npz files of bit-packed grids"),
     "depth-images": ("views/*/*.depth.png", "image/png", "depth of each view, uint16 millimetres, 0 = none"),
     "masks": ("views/*/*.mask.png", "image/png", "255 = the object, in the pixels of depth"),
+    "previews": ("previews/*/*/*.jpg", "image/jpeg", "a small picture of each pair's view"),
     VIEW_LISTS: ("views/*/views.json", "application/json", "frame, camera and fit of each view"),
     "objects": ("objects/*/*", "application/octet-stream", "floor, closed mesh and labelled volume"),
     "shown-objects": ("objects/*.glb", "model/gltf-binary", "each object for viewers, of fewer triangles"),

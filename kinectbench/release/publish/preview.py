@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from kinectbench._version import __version__
-from kinectbench.core import images
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
 from kinectbench.core.listing import SHOWN, Listing, spread
@@ -22,6 +21,7 @@ from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
 from kinectbench.release.contents import PREVIEW
 from kinectbench.release.publish.card import quality_words
+from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
 
 VIEWS = 3
@@ -29,7 +29,6 @@ VIEWS = 3
 MOST_WARNINGS = 8
 LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "refused")
 FILTERS = (2, 3, 4)
-DEPTH_WIDTH_PX = 320
 PAPER = (243, 242, 238)
 CLAY = (205, 186, 160)
 BLUE = (118, 160, 205)
@@ -116,7 +115,7 @@ def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, 
     # The input as it is, each of its cells as 4 x 4 pixels.
     partial = unpack(pair.partial)
     pictures = [
-        ("depth and mask", _depth(folder / "views" / target.recording, target.view)),
+        ("depth and mask", _png(depth_with_mask(folder / "views" / target.recording, target.view))),
         ("partial, as seen", _png(enlarged(seen_from_the_front(partial, BLUE)))),
         ("partial, from the right", _png(enlarged(seen_from_the_right(partial, BLUE)))),
     ]
@@ -128,15 +127,6 @@ def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, 
             ("slice", _png(upright_slice(unpack(pair.partial_256), full, known))),
         ]
     return pictures
-
-
-def _depth(views: Path, view: str) -> str:
-    """The depth image with the mask's outline, thinned to a small picture."""
-    depth_mm = images.read_gray(views / f"{view}.depth.png")
-    mask = images.read_gray(views / f"{view}.mask.png") > 0
-    step = max(1, round(depth_mm.shape[1] / DEPTH_WIDTH_PX))
-    small = images.depth_picture(depth_mm[::step, ::step])
-    return _png(images.overlay_mask(small, mask[::step, ::step]))
 
 
 def _png(picture: NDArray[np.uint8]) -> str:

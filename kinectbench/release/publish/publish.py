@@ -28,6 +28,7 @@ from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
+from kinectbench.release.publish.view_pictures import write_view_pictures
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 
@@ -142,7 +143,7 @@ def _refuse_other(out: Path) -> None:
 def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> None:
     """Refuse a release of more files than one may have, before hours are spent on it."""
     pairs = sum(len(PairsFile.read(build / name / "pairs").pairs) for name in recordings)
-    of_pair = 1 + len(VIEW_IMAGES) + settings.publish.color
+    of_pair = 2 + len(VIEW_IMAGES) + settings.publish.color
     total = of_pair * pairs + FILES_OF_RECORDING * len(recordings)
     if total > MOST_FILES:
         raise ReleaseError(
@@ -201,6 +202,7 @@ def _write(
         held_back=options.hold_back,
         left_out=passed.left_out,
     )
+    write_view_pictures(folder, targets)
     write_preview(folder, settings, targets, infos, warnings, options.hold_back)
     refuse_large(folder)  # before other files are made of them
     identity = write_small_files(head, folder, targets, infos, warnings)

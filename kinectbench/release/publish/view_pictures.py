@@ -1,0 +1,67 @@
+"""previews/: a small picture of each pair's view, and the tables by which viewers of datasets show them.
+
+A folder for each split, as `ImageFolder` of Hugging Face's `datasets` reads it: `metadata.jsonl` has a line
+for each pair, whose `file_name` is the picture, relative to it.
+Source: https://huggingface.co/docs/datasets/image_dataset
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core import images
+from kinectbench.core.artefacts.targets import COLUMNS, SPLITS, Target
+from kinectbench.core.storage import write_below
+from kinectbench.core.types import Rgb
+from kinectbench.release.contents import PREVIEWS, ROWS
+
+WIDTH_PX = 320
+
+
+def row_picture(target: Target) -> str:
+    """`file_name` of a pair's row."""
+    return f"{target.recording}/{target.view}.jpg"
+
+
+def rows_text(targets: Sequence[Target]) -> str:
+    """metadata.jsonl of the pairs of one split: the columns of targets.csv, behind `file_name`."""
+    rows = [{"file_name": row_picture(t)} | {name: getattr(t, name) for name in COLUMNS} for t in targets]
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
+    """Write previews/ of a release whose views are there already; nothing that `views/` does not show.
+
+    Raises:
+        StorageError: an image is damaged.
+    """
+    for split in SPLITS:
+        here = [target for target in targets if target.split == split]
+        for target in here:
+            picture = view_picture(folder / "views" / target.recording, target.view)
+            write_below(folder / PREVIEWS / split / row_picture(target), images.jpeg(picture))
+        if here:
+            write_below(folder / PREVIEWS / split / ROWS, rows_text(here).encode())
+
+
+def view_picture(views: Path, view: str) -> Rgb:
+    """Depth with the mask's outline, and on its right colour, where that is published."""
+    picture = depth_with_mask(views, view)
+    path = views / f"{view}.color.jpg"
+    if not path.is_file():
+        return picture
+    color = images.shrunk(images.read_color(path), WIDTH_PX)
+    height = max(len(picture), len(color))
+    low = [np.pad(each, ((0, height - len(each)), (0, 0), (0, 0))) for each in (picture, color)]
+    return np.concatenate(low, axis=1)
+
+
+def depth_with_mask(views: Path, view: str) -> Rgb:
+    """The depth image with the mask's outline, thinned to a small picture."""
+    depth_mm = images.read_gray(views / f"{view}.depth.png")
+    mask = images.read_gray(views / f"{view}.mask.png") > 0
+    step = max(1, round(depth_mm.shape[1] / WIDTH_PX))
+    small = images.depth_picture(depth_mm[::step, ::step])
+    return images.overlay_mask(small, mask[::step, ::step])
