@@ -237,13 +237,14 @@ def _of_metadata(row: dict[str, str]) -> Iterator[Damage]:
             "splits.json",
             "README.md",
             "targets/",
+            "previews/",
         ),
         True,
     )
     yield Damage(
         "a split that benchmark.json does not have",
         lambda f: edit_targets(f, 0, split=split),
-        ("targets.csv, line 2: split", "targets.csv", "splits.json", "README.md", "targets/"),
+        ("targets.csv, line 2: split", "targets.csv", "splits.json", "README.md", "targets/", "previews/"),
         True,
     )
     yield Damage(
@@ -280,6 +281,12 @@ def _of_metadata(row: dict[str, str]) -> Iterator[Damage]:
         "a split's table of another release",
         lambda f: put(f / "targets" / f"{row['split']}.csv", b"x\n"),
         (f"targets/{row['split']}.csv: not the lines",),
+        True,
+    )
+    yield Damage(
+        "a row of another view",
+        lambda f: put(f / "previews" / row["split"] / "metadata.jsonl", b"{}\n"),
+        (f"previews/{row['split']}/metadata.jsonl: not the lines",),
         True,
     )
     yield Damage(
@@ -428,7 +435,11 @@ def sha256(path: Path) -> str:
 def seal(release: Path) -> None:
     """Make every checksum right again, as a publisher's own mistake would have them."""
     rows = {row["file"]: row["sha256"] for row in targets(release)}
-    for table in (release / "targets.csv", *release.glob("targets/*.csv")):
+    for table in (
+        release / "targets.csv",
+        *release.glob("targets/*.csv"),
+        *release.glob("previews/*/*.jsonl"),
+    ):
         text = table.read_text()
         for file, old in rows.items():
             if (release / file).is_file():

@@ -41,7 +41,7 @@ def test_content(release: Release, tmp_path: Path) -> None:
         names = archive.namelist()
         assert names == sorted(names)
         for entry in archive.infolist():
-            stored = entry.filename.endswith((".npz", ".png"))
+            stored = entry.filename.endswith((".npz", ".png", ".jpg"))
             assert entry.compress_type == (zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED)
             assert (entry.date_time, entry.external_attr >> 16) == ((1980, 1, 1, 0, 0, 0), 0o100644)
         archive.extractall(tmp_path / "out")
