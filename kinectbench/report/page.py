@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from kinectbench._version import __version__
+from kinectbench.core import turntable
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.gallery import Gallery
 from kinectbench.core.artefacts.scores import ScoreTable
@@ -104,6 +105,7 @@ def write_report(
         "package_version": __version__,
         "n_pairs": sum(pairs),
         "recordings": recordings,
+        "turntable_frames": turntable.FRAMES,
         "listed": listed,
         "scores": _scores(scores, beside, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
         "published": [tables.published_table(of) for of in published],

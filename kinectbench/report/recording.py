@@ -17,6 +17,7 @@ from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.trajectory.trajectory import read_poses
+from kinectbench.core.turntable import QUALITY, turntable
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.stages import STAGES, Job, current_stages
@@ -50,6 +51,7 @@ class RecordingPart:
         settings: the recording's own settings.
         health: figures of the trajectory, or None.
         quality: figures of the object, or None.
+        turntable: strip of pictures of the object from all around, or None.
         plan: the path seen from above, or None.
         object_pictures: the object from a few sides, with what nobody saw of it in colour.
         frames: some views as recorded.
@@ -65,6 +67,7 @@ class RecordingPart:
     settings: RecordingSettings
     health: Figures | None
     quality: Figures | None
+    turntable: str | None
     plan: Markup | None
     object_pictures: tuple[ObjectPicture, ...]
     frames: tuple[looks.FramePicture, ...]
@@ -124,6 +127,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         settings=job.recording,
         health=None if health is None else health_figures(health),
         quality=None if quality is None else quality_figures(quality),
+        turntable=images.data_uri(turntable(mesh), QUALITY) if mesh else None,
         plan=plan,
         object_pictures=object_pictures(mesh, unseen, frontiers) if mesh else (),
         frames=frames,

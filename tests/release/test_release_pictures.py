@@ -1,9 +1,15 @@
 """The pictures of a release's page: a shape looks the same however its grid lies in memory."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
+from synthetic_release import synthetic_settings
 
+from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.release.publish.preview import CLAY, PAPER, seen_from_the_front, seen_from_the_right
+from kinectbench.release.publish.publish import publish
 
 
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.3])
@@ -25,3 +31,19 @@ def test_what_is_nearer_hides_what_is_behind() -> None:
     both[:4, 4:12, 4:12] = True
     assert (seen_from_the_right(near, CLAY) == seen_from_the_right(both, CLAY)).all()
     assert (seen_from_the_front(near, CLAY) != seen_from_the_front(both, CLAY)).any()
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_the_page_begins_with_the_objects(hidden: bool, analytic: Path, tmp_path: Path) -> None:
+    """At most one warning stands before them, and none of what is held back turns."""
+    options = PublishOptions(hold_back=("test",) if hidden else (), thresholds=None)
+    names = ["chair_02", "table_02"]
+    settings = synthetic_settings(license="unspecified", publish={"color": True})
+    page = (
+        publish(settings, analytic / "build", tmp_path / "b", names, options).folder / "index.html"
+    ).read_text()
+    turning = re.findall(r'aria-label="object of (\w+);', page)
+    assert turning == (["table_02"] if hidden else names)
+    begin = page.index('class="turn"')
+    assert page[:begin].count('class="alert"') == 1 <= page[begin:].count('class="alert"')
+    assert begin < page.index("<img") < page.index("<table")

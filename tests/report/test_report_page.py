@@ -82,8 +82,10 @@ def test_every_image_decodes_and_the_pairs_are_twice_as_wide_as_high(html: str) 
     ]
     # The object from three sides and from where its opening would be seen, six views, three pairs; then three
     # views with colour beside depth.
-    assert len(shapes) == 4 + 6 + 3 + 3 * 2
-    assert shapes[10:13] == [(120, 240, 3)] * 3
+    # First of all it turns.
+    assert len(shapes) == 1 + 4 + 6 + 3 + 3 * 2 and shapes[0] == (160, 20 * 160, 3)
+    assert html.index('class="turn"') < html.index("<table")
+    assert shapes[11:14] == [(120, 240, 3)] * 3
 
 
 def test_shows_figures_of_every_stage(html: str) -> None:

@@ -1,7 +1,7 @@
 """index.html of a release, one file: every object with pictures, quality and warnings; of a large one some.
 
 A large release's page lists all recordings, and shows some of them, spread evenly, with the pictures of one
-view. It has a script, for the list; that of a small one has none.
+view. Scripts turn the objects and search the list.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,12 +14,16 @@ from scipy import ndimage
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
+from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.images import data_uri
 from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import png_uri, render_page
+from kinectbench.core.turntable import FRAMES, QUALITY, turntable
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
-from kinectbench.release.contents import PREVIEW
+from kinectbench.release.contents import OBJECT_FILES, PREVIEW
 from kinectbench.release.publish.card import quality_words
 from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
@@ -71,6 +75,7 @@ def write_preview(
         "warnings": told,
         "more_warnings": len(warnings) - len(told),
         "held_back": ", ".join(held_back),
+        "frames": FRAMES,
         "package_version": __version__,
     }
     (folder / PREVIEW).write_text(render_page("release/publish/preview.html", shown), encoding="utf-8")
@@ -104,9 +109,19 @@ def _part(
         "name": name,
         "info": info,
         "held_back": held_back,
+        "turntable": _turntable(folder / "objects" / name),
         "figures": quality_words(info.quality).items(),
         "views": [(here[index].view, _pictures(folder, here[index], held_back)) for index in chosen],
     }
+
+
+def _turntable(objects: Path) -> str | None:
+    """The object from all around, as a `data:` address; None of one that is held back or has no surface."""
+    if not (objects / OBJECT_FILES[0]).is_file():
+        return None
+    mesh = read_own_ply(objects / OBJECT_FILES[0])
+    mesh_floor = mesh.transformed(FloorFile.read(objects).T_floor_world)
+    return data_uri(turntable(mesh_floor), QUALITY) if len(mesh.faces) else None
 
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
