@@ -36,11 +36,12 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     "sample-views": {"views": "views"},
     "pairs": {
         "pairs": "pairs",
-        "refused": "refused",
+        "refused": "passed over",
         "containment": "contained",
         "residual_mm": "residual mm",
     },
 }
+PASSED_OVER = "frames that did not do as a view, and views without a pair"
 # How the page shows them; other figures have three decimals.
 FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
 # Keys of texts; other columns have numbers.
@@ -148,7 +149,11 @@ def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> 
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
     columns["status"] = "status"
-    medians = "contained and residual: medians over the pairs" if "residual_mm" in columns else None
+    medians = (
+        f"contained and residual: medians over the pairs; passed over: {PASSED_OVER}"
+        if "residual_mm" in columns
+        else None
+    )
     shown = [row.json_value() | {"estimated_iou": _estimate(row)} for row in rows]
     return table(shown, columns, FORMATS, caption=medians)
 

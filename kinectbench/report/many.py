@@ -17,8 +17,8 @@ from kinectbench.report.figures import per_cent
 
 File = TypeVar("File", bound=Stored)
 COLUMNS = (
-    "recording", "object", "category", "split", "verdict", "trajectory", "pairs", "refused", "containment",
-    "residual",
+    "recording", "object", "category", "split", "verdict", "trajectory", "pairs", "passed over",
+    "containment", "residual",
 )  # fmt: skip
 FILTERS = (2, 3, 4, 5)
 PAIRS = COLUMNS.index("pairs")

@@ -44,6 +44,7 @@ def test_the_page_begins_with_the_objects(hidden: bool, analytic: Path, tmp_path
     ).read_text()
     turning = re.findall(r'aria-label="object of (\w+);', page)
     assert turning == (["table_02"] if hidden else names)
+    assert "passed over</th>" in page and "refused" not in page
     begin = page.index('class="turn"')
     assert page[:begin].count('class="alert"') == 1 <= page[begin:].count('class="alert"')
     assert begin < page.index("<img") < page.index("<table")

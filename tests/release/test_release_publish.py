@@ -151,7 +151,7 @@ def test_the_estimate_is_told_with_its_interval_and_its_reasons(build: Path, tmp
     summary = publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", names)
     assert f"chair_02: {advice}" in summary.warnings
     card = (summary.folder / "README.md").read_text()
-    assert "| recording | object | pairs | refused | estimated IoU | repeatability IoU |" in card
+    assert "| recording | object | pairs | passed over | estimated IoU | repeatability IoU |" in card
     assert "| chair_02 | blue_chair | 1 | 0 | 0.741 (0.352 to 0.800) | 0.930 |" in card
     assert "| chair_01 | red_chair | 2 | 0 |  | 0.930 |" in card
     sheet = (summary.folder / "datasheet.md").read_text()

@@ -30,6 +30,9 @@ QUALITY = {
     "volume_m3": ("volume", "{:.1f} l", 1000.0),
     "good_frames": ("frames fused", "{:.0f}", 1.0),
 }
+PASSED_OVER = (
+    "Passed over: frames that did not do as a view, for which others were tried, and views without a pair."
+)
 # What is no figure: the word of a person.
 UNDERSIDE = "underside, as stated"
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
@@ -208,8 +211,8 @@ def figures(info: ReleaseInfo) -> str:
         + [words[name].get(label, "") for label in labels]
         for name, recording in sorted(info.recordings.items())
     ]
-    table = _markdown(["recording", "object", "pairs", "refused", *labels], rows)
-    return "\n\n".join(filter(None, (table, underside_line(info.recordings))))
+    table = _markdown(["recording", "object", "pairs", "passed over", *labels], rows)
+    return "\n\n".join(filter(None, (table, PASSED_OVER, underside_line(info.recordings))))
 
 
 def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:

@@ -75,7 +75,7 @@ def datasheet(
         strategy=settings.views.strategy,
         seed=str(settings.views.seed),
         refused=str(refused),
-        drawn=str(refused + len(targets)),
+        pairs=str(len(targets)),
         framing=settings.pairs.framing,
         partial_rule=settings.pairs.partial_rule,
         color=color,

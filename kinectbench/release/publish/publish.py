@@ -202,9 +202,9 @@ def _write(
         held_back=options.hold_back,
         left_out=passed.left_out,
     )
+    refuse_large(folder)  # before other files are made of them
     write_view_pictures(folder, targets)
     write_preview(folder, settings, targets, infos, warnings, options.hold_back)
-    refuse_large(folder)  # before other files are made of them
     identity = write_small_files(head, folder, targets, infos, warnings)
     refuse_large(folder)
     return PublishSummary(
