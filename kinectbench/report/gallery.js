@@ -1,7 +1,7 @@
 "use strict";
 // The gallery: cells of 64^3 as surfaces of their faces, drawn by one WebGL context for all pictures.
 (() => {
-const N = 64, PANES = ["partial", "truth", "prediction", "error"], PAGE = 6;
+const N = 64, PAGE = 6;
 const COLORS = {
   partial: [118, 160, 205], truth: [205, 186, 160], unseen: [240, 150, 20], prediction: [150, 178, 142],
   agreed: [190, 186, 178], missing: [43, 108, 180], extra: [208, 84, 40], uncounted: [222, 196, 96],
@@ -159,13 +159,13 @@ function draw(card) {
 
 async function load(card) {
   const { pair, shown } = card;
-  const [partial, truth, known, unseen, prediction] =
-    await Promise.all([pair.partial, pair.full, pair.known, pair.unseen, shown.cells].map(unpack));
+  const [partial, truth, known, unseen, ...predictions] =
+    await Promise.all([pair.partial, pair.full, pair.known, pair.unseen, ...shown.map(of => of.cells)].map(unpack));
   if (!card.element.isConnected) return;
   const plain = (cells, name) => [new THREE.Mesh(surface(cells, 1, cells, COLORS[name]), solidLook)];
-  card.ball = ball([partial, truth, prediction]);
-  card.meshes = [plain(partial, "partial"), truthMeshes(truth, unseen), plain(prediction, "prediction"),
-    errorMeshes(truth, prediction, known)];
+  card.ball = ball([partial, truth, ...predictions]);
+  card.meshes = [plain(partial, "partial"), ...predictions.map(of => plain(of, "prediction")),
+    truthMeshes(truth, unseen), ...predictions.map(of => errorMeshes(truth, of, known))];
   draw(card);
 }
 
@@ -207,18 +207,22 @@ function element(name, properties, ...children) {
   return made;
 }
 
-function makeCard(method, name) {
-  const pair = data.pairs[name], shown = method.pairs[name];
-  const canvases = PANES.map(() => element("canvas", { width: 1, height: 1 }));
+// The methods side by side: above what is seen and their predictions, below the truth and their errors.
+function makeCard(methods, name) {
+  const pair = data.pairs[name], of = methods.filter(method => method.pairs[name]), shown = of.map(method => method.pairs[name]);
+  const captions = ["partial", ...of.map(method => method.name), "truth", ...of.map(method => `error of ${method.name}`)];
+  const canvases = captions.map(() => element("canvas", { width: 1, height: 1 }));
   const panes = element("div", { className: "panes", tabIndex: 0 },
-    ...PANES.map((pane, k) => element("figure", {}, canvases[k], element("figcaption", { textContent: pane }))));
+    ...captions.map((caption, k) => element("figure", {}, canvases[k], element("figcaption", { textContent: caption }))));
+  panes.style.setProperty("--methods", of.length + 1);
   panes.setAttribute("role", "group");
-  panes.setAttribute("aria-label", `${name}: partial, truth, prediction of ${method.name}, error; arrow keys turn`);
-  const iou = shown.iou === null ? "" : `IoU ${shown.iou.toFixed(3)}`;
+  panes.setAttribute("aria-label", `${name}: ${captions.join(", ")}; arrow keys turn`);
+  const iou = "IoU " + shown.map(one => one.iou === null ? "–" : one.iou.toFixed(3)).join(" and ");
+  const view = pair.picture ? [element("img", { className: "view", src: pair.picture, alt: `view ${name}` })] : [];
   const larger = element("button", { type: "button", className: "larger", textContent: "larger" });
   const head = element("h4", {}, name, element("span", { className: "note", textContent: ` ${pair.category}` }),
     element("span", { className: "iou", textContent: iou }), larger);
-  const card = { ...START, pair, shown, canvases, element: element("article", { className: "card" }, head, panes) };
+  const card = { ...START, pair, shown, canvases, element: element("article", { className: "card" }, head, ...view, panes) };
   larger.addEventListener("click", () => {
     larger.textContent = card.element.classList.toggle("large") ? "smaller" : "larger";
     draw(card);
@@ -245,10 +249,11 @@ function names(method) {
 }
 
 function show(wanted) {
-  const method = data.methods[select("method").value], found = names(method);
+  const method = data.methods[select("method").value], beside = data.methods[select("beside").value], found = names(method);
+  const methods = beside && beside !== method ? [method, beside] : [method];
   if (wanted) limit = Math.max(limit, found.indexOf(wanted) + 1);
   live.forEach(card => { watcher.unobserve(card.element); discard(card); });
-  live = found.slice(0, limit).map(name => makeCard(method, name));
+  live = found.slice(0, limit).map(name => makeCard(methods, name));
   cards.replaceChildren(...live.map(card => card.element));
   live.forEach(card => watcher.observe(card.element));
   holder.querySelector(".more").hidden = found.length <= limit;
@@ -263,7 +268,9 @@ try {
   holder.querySelector(".controls").hidden = holder.querySelector(".more").hidden = true;
   return;
 }
-data.methods.forEach((method, k) => select("method").append(new Option(method.name, k)));
+data.methods.forEach((method, k) => ["method", "beside"].forEach(name => select(name).append(new Option(method.name, k))));
+select("beside").append(new Option("none", ""));
+select("beside").value = data.methods.length > 1 ? 1 : "";
 const categories = [...new Set(Object.values(data.pairs).map(pair => pair.category))].sort();
 [["all", ""], ...categories.map(name => [name, name])].forEach(([text, value]) => select("category").append(new Option(text, value)));
 holder.querySelectorAll("select").forEach(one => one.addEventListener("change", () => { limit = PAGE; show(); }));

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from kinectbench.core import images
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import ReleaseError
@@ -23,6 +24,7 @@ from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
+from kinectbench.release.view_images import color, depth_m, mask
 from kinectbench.scoring.baselines.predict import BaselineTask, predicted
 from kinectbench.scoring.counts import Prediction, occupied
 from kinectbench.scoring.mesh_prediction import MESHES
@@ -37,6 +39,8 @@ MAX_BYTES, MAX_BYTES_OF_MANY = 4 << 20, 1 << 20
 DEFLATE_LEVEL = 6
 # Pairs of a method: the best, the worst, and some that are the same for every method.
 EXTREME, SHARED = 6, 12
+# Of the view beside a pair: 3 to 6 kB (own choice).
+VIEW_PX = 200
 # A cell of 64 is drawn if this share of its 4 x 4 x 4 voxels is set: parts thinner than a cell stay.
 DRAWN_SHARE = 0.25
 
@@ -182,6 +186,7 @@ class PairTruth:
         full: likewise, of the truth.
         known: likewise, where the truth is trusted: at one voxel within each cell.
         unseen: likewise, cells of `full` of whose shape at least a half is not known: nobody saw it.
+        picture: the view's depth, and its colour if published, as a `data:` address; "" if it has no images.
     """
 
     category: str
@@ -191,6 +196,7 @@ class PairTruth:
     full: Packed
     known: Packed
     unseen: Packed
+    picture: str = ""
 
 
 def read_pair_truth(release: Release, target: Target) -> PairTruth:
@@ -205,7 +211,24 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
     up = _up_grid(release, target.recording, T_world_grid)
     drawn = reduced(full)
     unseen = _unseen(full, known) & drawn
-    return PairTruth(target.category, target.object, up, partial, drawn, _sampled(known), unseen)
+    return PairTruth(
+        target.category, target.object, up, partial, drawn, _sampled(known), unseen, _picture(release, target)
+    )
+
+
+def _picture(release: Release, target: Target) -> str:
+    """The view as it was recorded: depth with the mask's outline, and on its right colour."""
+    try:
+        depth = images.depth_picture((depth_m(release, target) * 1000).astype(np.uint16))
+        shown = [images.overlay_mask(depth, mask(release, target))]
+    except ReleaseError:  # synthesised views have none
+        return ""
+    with contextlib.suppress(ReleaseError):
+        shown.append(images.shrunk(color(release, target), max(depth.shape)))
+    height = min(len(picture) for picture in shown)
+    return images.data_uri(
+        images.shrunk(np.concatenate([p[:height] for p in shown], axis=1), VIEW_PX * len(shown))
+    )
 
 
 def _unseen(full: Packed, known: Packed) -> Packed:
@@ -285,7 +308,8 @@ def gallery_json(
 def _truth(truth: PairTruth) -> dict[str, Any]:
     grids = {name: _text(getattr(truth, name)) for name in ("partial", "full", "known", "unseen")}
     up = [round(float(value), 5) for value in truth.up]
-    return {"category": truth.category, "object": truth.object, "up": up, **grids}
+    picture = {"picture": truth.picture} if truth.picture else {}
+    return {"category": truth.category, "object": truth.object, "up": up, **picture, **grids}
 
 
 def _text(packed: Packed) -> str:

@@ -82,7 +82,7 @@ def azimuth(browser: Browser) -> float:
 
 
 def test_a_pair_turns(browser: Browser) -> None:
-    show(browser, method="moved", order="by name")
+    show(browser, method="moved", beside="none", order="by name")
     assert browser.evaluate(f"{CARD}.dataset.pair") == "chair_01/000"
     before = [picture(browser, pane) for pane in range(4)]
     assert all(np.ptp(image[..., :3]) > 20 and (image[..., 3] > 0).mean() > 0.02 for image in before)
@@ -100,8 +100,8 @@ def test_a_pair_turns(browser: Browser) -> None:
 
 
 def test_the_truth_that_nobody_saw_is_orange(browser: Browser) -> None:
-    show(browser, method="moved", order="by name")
-    partial, truth = (picture(browser, pane) for pane in (0, 1))
+    show(browser, method="moved", beside="none", order="by name")
+    partial, truth = (picture(browser, pane) for pane in (0, 2))
 
     def orange(image: np.ndarray) -> np.ndarray:
         blue, _, red = (image[..., channel].astype(int) for channel in range(3))
@@ -126,21 +126,29 @@ def test_the_order_is_that_of_the_scores(browser: Browser) -> None:
     for order, sign in (("worst first", 1), ("best first", -1)):
         show(browser, method="ball", order=order, category="chair")
         shown = browser.evaluate("[...document.querySelectorAll('.card .iou')].map(e => e.textContent)")
-        values = [float(text.removeprefix("IoU ")) for text in shown]
+        values = [float(text.removeprefix("IoU ").split(" and ")[0]) for text in shown]
         assert len(values) == 3 and values == sorted(values, key=lambda value: sign * value)
     show(browser, category="all")
     assert browser.evaluate("document.querySelectorAll('.card').length") == 4
 
 
 def test_the_error_shows_what_is_missing(browser: Browser) -> None:
-    show(browser, method="nothing", order="by name")
-    error, truth = picture(browser, 3), picture(browser, 1)
+    show(browser, method="nothing", beside="none", order="by name")
+    error, truth = picture(browser, 3), picture(browser, 2)
     # Of an empty prediction all is missing: blue in the same places as the truth; the prediction is blank.
-    assert not picture(browser, 2)[..., 3].any()
+    assert not picture(browser, 1)[..., 3].any()
     inside = (error[..., 3] == 255) & (truth[..., 3] == 255)
     assert inside.mean() > 0.05 and np.abs((error[..., 3] > 0) ^ (truth[..., 3] > 0)).mean() < 0.01
     blue, _, red = (error[inside][:, channel].astype(int) for channel in range(3))
     assert ((blue > red + 20).mean()) > 0.8
+
+
+def test_two_methods_stand_side_by_side_below_their_view(browser: Browser) -> None:
+    show(browser, method="moved", beside="ball", order="by name")
+    captions = browser.evaluate(f"[...{CARD}.querySelectorAll('figcaption')].map(e => e.textContent)")
+    assert captions == ["partial", "moved", "ball", "truth", "error of moved", "error of ball"]
+    assert (picture(browser, 1) != picture(browser, 2)).any()
+    assert browser.evaluate(f"{CARD}.querySelector('img.view').naturalWidth") > 0
 
 
 def test_a_table_sorts(browser: Browser) -> None:

@@ -7,16 +7,18 @@ import re
 import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from report_fake_build import parsed_tables
-from synthetic_release import ball
+from synthetic_release import RECORDINGS, ball, synthetic_settings, write_build
 
 from kinectbench.core.artefacts.gallery import GALLERY, read_gallery, write_gallery
 from kinectbench.core.errors import StorageError
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
-from kinectbench.release.release import Release
+from kinectbench.release.publish.publish import publish
+from kinectbench.release.release import Release, open_release
 from kinectbench.report import gallery
 from kinectbench.report.gallery import (
     PairTruth,
@@ -173,6 +175,19 @@ def test_truth_of_a_pair(release: Release) -> None:
     unseen = unpack(found.unseen)
     assert np.flatnonzero(unseen.any(axis=(1, 2))).tolist() == [50, 51, 52]
     np.testing.assert_array_equal(unseen[50:53], unpack(found.full)[50:53])
+
+
+def test_a_pair_has_its_view_with_colour_where_that_is_published(release: Release, tmp_path: Path) -> None:
+    def size(of: Release) -> tuple[int, ...]:
+        text = read_pair_truth(of, of.split("test")[0]).picture.removeprefix("data:image/jpeg;base64,")
+        return cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR).shape
+
+    assert size(release) == (6, 8, 3)
+    write_build(tmp_path / "build")
+    names = [recording[0] for recording in RECORDINGS]
+    settings = synthetic_settings(publish={"color": True})
+    colored = publish(settings, tmp_path / "build", tmp_path / "b", names).folder
+    assert size(open_release(colored)) == (6, 16, 3)
 
 
 def test_from_predictions_to_the_page(release: Release, tmp_path: Path) -> None:
